@@ -73,8 +73,8 @@ study: $(READY)
 # targets of a session agree; half an hour on two cores.
 mtf-study: $(READY)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.edge.coverage
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.held_back
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.session.agreement_table --keep --simulated 100 --workers 2
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.held_out_cases
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.session.consistency_table --keep --simulated 100 --workers 2
 
 # Simulation-based calibration: ranks of 600 true blurs among draws from the posteriors of their edges, by Markov chain and
 # by importance: table and figures; a few minutes on two cores.
@@ -126,8 +126,8 @@ night-light: $(READY)
 # Plans of light beside the exact mode, 100 random scenes before random cameras: table and figure; goes on where it was
 # interrupted; fifteen minutes on one core.
 radiance-economy: $(READY)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.light.economy
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.light.economy_figure
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.light.effect_selection_study
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m charact.study.light.effect_selection_figure
 
 # Pictures of docs/night-scenes.md: the shipped scenes and what the default camera makes of them; some minutes.
 night-scenes: $(READY)

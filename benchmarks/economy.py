@@ -16,13 +16,13 @@ import numpy as np
 
 from labdata.conditions import Conditions
 from labdata.sensors import load_sensor
-from simulate.iiccd import light, pattern, tiers
+from simulate.iiccd import pattern, sampler_choice, stage_image
 from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.exposure import freed_by_picture
-from simulate.iiccd.influence.effects import effects_of
-from simulate.iiccd.influence.picture import Picture, per_pixel
-from simulate.iiccd.influence.planning import planned
-from simulate.iiccd.streamed import law
+from simulate.iiccd.effect_bounds.camera_effects import select_camera_effects
+from simulate.iiccd.effect_bounds.effects import bound_effects
+from simulate.iiccd.effect_bounds.noise_budget import NoiseBudget, per_pixel
+from simulate.iiccd.fast_sampler import charge_distribution
+from simulate.iiccd.scene_to_photoelectrons import photoelectrons_from_image
 from tests.simulate.random_scenes import Scene, random_scene
 
 FRAMES = 10
@@ -30,15 +30,15 @@ SCENES = 12
 REPEATS = 5
 # What the first scene of a process works out and keeps for the next.
 KEPT = (
-    pattern.mottle,
-    pattern.honeycomb,
-    pattern.multifibres,
+    pattern.phosphor_granularity,
+    pattern.multifibre_transmission,
+    pattern.multifibre_gain,
     pattern.multifibre_offsets,
-    pattern.dark_signal,
-    pattern.pixel_response,
-    law.standardised_quantiles,
-    light._transfer,  # pyright: ignore[reportPrivateUsage]
-    light._resampling,  # pyright: ignore[reportPrivateUsage]
+    pattern.dark_signal_map,
+    pattern.prnu_map,
+    charge_distribution.unit_variance_quantiles,
+    stage_image._transfer,  # pyright: ignore[reportPrivateUsage]
+    stage_image._resampling,  # pyright: ignore[reportPrivateUsage]
 )
 
 
@@ -69,7 +69,9 @@ def timed(camera: Callable[[], IntensifiedCamera], freed: Any, conditions: Condi
         worked_out.cache_clear()
     start = time.perf_counter()
     taking = camera()
-    frames = tiers.frames(taking, taking.received(freed, conditions), conditions, seed=1, tier=tier)
+    frames = sampler_choice.generate_frames(
+        taking, taking.to_mcp_input(freed, conditions), conditions, seed=1, tier=tier
+    )
     next(frames)
     begun = time.perf_counter()
     for _ in islice(frames, FRAMES):
@@ -80,10 +82,10 @@ def timed(camera: Callable[[], IntensifiedCamera], freed: Any, conditions: Condi
 
 def compared(scene: Scene) -> tuple[Timing, Timing, int]:
     """Time a scene as planned and with everything kept by cell; and count what the plan left out."""
-    freed = freed_by_picture(scene.camera, scene.image_pe)
+    freed = photoelectrons_from_image(scene.camera, scene.image_pe)
 
     def thinned() -> IntensifiedCamera:
-        return planned(scene.camera, freed, scene.conditions, scene.tolerance)[0]
+        return select_camera_effects(scene.camera, freed, scene.conditions, scene.tolerance)[0]
 
     as_planned = timed(thinned, freed, scene.conditions)
     exact = timed(lambda: scene.camera, freed, scene.conditions, "by-cell")
@@ -114,10 +116,10 @@ def costs(repeats: int) -> None:
     # Many levels, each of which needs its law of pulses, and one lamp, so that wells overflow.
     image = np.broadcast_to(np.geomspace(1.0, 100.0, camera.shape[1]), camera.shape).copy()
     image[200:203, 300:303] = 3e4
-    freed = freed_by_picture(camera, image)
+    freed = photoelectrons_from_image(camera, image)
     timed(lambda: camera, freed, conditions, "streamed")
     millions = image.size / 1e6
-    for effect in effects_of(Picture(camera, per_pixel(camera, freed), conditions)):
+    for effect in bound_effects(NoiseBudget(camera, per_pixel(camera, freed), conditions)):
         without = replace(camera, left_out=frozenset({effect.name}))
         pairs = [
             (timed(lambda: camera, freed, conditions, "streamed"), timed(lambda c=without: c, freed, conditions))

@@ -17,7 +17,7 @@ from benchmarks.scenes import uneven
 from benchmarks.simulator import median_seconds, seconds_a_frame
 from labdata.sensor import Sensor
 from labdata.sensors import load_sensor
-from simulate.iiccd import tiers
+from simulate.iiccd import sampler_choice
 from tests.simulate import event_by_event as events
 from tests.simulate.conftest import PLAIN
 from tests.simulate.test_moments import BLOCKS, measured_flat
@@ -29,7 +29,7 @@ LEVELS = (0.05, 0.5, 5.0, 50.0, 500.0)
 TOLERANCES = {"mean": 1e-3, "variance": 5e-3, "skewness": 2e-2, "quantile": 5e-3}
 WORDS = {"mean": "mean", "variance": "variance", "skewness": "skewness", "quantile": "99.9 % level"}
 # Frames of 240 x 320 pixels in one of twenty blocks, by tier.
-AFFORDED: dict[tiers.Tier, int] = {"by-cell": 6, "streamed": 60, "normal": 60}
+AFFORDED: dict[sampler_choice.Tier, int] = {"by-cell": 6, "streamed": 60, "normal": 60}
 COLOURS = {"by-cell": "#4477aa", "streamed": "#ee6677", "normal": "#228833"}
 
 
@@ -49,7 +49,7 @@ class Point:
         )
 
 
-def measured(tier: tiers.Tier) -> list[Point]:
+def measured(tier: sampler_choice.Tier) -> list[Point]:
     """Moments of flats by a tier, exponential pulse heights."""
     points = []
     for level in LEVELS:
@@ -80,13 +80,13 @@ def _camera() -> Sensor:
 def speeds() -> dict[tuple[str, float], float]:
     """Frames a second of every tier at low, middling and high light, and of plain NumPy and OpenCV."""
     found = {(tier, level): 1.0 / seconds_a_frame(level, tier=tier, frames=4 if tier == "by-cell" else 60)
-             for tier in tiers.TIERS for level in (0.1, 1.0, 10.0, 100.0)}  # fmt: skip
+             for tier in sampler_choice.TIERS for level in (0.1, 1.0, 10.0, 100.0)}  # fmt: skip
     plain = {("plain NumPy and OpenCV", level): 1.0 / median_seconds(PlainChain(uneven(level)).frame, 20)
              for level in (0.1, 1.0, 10.0, 100.0)}  # fmt: skip
     return found | plain
 
 
-def table(points: Mapping[tiers.Tier, list[Point]], fps: dict[tuple[str, float], float]) -> str:
+def table(points: Mapping[sampler_choice.Tier, list[Point]], fps: dict[tuple[str, float], float]) -> str:
     """Both tables, for the page."""
     lines = [
         "| frames a second, one thread | 0.1 pe/px | 1 pe/px | 10 pe/px | 100 pe/px |",
@@ -112,7 +112,7 @@ def table(points: Mapping[tiers.Tier, list[Point]], fps: dict[tuple[str, float],
     return "\n".join(lines)
 
 
-def draw(points: Mapping[tiers.Tier, list[Point]], fps: dict[tuple[str, float], float]) -> None:
+def draw(points: Mapping[sampler_choice.Tier, list[Point]], fps: dict[tuple[str, float], float]) -> None:
     """Draw the chart: one point for each tier, its speed at ten photoelectrons and its worst error at each level."""
     import matplotlib
 
@@ -153,7 +153,7 @@ def draw(points: Mapping[tiers.Tier, list[Point]], fps: dict[tuple[str, float], 
 def main() -> None:
     """Measure, draw, and write the tables into the page."""
     fps = speeds()
-    points: dict[tiers.Tier, list[Point]] = {tier: measured(tier) for tier in tiers.TIERS}
+    points: dict[sampler_choice.Tier, list[Point]] = {tier: measured(tier) for tier in sampler_choice.TIERS}
     draw(points, fps)
     begin, end = "<!-- frontier -->", "<!-- end frontier -->"
     text = PAGE.read_text()

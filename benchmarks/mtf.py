@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from benchmarks.row import Row, best_seconds
 
 if TYPE_CHECKING:
-    from charact.mtf.edge.fit.forms import Weighed
+    from charact.mtf.edge.fit.model_selection import EvidenceWeightedModels
     from labdata.frames import FrameStack
 
 Array = NDArray[np.float64]
@@ -30,7 +30,7 @@ def rows() -> Iterator[Row]:
     """The three promises, each beside its plain way."""
     from charact.method import Context
     from charact.mtf.edge.parametric import edge_parametric
-    from charact.mtf.several import measure_all
+    from charact.mtf.multiple_targets import measure_all
     from labdata.frames import FrameStack
 
     edge = plain_edge(np.random.default_rng(1))
@@ -63,18 +63,18 @@ def rows() -> Iterator[Row]:
     )
 
 
-def most_probable_form(stack: "FrameStack") -> "Weighed":
+def most_probable_form(stack: "FrameStack") -> "EvidenceWeightedModels":
     """Find an edge and the form that it asks for, which is the point estimate of `edge-parametric`."""
     from charact.method import Context
-    from charact.mtf.edge.parametric import forms_of
-    from charact.mtf.edge.pixels.find import NoEdge, find_edge
-    from charact.mtf.optics import known_of
+    from charact.mtf.edge.parametric import fit_edge_models
+    from charact.mtf.edge.pixels.prepare_edge import EdgeRefusal, prepare_edge
+    from charact.mtf.known_transfer import known_transfer
 
     context = Context(quick=True)
-    edge = find_edge(stack, None, context, quickly=True, fields_apart=True)
-    if isinstance(edge, NoEdge):
+    edge = prepare_edge(stack, None, context, quickly=True, fields_apart=True)
+    if isinstance(edge, EdgeRefusal):
         raise AssertionError(edge.reason)
-    return forms_of(edge, known_of(edge.picture, edge.profile.angle_rad, context), context)[1][0]
+    return fit_edge_models(edge, known_transfer(edge.picture, edge.profile.angle_rad, context), context)[1][0]
 
 
 def plain_edge(rng: np.random.Generator) -> Array:

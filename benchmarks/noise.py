@@ -19,14 +19,14 @@ MEMORY_GIB = 1.0
 def rows() -> Iterator[Row]:
     """A series of 100 pairs of 12 bits and a pair of darks: statistics alone, with spectra, and the whole verb."""
     from charact import noise
-    from charact.measuring import context_of
     from charact.noise.gain.series import read_levels
+    from charact.session_measurement import method_context
     from labdata.session import open_session
 
     with tempfile.TemporaryDirectory() as folder:
         _series(Path(folder))
         session = open_session(folder)
-        context = context_of(session, quick=True, seed=0)
+        context = method_context(session, quick=True, seed=0)
         reading = _cpu_seconds(lambda: [entry.read() for entry in session.stacks])
         pair = session.stacks[1].read().data
         plain = _cpu_seconds(lambda: [_variance(pair) for _ in range(PAIRS)])

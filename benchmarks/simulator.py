@@ -18,7 +18,7 @@ import numpy as np
 from benchmarks.plain_chain import CHARGE_E, PlainChain
 from benchmarks.row import Row
 from benchmarks.scenes import uneven
-from simulate.iiccd.tiers import Tier
+from simulate.iiccd.sampler_choice import Tier
 
 LEVELS = (0.1, 1.0, 10.0, 100.0)
 # Photoelectrons per pixel at which the shipped camera, at its nominal gain, fills a third of its wells.
@@ -63,19 +63,19 @@ def seconds_a_frame(level: float, *, threads: int = 1, tier: Tier | None = None,
     """Median time of a frame of the shipped camera, geometry and local depletion on, nothing left out, s."""
     from labdata.conditions import Conditions
     from labdata.sensors import load_sensor
-    from simulate.cameras import camera_of
-    from simulate.iiccd import tiers
+    from simulate.cameras import camera_from_description
+    from simulate.iiccd import sampler_choice
     from simulate.iiccd.camera import IntensifiedCamera
-    from simulate.iiccd.exposure import from_photoelectrons
+    from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons
 
     sensor = load_sensor("pulnix-ag5745ef3")
-    camera = camera_of(sensor)
+    camera = camera_from_description(sensor)
     assert isinstance(camera, IntensifiedCamera)
     plate = sensor.microchannel_plate
     gain = min(1.0, NOMINAL_PE / level) ** (1.0 / float(plate.gain_exponent))
     conditions = Conditions(mcp_v=float(plate.reference_v) * gain)
-    light = from_photoelectrons(camera, uneven(level), conditions)
-    stream = tiers.frames(camera, light, conditions, seed=1, tier=tier, threads=threads)
+    light = mcp_input_from_photoelectrons(camera, uneven(level), conditions)
+    stream = sampler_choice.generate_frames(camera, light, conditions, seed=1, tier=tier, threads=threads)
     return median_seconds(lambda: next(stream), frames)
 
 

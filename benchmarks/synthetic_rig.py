@@ -9,7 +9,7 @@ from typing import Self
 import numpy as np
 
 from drivers.interface import FrameLevels, Operator
-from labdata.capture import CameraSettings, Frame, LostFrames, lost_for
+from labdata.capture import CameraSettings, Frame, LostFrames, lost_frames_with_reason
 from labdata.conditions import Conditions
 from labdata.session import Kind
 from labdata.target import Target
@@ -79,7 +79,7 @@ class PacedCapture(_Opened):
             number += 1
             late = int((time.monotonic() - began_s) / period_s) - BUFFERS - number
             if late > 0:
-                self.losses += lost_for("overrun: all buffers were full", range(number, number + late))
+                self.losses += lost_frames_with_reason("overrun: all buffers were full", range(number, number + late))
                 number += late
             time.sleep(max(0.0, began_s + number * period_s - time.monotonic()))
             if number > self._discard:

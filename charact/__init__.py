@@ -10,7 +10,7 @@ for measurement in result.find("mtf50"):
 
 from typing import TYPE_CHECKING, Any
 
-from labdata.loops import keep_loops
+from labdata.numba_cache import keep_loops
 
 __version__ = "0.1.0"
 
@@ -18,12 +18,12 @@ keep_loops()
 
 if TYPE_CHECKING:
     from charact.fit import fit_sensor
-    from charact.measuring import measure
+    from charact.session_measurement import measure
     from charact.validation import validate
 
 __all__ = ["fit_sensor", "measure", "validate"]
 
-_HOMES = {"measure": "charact.measuring", "fit_sensor": "charact.fit", "validate": "charact.validation"}
+_HOMES = {"measure": "charact.session_measurement", "fit_sensor": "charact.fit", "validate": "charact.validation"}
 
 
 def __getattr__(name: str) -> Any:

@@ -19,6 +19,6 @@ def median(values: NDArray[np.floating] | NDArray[np.integer]) -> float:
     return 0.5 * (float(parted[:middle].max()) + float(parted[middle]))
 
 
-def spread(values: NDArray[np.floating]) -> float:
+def robust_sd(values: NDArray[np.floating]) -> float:
     """Return the standard deviation of normal values by the median of their distances from their median."""
     return NORMAL * median(np.abs(values - median(values)))

@@ -9,15 +9,15 @@ from numpy.typing import NDArray
 
 from charact import bloom
 from charact.bloom.bloom_map import NEAR_PX, bloom_map
-from charact.bloom.extended import lit_edge
-from charact.bloom.mapping import evidence_of, spread_from
+from charact.bloom.lit_edge_halo import measure_lit_edge
+from charact.bloom.session_bloom_map import evidence_of, spread_from
 from charact.method import Context
-from charact.report.evidence import DRAWN
-from charact.report.extents import completed
-from charact.report.style import on_paper
-from charact.study.bloom.scene import BloomScene, session, truth
+from charact.report.extent_figure_data import add_extent_data
+from charact.report.figure_registry import FIGURES
+from charact.report.style import white_style
+from charact.study.bloom.scene import BloomScene, bloom_session, truth
 from charact.study.bloom.source import GLARE_SIDE_PX, radial_light
-from charact.study.flats.stacks import HeldStack
+from charact.study.flats.flat_cases import InMemoryStack
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
 from labdata.measurement import Result
@@ -36,25 +36,25 @@ def main() -> None:
     """Write all pictures."""
     FOLDER.mkdir(exist_ok=True)
     context = Context(seed=SEED, full_scale_dn=SCENE.full_scale_dn)
-    series = session(SCENE, OVERLOADS, np.random.default_rng(SEED))
+    series = bloom_session(SCENE, OVERLOADS, np.random.default_rng(SEED))
     found = bloom.measure(series, method="series-forward", context=context)
     told(found, {name: value for name, value in truth(SCENE, 1.0).items() if not name.startswith("bloom")})
-    evidence = completed(series, found)
+    evidence = add_extent_data(series, found)
     known = [truth(SCENE, overload) for overload in OVERLOADS]
     extents = {name: [one[name] or np.nan for one in known] for name in ("bloom_diameter", "bloom_diameter_clip")}
     drawn("profiles", evidence["point-profile"])
     drawn("extents", {**evidence["bloom-series"], "truth": extents})
     drawn("frames", evidence["frames of the point series"])
     drawn("map", mapped(found))
-    beside = lit_edge(lit_door(), context=context)
+    beside = measure_lit_edge(lit_door(), context=context)
     told(beside, {"halo_diameter": SCENE.halo_diameter_px, "halo_fraction": SCENE.halo_fraction})
     drawn("edge", beside.evidence["lit-edge"])
 
 
 def drawn(name: str, data: Mapping[str, Any]) -> None:
     """Draw one piece of evidence into a file."""
-    with on_paper():
-        DRAWN[str(data["figure"])][1](data).savefig(FOLDER / f"{name}.png", dpi=DPI)
+    with white_style():
+        FIGURES[str(data["figure"])][1](data).savefig(FOLDER / f"{name}.png", dpi=DPI)
 
 
 def told(found: Result, true: Mapping[str, float]) -> None:
@@ -112,10 +112,10 @@ def lit_door() -> Session:
         noise = np.sqrt(0.4 * SCENE.photoelectron_dn * SCENE.excess * light + SCENE.read_noise_dn**2)
         data = SCENE.dark_dn + light + noise * rng.standard_normal((SCENE.frames, *light.shape))
         stack = FrameStack(data=np.clip(np.rint(data), 0, 255).astype(np.uint8), full_scale_dn=SCENE.full_scale_dn)
-        entries.append(HeldStack(label=f"door-{number}", kind="edge", frames="", folder=Path("."), held=stack,
+        entries.append(InMemoryStack(label=f"door-{number}", kind="edge", frames="", folder=Path("."), held=stack,
                                  conditions=Conditions(illuminance_lux=1e-6 * level)))  # fmt: skip
     dark = FrameStack(data=np.full((2, 160, 220), int(SCENE.dark_dn), np.uint8), full_scale_dn=SCENE.full_scale_dn)
-    entries.append(HeldStack(label="dark", kind="dark", frames="", folder=Path("."), held=dark))
+    entries.append(InMemoryStack(label="dark", kind="dark", frames="", folder=Path("."), held=dark))
     return Session(folder=Path("."), name="a lit door", stacks=tuple(entries))
 
 

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata.sensors import load_sensor
-from simulate.iiccd.photons import quantum_efficiency
+from simulate.iiccd.tube_photometry import quantum_efficiency
 from simulate.radiance.lamps import spectrum
 from simulate.radiance.photometry import LUMENS_PER_WATT, luminous_efficiency
-from simulate.radiance.sky import NightSky, Place, TownGlow
+from simulate.radiance.sky import NightSky, ObserverLocation, TownGlow
 from simulate.radiance.sky.dark_sky import dark_sky
 from simulate.radiance.sky.moon import moon_spectrum
-from simulate.radiance.spectrum import Spectrum
+from simulate.radiance.spectrum import SourceSpectrum
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt
@@ -26,7 +26,7 @@ CAMERA = "pulnix-ag5745ef3"
 RESOLUTION_NM = 4.0
 GRID = np.arange(380.0, 1000.1, RESOLUTION_NM)
 EYE = np.arange(380.0, 771.0, 5.0)
-ROCHESTER = Place(latitude_deg=43.16, longitude_deg=-77.61, altitude_m=150.0)
+ROCHESTER = ObserverLocation(latitude_deg=43.16, longitude_deg=-77.61, altitude_m=150.0)
 SKIES = (
     ("moon of 4° phase, 59° up", NightSky.at(ROCHESTER, datetime(2024, 2, 24, 6, tzinfo=UTC))),
     ("sun 8° below the horizon", NightSky.at(ROCHESTER, datetime(1998, 6, 24, 1, 44, tzinfo=UTC))),
@@ -85,12 +85,12 @@ def spectra(path: Path) -> None:
     plt.close(figure)
 
 
-def _quiet(scale: float) -> Spectrum:
+def _quiet(scale: float) -> SourceSpectrum:
     parts = NightSky(airglow=0.0).sources()[-1]
     return parts.scaled(scale)
 
 
-def _curves(axes: plt.Axes, lights: Sequence[tuple[str, Spectrum]]) -> None:
+def _curves(axes: plt.Axes, lights: Sequence[tuple[str, SourceSpectrum]]) -> None:
     for name, light in lights:
         value = light.on(GRID)
         axes.plot(GRID, np.maximum(value, 1e-12), label=name, linewidth=1.4)

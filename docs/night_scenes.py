@@ -10,7 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from charact.cli.simulated_conditions import conditions_of
-from charact.cli.simulating import Asked, described, shot_of
+from charact.cli.simulation_sources import SimulationRequest, load_described_camera, shot_of
 from simulate.radiance.cube import RadianceCube, band_widths
 
 FOLDER = Path(__file__).resolve().parent / "night-scenes"
@@ -44,9 +44,9 @@ def main() -> None:
 
 def draw(name: str, path: Path) -> None:
     """Draw a scene: its radiance above, the mean of a few frames below."""
-    camera = described(CAMERA, None)
+    camera = load_described_camera(CAMERA, None)
     conditions = conditions_of(camera, gate_ns=GATES_NS.get(name))
-    shot = shot_of(Asked(source=Path(name), tolerance=TOLERANCE, seed=SEED), camera, conditions)
+    shot = shot_of(SimulationRequest(source=Path(name), tolerance=TOLERANCE, seed=SEED), camera, conditions)
     assert shot.view is not None
     frames = shot.frames(seed=SEED)
     seen = np.mean([next(frames) for _ in range(AS_SEEN)], axis=0)
@@ -70,7 +70,7 @@ def in_colours(cube: RadianceCube) -> tuple[np.ndarray, str]:
     """Return visible radiance in red, green and blue, such that the median pixel is grey, and what white stands for."""
     width = band_widths(cube.wavelength_nm)
     shares = [np.interp(cube.wavelength_nm, ends, (0.0, 1.0, 1.0, 0.0)) for ends in COLOURS]
-    sums = np.stack([cube.weighted(width * share) for share in shares], axis=-1)
+    sums = np.stack([cube.sum_bands(width * share) for share in shares], axis=-1)
     grey = np.median(sums.reshape(-1, 3), axis=0)
     white = grey * np.percentile(sums / grey, 100.0 - WHITE_PERCENT)
     ends = ", ".join(f"{one:.1e}" for one in white)

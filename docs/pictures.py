@@ -18,9 +18,9 @@ from labdata.conditions import Conditions
 from labdata.sensor import Sensor
 from labdata.sensors import load_sensor, save_sensor
 from labdata.session import open_session
-from simulate.cameras import camera_of
-from simulate.iiccd import tiers, truth
-from simulate.iiccd.exposure import freed_by_radiance, from_photoelectrons
+from simulate.cameras import camera_from_description
+from simulate.iiccd import sampler_choice, true_quantities
+from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons, photoelectrons_from_radiance
 
 FOLDER = Path(__file__).resolve().parent / "simulator"
 CAMERA = "pulnix-ag5745ef3"
@@ -73,20 +73,20 @@ def voltage(sensor: Sensor, luminous_gain: float) -> float:
 
 def exposed(sensor: Sensor) -> Iterator[tuple[tuple[float, float], Picture]]:
     """Yield the scene's frame, cut to what is shown, DN, for every level and gain."""
-    camera = camera_of(sensor)
-    at_one_lux = freed_by_radiance(camera, radiance(sensor, luminance(2), 1.0), Conditions())
+    camera = camera_from_description(sensor)
+    at_one_lux = photoelectrons_from_radiance(camera, radiance(sensor, luminance(2), 1.0), Conditions())
     for lux in LUX:
         freed = at_one_lux.with_values(at_one_lux.values * np.float32(lux))
-        light = camera.received(freed, Conditions())
+        light = camera.to_mcp_input(freed, Conditions())
         for gain in GAINS:
             conditions = Conditions(mcp_v=voltage(sensor, gain))
-            stream = tiers.frames(camera, light, conditions, seed=SEED)
+            stream = sampler_choice.generate_frames(camera, light, conditions, seed=SEED)
             yield (lux, gain), next(stream)[shown()].astype(float)
 
 
 def contact_sheet(sensor: Sensor, frames: dict[tuple[float, float], Picture]) -> Image.Image:
     """Return one frame of every level (down) and gain (across), all on the same scale of DN, pixel for pixel."""
-    known = truth.quantities(sensor)
+    known = true_quantities.true_quantities(sensor)
     nominal = float(sensor.tube.luminous_gain)
     rows, cols = next(iter(frames.values())).shape
     gap, left, top = 4, 104, 44
@@ -157,10 +157,10 @@ def with_plain_fibres(sensor: Sensor) -> Sensor:
 
 def flat(sensor: Sensor, *, lux: float, luminous_gain: float) -> Picture:
     """Return the mean of `AS_SEEN` frames of even light, DN above black."""
-    camera, conditions = camera_of(sensor), Conditions(mcp_v=voltage(sensor, luminous_gain))
-    even = np.full(camera.shape, truth.quantities(sensor)["photoelectrons_per_lux"] * lux)
-    light = from_photoelectrons(camera, even, conditions)
-    stream = tiers.frames(camera, light, conditions, seed=SEED)
+    camera, conditions = camera_from_description(sensor), Conditions(mcp_v=voltage(sensor, luminous_gain))
+    even = np.full(camera.shape, true_quantities.true_quantities(sensor)["photoelectrons_per_lux"] * lux)
+    light = mcp_input_from_photoelectrons(camera, even, conditions)
+    stream = sampler_choice.generate_frames(camera, light, conditions, seed=SEED)
     return np.mean(list(islice(stream, AS_SEEN)), axis=0) - float(sensor.video.black_level_dn)
 
 

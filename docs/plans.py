@@ -8,9 +8,9 @@ from lab_card import luminance
 
 from labdata.conditions import Conditions
 from labdata.sensors import load_sensor
-from simulate.cameras import camera_of
-from simulate.iiccd.exposure import freed_by_picture
-from simulate.iiccd.influence.planning import planned
+from simulate.cameras import camera_from_description
+from simulate.iiccd.effect_bounds.camera_effects import select_camera_effects
+from simulate.iiccd.scene_to_photoelectrons import photoelectrons_from_image
 
 PAGE = Path(__file__).resolve().parent / "simulator.md"
 CAMERA = "pulnix-ag5745ef3"
@@ -28,8 +28,8 @@ def main() -> None:
 
 def plan(image_pe: np.ndarray) -> str:
     """Return the plan for a picture in photoelectrons per pixel and field, as a table for people."""
-    camera = camera_of(load_sensor(CAMERA))
-    return planned(camera, freed_by_picture(camera, image_pe), Conditions())[1].text()
+    camera = camera_from_description(load_sensor(CAMERA))
+    return select_camera_effects(camera, photoelectrons_from_image(camera, image_pe), Conditions())[1].text()
 
 
 def printed(page: str, name: str, text: str) -> str:

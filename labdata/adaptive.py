@@ -8,7 +8,7 @@ from labdata.errors import BadInput
 
 
 @dataclass(frozen=True, kw_only=True)
-class Until:
+class StopCriterion:
     """When a step may stop before it has all its frames.
 
     Parameters

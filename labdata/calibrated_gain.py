@@ -41,7 +41,7 @@ def in_volts(plan: Plan, sensor: Sensor | None) -> Plan:
     table = gain_table_of(plan, sensor)
     if table is not None and None not in (table.tube, plan.tube) and table.tube != plan.tube:
         raise BadInput(f"a gain table must be of the plan's tube {plan.tube!r}, got one of {table.tube!r}")
-    return replace(plan, steps=tuple(_calibrated(step, table) for step in plan.steps))
+    return replace(plan, steps=tuple(_resolve_gain(step, table) for step in plan.steps))
 
 
 def by_calibration(table: GainTable | None, mcp_v: float | None) -> Conditions:
@@ -52,7 +52,7 @@ def by_calibration(table: GainTable | None, mcp_v: float | None) -> Conditions:
     return Conditions(luminous_gain=gain, luminous_gain_relative_sd=relative_sd)
 
 
-def _calibrated(step: Step, table: GainTable | None) -> Step:
+def _resolve_gain(step: Step, table: GainTable | None) -> Step:
     asked = step.conditions
     if table is None:
         if asked.luminous_gain is not None:

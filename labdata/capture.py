@@ -142,12 +142,12 @@ def losses_before(number: int, *, expected: int, faults: Mapping[int, str]) -> t
     faults
         What was wrong with the frames that came in part, by number; any other never arrived.
     """
-    return _joined(_stretches_before(number, expected=expected, faults=faults))
+    return _merge_adjacent(_stretches_before(number, expected=expected, faults=faults))
 
 
-def lost_for(reason: str, numbers: Iterable[int]) -> tuple[LostFrames, ...]:
+def lost_frames_with_reason(reason: str, numbers: Iterable[int]) -> tuple[LostFrames, ...]:
     """Return frames, by number in order, that are all lost for one reason."""
-    return _joined((number, number, reason) for number in numbers)
+    return _merge_adjacent((number, number, reason) for number in numbers)
 
 
 def _stretches_before(number: int, *, expected: int, faults: Mapping[int, str]) -> Iterator[tuple[int, int, str]]:
@@ -162,7 +162,7 @@ def _stretches_before(number: int, *, expected: int, faults: Mapping[int, str]) 
         yield missing, number - 1, NEVER_ARRIVED
 
 
-def _joined(lost: Iterable[tuple[int, int, str]]) -> tuple[LostFrames, ...]:
+def _merge_adjacent(lost: Iterable[tuple[int, int, str]]) -> tuple[LostFrames, ...]:
     """Join lost frames, first, last and reason, that follow one another and have the same reason."""
     runs: list[tuple[int, int, str]] = []
     for first, last, reason in lost:

@@ -9,9 +9,9 @@ from dataclasses import fields
 from datetime import UTC, datetime
 from pathlib import Path
 
-from labdata.durable import ends_mid_line, sync_folder, write_whole
+from labdata.atomic_write import ends_mid_line, sync_folder, write_whole
 from labdata.errors import BadInput
-from labdata.tube_dose import Dose, sum_of
+from labdata.tube_dose import Dose, total_dose
 
 FOLDER_VARIABLE = "CHARACT_TUBES"
 """Environment variable that names another folder for the ledgers."""
@@ -66,7 +66,7 @@ class DoseLedger:
 
     def total(self) -> Dose:
         """Return all doses so far together; none where there is no ledger yet."""
-        return sum_of(self._doses())
+        return total_dose(self._doses())
 
     def __len__(self) -> int:
         """Number of doses so far."""
@@ -88,17 +88,17 @@ class DoseLedger:
         try:
             values = json.loads(line)
         except RecursionError:
-            raise self._damaged(number) from None
+            raise self._damage_error(number) from None
         except ValueError:
             if line.startswith(b"{") and not line.rstrip().endswith(b"}"):
                 return None
-            raise self._damaged(number) from None
+            raise self._damage_error(number) from None
         try:
             return Dose(**{item.name: float(values[item.name]) for item in fields(Dose)})
         except (KeyError, TypeError, ValueError, OverflowError):
-            raise self._damaged(number) from None
+            raise self._damage_error(number) from None
 
-    def _damaged(self, number: int) -> BadInput:
+    def _damage_error(self, number: int) -> BadInput:
         return BadInput(f"every line of a dose ledger must hold a dose, got another in line {number} of {self.path}")
 
 

@@ -7,8 +7,8 @@ import time
 from datetime import UTC, datetime
 from pathlib import Path
 
+from labdata.atomic_write import ends_mid_line
 from labdata.background import BackgroundWriter
-from labdata.durable import ends_mid_line
 from labdata.errors import BadInput
 
 OPENING_S = 1.0

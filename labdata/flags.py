@@ -60,7 +60,7 @@ class Finding:
     remedy: str
 
     def __post_init__(self) -> None:
-        checked((self.flag,))
+        ordered_flags((self.flag,))
 
     @property
     def note(self) -> str:
@@ -68,7 +68,7 @@ class Finding:
         return f"{self.flag}: {self.effect}; what settles it: {self.remedy}"
 
 
-def checked(flags: Iterable[str]) -> tuple[str, ...]:
+def ordered_flags(flags: Iterable[str]) -> tuple[str, ...]:
     """Return the flags in vocabulary order, without repeats; a word outside the vocabulary is a ValueError."""
     given = set(flags)
     if unknown := given - FLAGS.keys():

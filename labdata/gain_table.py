@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from labdata.errors import BadInput
-from labdata.rising_table import RisingTable
+from labdata.monotonic_table import RisingTable
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -52,7 +52,7 @@ class Gating:
         """Openings a second that there can be at most, Hz: triggers may come too early, and count then."""
         return self.rate_hz(field_hz) / (HOLDOFF if self.sync == "triggered" else 1.0)
 
-    def unevenness(self, *, width_ns: float, exposure_s: float, field_hz: float) -> float:
+    def open_time_variation(self, *, width_ns: float, exposure_s: float, field_hz: float) -> float:
         """Return by how much the open time of fields differs, largest less smallest, over the width of one opening.
 
         Parameters
@@ -123,7 +123,7 @@ def fields_open_ns(
 
 def out_of_step(gating: Gating, *, width_ns: float, exposure_s: float, field_hz: float) -> str | None:
     """Say in a sentence where gate and fields are not in step; None where they are."""
-    uneven = gating.unevenness(width_ns=width_ns, exposure_s=exposure_s, field_hz=field_hz)
+    uneven = gating.open_time_variation(width_ns=width_ns, exposure_s=exposure_s, field_hz=field_hz)
     if uneven < IN_STEP:
         return None
     rate_hz = gating.rate_hz(field_hz)

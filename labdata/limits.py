@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING
 
-from labdata.description import must_be_a_share, must_be_positive
+from labdata.camera_description import must_be_a_share, must_be_positive
 from labdata.errors import BadInput
 from labdata.parameter import Parameter
 from labdata.tube_load import CAUTIOUS_LOAD, TubeLoad

@@ -58,7 +58,7 @@ class Posterior:
         if draws.ndim != 2 or draws.shape[1] != len(self.names) or len(self.names) != len(self.units):
             raise ValueError(f"draws must be (draw, {len(self.names)}) with a unit each, got shape {draws.shape}")
         object.__setattr__(self, "draws", read_only(draws))
-        object.__setattr__(self, "flags", vocabulary.checked(self.flags))
+        object.__setattr__(self, "flags", vocabulary.ordered_flags(self.flags))
 
     def __getitem__(self, name: str) -> NDArray[np.float64]:
         """Draws of one parameter, shape (draw,)."""
@@ -104,7 +104,7 @@ class Provenance:
 
 @dataclass(frozen=True, kw_only=True)
 class Measurement:
-    """One measured quantity of the contract. Build it with `measured`, `from_draws` or `refused`.
+    """One measured quantity of the contract. Build it with `make_measurement`, `measurement_from_draws` or `make_refusal`.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ class Measurement:
     provenance: Provenance | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "flags", vocabulary.checked(self.flags))
+        object.__setattr__(self, "flags", vocabulary.ordered_flags(self.flags))
         known = QUANTITIES.get(self.quantity)
         if known is None or self.unit not in known.units:
             raise ValueError(f"no quantity {self.quantity!r} with the unit {self.unit!r} in labdata.quantity")
@@ -155,14 +155,14 @@ class Measurement:
     def with_(self, *, findings: Iterable[vocabulary.Finding] = (), **changes: Any) -> "Measurement":
         """Return a copy with fields changed; flags and findings given here are added and make an ok one suspect."""
         found = tuple(findings)
-        flags = vocabulary.checked((*self.flags, *(each.flag for each in found), *changes.pop("flags", ())))
+        flags = vocabulary.ordered_flags((*self.flags, *(each.flag for each in found), *changes.pop("flags", ())))
         if found:
             changes["notes"] = (*changes.get("notes", self.notes), *(each.note for each in found))
         status = self.status if self.status == "refused" else ("suspect" if flags else "ok")
         return replace(self, flags=flags, status=status, **changes)
 
 
-def measured(
+def make_measurement(
     quantity: str,
     unit: str,
     value: float,
@@ -187,16 +187,18 @@ def measured(
     )
 
 
-def from_draws(quantity: str, unit: str, draws: ArrayLike, *, method: str, **fields: Any) -> Measurement:
+def measurement_from_draws(quantity: str, unit: str, draws: ArrayLike, *, method: str, **fields: Any) -> Measurement:
     """Return a measurement whose value is the median of draws and whose intervals are their quantiles."""
     value, interval68, interval95 = intervals_of(draws)
-    return measured(quantity, unit, value, interval68, interval95, method=method, **fields)
+    return make_measurement(quantity, unit, value, interval68, interval95, method=method, **fields)
 
 
-def from_sd(quantity: str, unit: str, value: float, sd: float, *, method: str, **fields: Any) -> Measurement:
+def measurement_from_sd(
+    quantity: str, unit: str, value: float, sd: float, *, method: str, **fields: Any
+) -> Measurement:
     """Return a measurement with Gaussian intervals of a standard deviation in the unit of the value."""
     half68, half95 = 0.994458 * sd, 1.959964 * sd
-    return measured(
+    return make_measurement(
         quantity,
         unit,
         value,
@@ -207,7 +209,7 @@ def from_sd(quantity: str, unit: str, value: float, sd: float, *, method: str, *
     )
 
 
-def refused(quantity: str, unit: str, reason: str, *, method: str, **fields: Any) -> Measurement:
+def make_refusal(quantity: str, unit: str, reason: str, *, method: str, **fields: Any) -> Measurement:
     """Return a measurement without a number and with the sentence that says why."""
     return Measurement(
         quantity=quantity,

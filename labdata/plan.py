@@ -5,18 +5,18 @@ from typing import Any, Protocol
 
 from numpy.typing import NDArray
 
-from labdata.adaptive import SaturationSearch, Until
+from labdata.adaptive import SaturationSearch, StopCriterion
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
+from labdata.frame_format import FrameFormat
 from labdata.gain_table import GainTable
 from labdata.gating import Gating
-from labdata.lamp import Lamp
+from labdata.instrument_config import InstrumentConfig
+from labdata.lamp_calibration import LampCalibration
 from labdata.limits import Limits, LimitsInForce, Override, limits_in_force
 from labdata.meters import Meters
-from labdata.picture import Picture
 from labdata.session import Kind
 from labdata.target import Target
-from labdata.wires import Wires
 
 LONGEST_SETTLE_S = 86400.0
 """A wait longer than a day is a slip of the pen, s."""
@@ -53,7 +53,7 @@ class Step:
     frames: int
     conditions: Conditions
     target: Target = field(default_factory=Target)
-    until: Until | None = None
+    until: StopCriterion | None = None
     search: SaturationSearch | None = None
     saturated_fraction: float | None = None
 
@@ -100,11 +100,11 @@ class Step:
         """Return one level of a search: one stack under one light."""
         conditions = replace(self.conditions, illuminance_lux=illuminance_lux)
         return replace(
-            self, label=label, conditions=conditions, search=None, saturated_fraction=self.allowed_saturation
+            self, label=label, conditions=conditions, search=None, saturated_fraction=self.max_saturated_fraction
         )
 
     @property
-    def allowed_saturation(self) -> float:
+    def max_saturated_fraction(self) -> float:
         """Fraction of a frame's pixels that may be saturated."""
         if self.saturated_fraction is not None:
             return self.saturated_fraction
@@ -112,7 +112,7 @@ class Step:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settle:
+class SettleTimes:
     """How long to wait after a change, before frames are taken.
 
     Parameters
@@ -172,12 +172,12 @@ class PlanHead:
     tube: str | None = None
     seed: int = 0
     scene: str | None = None
-    wires: Wires = field(default_factory=Wires)
+    wires: InstrumentConfig = field(default_factory=InstrumentConfig)
     limits: Limits = field(default_factory=Limits)
-    settle: Settle = field(default_factory=Settle)
+    settle: SettleTimes = field(default_factory=SettleTimes)
     meters: Meters = field(default_factory=Meters)
     gating: Gating = field(default_factory=Gating)
-    picture: Picture = field(default_factory=Picture)
+    picture: FrameFormat = field(default_factory=FrameFormat)
 
     @property
     def head(self) -> dict[str, Any]:
@@ -203,7 +203,7 @@ class Plan(PlanHead):
 
     overrides: tuple[Override, ...] = ()
     gain_table: GainTable | None = None
-    lamp: Lamp | None = None
+    lamp: LampCalibration | None = None
     steps: tuple[Step, ...]
 
     def __post_init__(self) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 from labdata.parameter import Parameter
 
 
-def described(schema: dict[str, Any], types: dict[str, type]) -> dict[str, Any]:
+def with_descriptions(schema: dict[str, Any], types: dict[str, type]) -> dict[str, Any]:
     """Return a schema with the descriptions of its tables and keys.
 
     Parameters

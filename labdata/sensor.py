@@ -4,7 +4,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from labdata.description import (
+from labdata.camera_description import (
     Description,
     must_be_a_count,
     must_be_a_share,
@@ -307,7 +307,7 @@ class Draws:
         if any(len(row) != len(self.names) for row in self.values):
             raise BadInput(f"every draw must hold {len(self.names)} numbers, one for each name")
 
-    def rescreened(self, factors: dict[str, float]) -> "Draws":
+    def without_phosphor(self, factors: dict[str, float]) -> "Draws":
         """Return the draws with some columns multiplied and those of the screen left out."""
         kept = [i for i, name in enumerate(self.names) if not name.startswith("phosphor.")]
         scale = [factors.get(self.names[i], 1.0) for i in kept]
@@ -366,7 +366,7 @@ class Sensor(Description):
         changed = self.with_parameters({path: known[path].scaled(factor, words) for path, factor in factors.items()})
         kept = "electron gain of the plate" if measured else "photons per photoelectron"
         note = f"Screen changed from {self.phosphor.name} to {phosphor.name}; the {kept} stayed."
-        draws, notes = self.draws.rescreened(factors), (*self.notes, note)
+        draws, notes = self.draws.without_phosphor(factors), (*self.notes, note)
         return replace(changed, phosphor=phosphor, gain_table=None, draws=draws, notes=notes)
 
     def draw(self, rng: np.random.Generator) -> "Sensor":

@@ -17,8 +17,8 @@ from labdata.solid_state import Register, SolidStateCamera
 from labdata.target import Target
 
 if TYPE_CHECKING:
-    from labdata.form import SessionForm, StackForm
-    from labdata.opened import View
+    from labdata.file_records import SessionFile, StackRecord
+    from labdata.lazy_stack import View
 
 MANIFEST = "session.toml"
 Kind = Literal["dark", "flat", "edge", "bars", "point", "scene"]
@@ -67,7 +67,7 @@ class StackEntry:
     folder
         The session's folder.
     view
-        How `labdata.opened.open_stack` shows the frames; None: as they are.
+        How `labdata.lazy_stack.open_lazy_stack` shows the frames; None: as they are.
     """
 
     label: str
@@ -110,7 +110,7 @@ class StackEntry:
 
         unknown = self.bit_depth is None
         parts = [read_frames(path, plane or self.plane, axis=self.axis, find_full_scale=unknown) for path in self.paths]
-        stack = _joined(parts, self.label)
+        stack = _concatenate(parts, self.label)
         if stack.origin != (0, 0) and self.target.region is not None:
             raise BadInput(
                 f"a region must count from the first pixel that is read, got frames whose border is not finite up to "
@@ -137,7 +137,7 @@ class StackEntry:
         return full_scale_dn
 
 
-def _joined(parts: list[FrameStack], label: str) -> FrameStack:
+def _concatenate(parts: list[FrameStack], label: str) -> FrameStack:
     """Return the stacks of several files as one, frame after frame."""
     first = parts[0]
     if len(parts) == 1:
@@ -243,17 +243,17 @@ def open_session(path: str | Path) -> Session:
     BadInput
         If there is no session, it has no stacks, a key is unknown, a condition breaks a rule, or frames are missing.
     """
-    from labdata.border import from_toml
-    from labdata.form import SessionForm
+    from labdata.file_records import SessionFile
+    from labdata.serialiser import from_toml
 
     path = Path(path)
     folder = path.parent if path.name == MANIFEST else path
     if not (folder / MANIFEST).is_file():
         raise BadInput(f"a session must be a folder with a {MANIFEST}, got {path}")
-    return session_of(folder, from_toml(folder / MANIFEST, SessionForm))
+    return session_of(folder, from_toml(folder / MANIFEST, SessionFile))
 
 
-def session_of(folder: Path, form: "SessionForm") -> Session:
+def session_of(folder: Path, form: "SessionFile") -> Session:
     """Return the session that a manifest describes, checked as `open_session` checks it."""
     from labdata.sensors import load_camera
 
@@ -272,17 +272,17 @@ def session_of(folder: Path, form: "SessionForm") -> Session:
         register=camera.register if isinstance(camera, SolidStateCamera) and camera.register.multiplies else None,
         bit_depth=form.bit_depth,
         interlaced=form.interlaced,
-        notes=(*form.notes, *_unused(stacks), *(note for entry in stacks for note in entry.record_notes)),
+        notes=(*form.notes, *_superfluous_targets(stacks), *(note for entry in stacks for note in entry.record_notes)),
     )
 
 
-def _unused(stacks: tuple[StackEntry, ...]) -> tuple[str, ...]:
+def _superfluous_targets(stacks: tuple[StackEntry, ...]) -> tuple[str, ...]:
     """Say what targets state that nobody looks at: a kind mistaken, or a target copied from another stack."""
-    told = ((entry, " and ".join(entry.target.unused_by(entry.kind))) for entry in stacks)
+    told = ((entry, " and ".join(entry.target.superfluous_names(entry.kind))) for entry in stacks)
     return tuple(f"stack {entry.label!r} of kind {entry.kind!r} {UNUSED} {names}" for entry, names in told if names)
 
 
-def _check(form: "SessionForm", folder: Path) -> None:
+def _check(form: "SessionFile", folder: Path) -> None:
     labels = [stack.label for stack in form.stack]
     if not labels:
         raise BadInput(f"a session must have at least one stack, got none in {folder}")
@@ -294,8 +294,8 @@ def _check(form: "SessionForm", folder: Path) -> None:
         raise BadInput(f"a stack must name its frames, got none for {empty[0]!r} in {folder}")
 
 
-def _entry(stack: "StackForm", form: "SessionForm", folder: Path) -> StackEntry:
-    from labdata.form import conditions_of
+def _entry(stack: "StackRecord", form: "SessionFile", folder: Path) -> StackEntry:
+    from labdata.file_records import conditions_of
 
     lost_frames, record_notes = _record(stack, folder)
     return StackEntry(
@@ -318,7 +318,7 @@ def _entry(stack: "StackForm", form: "SessionForm", folder: Path) -> StackEntry:
     )
 
 
-def _record(stack: "StackForm", folder: Path) -> tuple[int, tuple[str, ...]]:
+def _record(stack: "StackRecord", folder: Path) -> tuple[int, tuple[str, ...]]:
     """Return how many frames the journal of a stack's array lost, and what is to be said of it."""
     from labdata.store.journal import is_ours, read_journal
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labdata.description import (
+from labdata.camera_description import (
     Description,
     must_be_a_count,
     must_be_an_efficiency_table,

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from labdata.adaptive import Until
+from labdata.adaptive import StopCriterion
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.plan import Step
@@ -44,7 +44,7 @@ _SHORT = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class SweepForm:
+class SweepRecord:
     """One [[sweep]] of a plan file: every combination of the settings that are lists.
 
     Parameters
@@ -112,7 +112,7 @@ class SweepForm:
     seed: int = 0
     dark_every: int = 0
     dark_frames: int | None = None
-    until: Until | None = None
+    until: StopCriterion | None = None
     saturated_fraction: float | None = None
 
     def __post_init__(self) -> None:
@@ -133,7 +133,7 @@ class SweepForm:
     @property
     def count(self) -> int:
         """Stacks of the sweep, darks between them not counted."""
-        sizes = [len(_listed(getattr(self, axis))) for axis in AXES]
+        sizes = [len(_as_tuple(getattr(self, axis))) for axis in AXES]
         return self.repeats * int(np.prod(sizes, dtype=object))
 
     def steps(self) -> tuple[Step, ...]:
@@ -152,12 +152,12 @@ class SweepForm:
 
     def _points(self, *, snake: bool) -> Iterator[dict[str, int]]:
         """Indices into the lists, axis by axis."""
-        sizes = [len(_listed(getattr(self, axis))) for axis in AXES]
+        sizes = [len(_as_tuple(getattr(self, axis))) for axis in AXES]
         for indices in itertools.product(*map(range, sizes)):
-            yield dict(zip(AXES, _turned(indices, sizes) if snake else indices, strict=True))
+            yield dict(zip(AXES, _snake_order(indices, sizes) if snake else indices, strict=True))
 
     def _step(self, point: dict[str, int], repeat: int) -> Step:
-        values = {axis: _listed(getattr(self, axis))[index] for axis, index in point.items()}
+        values = {axis: _as_tuple(getattr(self, axis))[index] for axis, index in point.items()}
         target = values.pop("target")
         return Step(
             label=self._label(point, values, repeat),
@@ -171,9 +171,9 @@ class SweepForm:
 
     def _label(self, point: dict[str, int], values: dict[str, Any], repeat: int) -> str:
         parts = [self.label or self.kind]
-        if len(_listed(self.target)) > 1:
+        if len(_as_tuple(self.target)) > 1:
             parts.append(f"target{point['target'] + 1}")
-        parts += [text.format(values[axis]) for axis, text in _SHORT.items() if len(_listed(getattr(self, axis))) > 1]
+        parts += [text.format(values[axis]) for axis, text in _SHORT.items() if len(_as_tuple(getattr(self, axis))) > 1]
         if self.repeats > 1:
             parts.append(f"r{repeat + 1}")
         return "-".join(parts)
@@ -200,7 +200,7 @@ class SweepForm:
         )
 
 
-def _turned(indices: tuple[int, ...], sizes: list[int]) -> list[int]:
+def _snake_order(indices: tuple[int, ...], sizes: list[int]) -> list[int]:
     """Indices of which each list runs backwards on every other pass, so that neighbours differ by one step."""
     turned, passes = [], 0
     for index, size in zip(indices, sizes, strict=True):
@@ -209,5 +209,5 @@ def _turned(indices: tuple[int, ...], sizes: list[int]) -> list[int]:
     return turned
 
 
-def _listed(value: Any) -> tuple[Any, ...]:
+def _as_tuple(value: Any) -> tuple[Any, ...]:
     return value if isinstance(value, tuple) else (value,)

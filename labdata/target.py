@@ -47,6 +47,6 @@ class Target:
         if self.contrast is not None and not 0 < self.contrast <= 1:
             raise BadInput(f"contrast must lie in (0, 1], got {self.contrast:g}")
 
-    def unused_by(self, kind: str) -> tuple[str, ...]:
+    def superfluous_names(self, kind: str) -> tuple[str, ...]:
         """Return the names of what is set and is no part of a target of this kind."""
         return tuple(name for name, of in BELONGS_TO.items() if of != kind and getattr(self, name) is not None)

@@ -54,7 +54,7 @@ class Dose:
         return math.exp(1.96 * self.log_sd)
 
 
-def sum_of(doses: Iterable[Dose]) -> Dose:
+def total_dose(doses: Iterable[Dose]) -> Dose:
     """Return all doses together; their uncertainty is one and the same tube's, so it does not average out."""
     doses = tuple(doses)
     charge = sum(one.charge_c_per_cm2 for one in doses)
@@ -98,13 +98,13 @@ def warnings(dose: Dose, sensor: "Sensor | None") -> tuple[str, ...]:
 
     limits = TubeLimits() if sensor is None else sensor.limits
     told = [
-        _used("screen charge", dose.charge_c_per_cm2, float(limits.screen_charge_c_per_cm2), "C/cm2"),
-        None if sensor is None else _used("time at gain", dose.hours_at_gain, float(sensor.tube.life_h), "h"),
+        _life_warning("screen charge", dose.charge_c_per_cm2, float(limits.screen_charge_c_per_cm2), "C/cm2"),
+        None if sensor is None else _life_warning("time at gain", dose.hours_at_gain, float(sensor.tube.life_h), "h"),
     ]
     return tuple(one for one in told if one)
 
 
-def _used(what: str, amount: float, life: float, unit: str) -> str | None:
+def _life_warning(what: str, amount: float, life: float, unit: str) -> str | None:
     if amount < WARN_AT * life:
         return None
     return f"The tube's {what} is {amount:.3g} {unit}, {amount / life:.0%} of the {life:g} {unit} expected of its life."

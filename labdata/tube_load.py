@@ -81,12 +81,12 @@ class TubeLoad:
         Notes
         -----
         j = E S G d with E the illuminance, S the luminous sensitivity, G the plate's gain, d the duty; a plate that
-        saturates gives less, see `delivered_na_per_cm2`.
+        saturates gives less, see `screen_na_per_cm2`.
         """
         cathode_ua_per_cm2 = illuminance_lux * self.luminous_sensitivity_ua_per_lm / CM2_PER_M2
         return cathode_ua_per_cm2 * NA_PER_UA * self.gain(mcp_v) * duty
 
-    def delivered_na_per_cm2(self, illuminance_lux: float, mcp_v: float, duty: float) -> float:
+    def screen_na_per_cm2(self, illuminance_lux: float, mcp_v: float, duty: float) -> float:
         """Current density that reaches the screen, nA/cm2, the dark current counted and saturation allowed for.
 
         Notes

@@ -1,5 +1,5 @@
 """The model of the rig: radiance of a scene, the intensified camera that sees it, and virtual instruments."""
 
-from labdata.loops import keep_loops
+from labdata.numba_cache import keep_loops
 
 keep_loops()

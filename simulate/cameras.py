@@ -8,7 +8,7 @@ from simulate.iiccd.solid_state import SiliconCamera
 Camera = IntensifiedCamera | SiliconCamera
 
 
-def camera_of(description: Sensor | SolidStateCamera) -> Camera:
+def camera_from_description(description: Sensor | SolidStateCamera) -> Camera:
     """Return the camera as it sees scenes and pictures: whole, with the geometry of its fibres and local depletion.
 
     The lab bench builds its own, without geometry: there a target's place on the frame is known.

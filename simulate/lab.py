@@ -16,13 +16,13 @@ from labdata.frames import FrameStack, read_only
 from labdata.sensor import Sensor
 from labdata.session import Kind
 from labdata.target import Target
-from simulate.iiccd import photons
+from simulate.iiccd import tube_photometry
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.chain import Chain
-from simulate.iiccd.light import Light
+from simulate.iiccd.stage_image import StageImage
 from simulate.radiance.photometry import planck
 from simulate.radiance.scene import LabScene, load_bench
-from simulate.radiance.view import View
+from simulate.radiance.target_view import TargetView
 
 WAVELENGTH_NM = np.arange(450.0, 951.0, 50.0)
 TILE_ROWS = 128
@@ -41,7 +41,7 @@ class LabBench:
     scene
         The bench: a `LabScene`, the name of a shipped one or a TOML file; the shipped bench if None.
     left_out
-        Effects of the camera that are left out, see `simulate.iiccd.influence`.
+        Effects of the camera that are left out, see `simulate.iiccd.effect_bounds`.
 
     Notes
     -----
@@ -49,7 +49,7 @@ class LabBench:
     would read it. What the lens does to the light on its way there is therefore left out, its blur and veiling glare
     excepted: loss, fall-off, vignetting, distortion. So is the fibres' geometry, as targets are known on the frame, and
     protection from bright sources, since the bench stays far below a lux. For these, see
-    `simulate.iiccd.exposure.from_radiance`.
+    `simulate.iiccd.scene_to_photoelectrons.mcp_input_from_radiance`.
     """
 
     def __init__(
@@ -118,33 +118,33 @@ class LabBench:
         """Return the frame without noise, rounding or clipping by the digitiser, shape (row, col), DN."""
         return self.camera.mean_frame(self.photoelectrons(kind, target, conditions), conditions)
 
-    def photoelectrons(self, kind: Kind, target: Target, conditions: Conditions) -> Light:
+    def photoelectrons(self, kind: Kind, target: Target, conditions: Conditions) -> StageImage:
         """Return the expected photoelectrons at the plate, per cell and exposure, dark ones included."""
         camera = self.camera
         cathode = camera.photocathode(conditions)
         dark = cathode.ebi_per_s_cm2 * camera.cells.cell_area_cm2 * cathode.open_s
         if kind == "dark":
-            return Light(values=np.full(camera.cells.shape, dark, np.float32), grid=camera.cells)
-        lit = self._picture(kind, target) * np.float32(_lit(kind, conditions) * cathode.open_s)
-        return Light(values=lit + np.float32(dark), grid=camera.cells)
+            return StageImage(values=np.full(camera.cells.shape, dark, np.float32), grid=camera.cells)
+        lit = self._picture(kind, target) * np.float32(_require_illuminance(kind, conditions) * cathode.open_s)
+        return StageImage(values=lit + np.float32(dark), grid=camera.cells)
 
     def without(self, left_out: frozenset[str]) -> "LabBench":
         """Return the same bench with effects of the camera left out."""
         return LabBench(self.camera.sensor, self.scene, left_out=left_out)
 
-    def freed(self, kind: Kind, target: Target, conditions: Conditions) -> Light:
+    def freed(self, kind: Kind, target: Target, conditions: Conditions) -> StageImage:
         """Return the photoelectrons that light frees from the cathode, per scene cell and exposure, before any blur."""
         cells = self.camera.scene_cells
         if kind == "dark":
-            return Light(values=np.zeros(cells.shape, np.float32), grid=cells)
-        lux = np.float32(_lit(kind, conditions))
-        return self.camera.freed(Light(values=self._photons(kind, target) * lux, grid=cells), conditions)
+            return StageImage(values=np.zeros(cells.shape, np.float32), grid=cells)
+        lux = np.float32(_require_illuminance(kind, conditions))
+        return self.camera.freed(StageImage(values=self._photons(kind, target) * lux, grid=cells), conditions)
 
     def _picture(self, kind: Kind, target: Target) -> NDArray[np.float32]:
         """Photoelectrons at the plate per s and cell at 1 lux, shape of the camera's cells."""
         key = (kind, target)
         if key not in self._pictures:
-            scene_light = Light(values=self._photons(kind, target), grid=self.camera.scene_cells)
+            scene_light = StageImage(values=self._photons(kind, target), grid=self.camera.scene_cells)
             one_second = replace(self.camera.photocathode(Conditions()), gate_s=1.0, ebi_per_s_cm2=0.0)
             front = self.camera.chain(Conditions()).part("optics", "gap").stages
             self._pictures[key] = Chain((front[0], one_second, front[2])).mean(scene_light).values
@@ -156,8 +156,8 @@ class LabBench:
     def _photons(self, kind: Kind, target: Target) -> NDArray[np.float32]:
         """Photons per s and cell at 1 lux, referred to the wavelength of peak quantum efficiency, before any blur."""
         scene = self._scene_of(target)
-        port = planck(WAVELENGTH_NM, scene.sphere.temperature_k) * scene.open.transmitted(WAVELENGTH_NM)
-        per_cm2, weight = photons.photons_per_lux(self.camera.sensor, WAVELENGTH_NM, port)
+        port = planck(WAVELENGTH_NM, scene.sphere.temperature_k) * scene.open.transmittance_at(WAVELENGTH_NM)
+        per_cm2, weight = tube_photometry.photons_per_lux(self.camera.sensor, WAVELENGTH_NM, port)
         # Rounded, so that specimens of one type share their pictures.
         digits = tuple(float(f"{band:.9e}") for band in weight)
         relative = _relative_picture(scene, kind, target, self._view(target), digits)
@@ -176,7 +176,7 @@ class LabBench:
         )
         return replace(self.scene, mask=mask)
 
-    def _view(self, target: Target) -> View:
+    def _view(self, target: Target) -> TargetView:
         """The scene's cells on the target's plane, in column pitches about the target's centre."""
         camera, cells = self.camera, self.camera.scene_cells
         ratio = cells.pitch_y_mm / cells.pitch_x_mm
@@ -186,7 +186,7 @@ class LabBench:
         centre_row = row + height / 2.0 + (0.5 if camera.interlaced else 0.0)
         centre_col = col + width / 2.0
         lens_mm = float(camera.sensor.optics.focal_length_mm)
-        return View(
+        return TargetView(
             shape=cells.shape,
             cell_px=(1.0 / cells.per_column, ratio / cells.per_row),
             corner_px=(-cells.margin_columns - centre_col, (-cells.margin_rows - centre_row) * ratio),
@@ -196,7 +196,7 @@ class LabBench:
         )
 
 
-def _lit(kind: Kind, conditions: Conditions) -> float:
+def _require_illuminance(kind: Kind, conditions: Conditions) -> float:
     if conditions.illuminance_lux is None:
         raise BadInput(f"illuminance_lux must be given for a stack of kind {kind!r}, got none")
     return conditions.illuminance_lux
@@ -204,15 +204,15 @@ def _lit(kind: Kind, conditions: Conditions) -> float:
 
 @lru_cache(maxsize=6)
 def _relative_picture(
-    scene: LabScene, kind: Kind, target: Target, view: View, weight: tuple[float, ...]
+    scene: LabScene, kind: Kind, target: Target, view: TargetView, weight: tuple[float, ...]
 ) -> NDArray[np.float32]:
     """A target's light on cells of the view, relative to that of a large open area, shape (row, col)."""
-    from simulate.radiance.render import render, set_up
+    from simulate.radiance.bench_renderer import render_bench, set_up
     from simulate.radiance.target_mesh import target_mesh
 
     mesh = target_mesh(kind, target, scene.holder, 1.0 / view.metre_per_px)
     bench = set_up(scene, mesh, view.metre_per_px)
     picture = np.empty(view.shape, np.float32)
     for place, tile in view.tiles(TILE_ROWS):
-        picture[place] = render(bench, tile, WAVELENGTH_NM).weighted(np.array(weight))
+        picture[place] = render_bench(bench, tile, WAVELENGTH_NM).sum_bands(np.array(weight))
     return read_only(picture)

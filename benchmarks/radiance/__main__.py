@@ -23,9 +23,9 @@ from benchmarks.radiance.errors import Reference, reference
 from benchmarks.radiance.export import export
 from benchmarks.radiance.path_tracer import PathTracer, Timed
 from benchmarks.radiance.scenes import Case, cases
-from simulate.radiance.transport.allotment import Rays
-from simulate.radiance.transport.effort import Effort
-from simulate.radiance.transport.picture import picture
+from simulate.radiance.transport.adaptive_sampling import SamplingSettings
+from simulate.radiance.transport.integrator_settings import IntegratorSettings
+from simulate.radiance.transport.renderer import render_scene
 from simulate.radiance.transport.workers import workers
 
 KEPT = Path("study/radiance")
@@ -50,7 +50,7 @@ class Setting:
 
     name: str
     family: str
-    rays: Rays
+    rays: SamplingSettings
 
 
 def settings(scene: str) -> Iterator[Setting]:
@@ -58,15 +58,17 @@ def settings(scene: str) -> Iterator[Setting]:
     for fine in (False, True):
         finely = ", finely" if fine else ""
         for share in FINE_ERRORS if fine else ERRORS:
-            rays = Rays(fewest=2, edge=4, most=1024, shared_most=2048, fine=fine, allowed=partial(_allowed, share))
+            rays = SamplingSettings(
+                fewest=2, edge=4, most=1024, shared_most=2048, fine=fine, allowed=partial(_allowed, share)
+            )
             yield Setting(f"{100.0 * share:g} %{finely}", f"errors{finely}", rays)
         for each, edge, shared in PLAIN:
-            rays = Rays(fewest=each, edge=edge, most=1024, shared=shared, fine=fine)
+            rays = SamplingSettings(fewest=each, edge=edge, most=1024, shared=shared, fine=fine)
             yield Setting(f"{each}, {edge}, {shared} rays{finely}", f"plain{finely}", rays)
     if scene in AT_LENGTH:
         share, most, shared_most = AT_LENGTH[scene][0]
         allowed = partial(_allowed, share)
-        rays = Rays(fewest=2, edge=4, most=most, shared_most=shared_most, fine=True, allowed=allowed)
+        rays = SamplingSettings(fewest=2, edge=4, most=most, shared_most=shared_most, fine=True, allowed=allowed)
         yield Setting(f"{100.0 * share:g} %, finely, up to {shared_most} rays", "at length", rays)
 
 
@@ -79,16 +81,16 @@ def _allowed(share: float, signal: NDArray[np.floating]) -> NDArray[np.floating]
     return (share * signal) ** 2
 
 
-def ours(case: Case, rays: Rays, seed: int) -> Timed:
+def ours(case: Case, rays: SamplingSettings, seed: int) -> Timed:
     """Return our picture."""
     # As plans follow light: to the end, or so many bounces.
     if case.bounces is None:
-        effort = Effort(bounces=200, roulette_from=3)
+        effort = IntegratorSettings(bounces=200, roulette_from=3)
     else:
-        effort = Effort(bounces=case.bounces, roulette_from=1)
+        effort = IntegratorSettings(bounces=case.bounces, roulette_from=1)
     start, used = time.perf_counter(), time.process_time()
     with workers(THREADS) as run:
-        found = picture(case.stage, case.view, rays, effort, weight=np.ones(1), seed=seed, run=run)
+        found = render_scene(case.stage, case.view, rays, effort, weight=np.ones(1), seed=seed, run=run)
     return Timed(found.signal, time.perf_counter() - start, time.process_time() - used)
 
 

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.radiance.scenes import Case
-from simulate.radiance.lamps import Cosine, Isotropic, Lamp, Spot
+from simulate.radiance.lamps import Cosine, Isotropic, Lamp, SpotBeam
 from simulate.radiance.lamps.distribution import Distribution
-from simulate.radiance.world.description.lamp_post import LampPost
+from simulate.radiance.outdoor.description.lamp_placement import LampPlacement
 
 # Rows and columns of the sky's table: finer than ours, so that the path tracer's own interpolation adds nothing.
 SKY_SHAPE = (2048, 720)
@@ -19,7 +19,7 @@ def export(case: Case, folder: Path) -> None:
     """Write a scene into a folder of its name."""
     into = folder / case.name
     into.mkdir(parents=True, exist_ok=True)
-    view, dome = case.view, case.stage.lighting.dome
+    view, dome = case.view, case.stage.lighting.environment_map
     told = {
         "shape": view.shape,
         "field_deg": float(2.0 * np.rad2deg(np.arctan(0.5 * view.shape[1] / view.focal_px[0]))),
@@ -54,14 +54,14 @@ def _meshes(case: Case, into: Path) -> list[dict]:
             {
                 "name": name,
                 "file": f"{number}.ply",
-                "reflectance": float(case.stage.coats.rho_by_pi[number, 0] * np.pi),
+                "reflectance": float(case.stage.bsdfs.rho_by_pi[number, 0] * np.pi),
                 "radiance": 0.0 if panels is None or kind < 0 else float(panels.spectra[kind, 0]),
             }
         )
     return told
 
 
-def _lamp(post: LampPost, lamp: Lamp, flux: float) -> dict:
+def _lamp(post: LampPlacement, lamp: Lamp, flux: float) -> dict:
     """A lamp's peak intensity and its power of the cosine; None where it shines alike everywhere."""
     axis = np.array([0.0, 0.0, -1.0]) if post.aim_m is None else np.subtract(post.aim_m, post.position_m)
     power = _power(lamp.distribution)
@@ -80,7 +80,7 @@ def _power(distribution: Distribution) -> float | None:
             return None
         case Cosine():
             return 1.0
-        case Spot():
+        case SpotBeam():
             return distribution.power
     raise ValueError(f"a path tracer is told of even, cosine and spot lamps only, got {distribution}")
 

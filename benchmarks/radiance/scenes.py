@@ -10,19 +10,19 @@ from numpy.typing import NDArray
 
 from simulate.radiance.brdf.lambert import Lambert
 from simulate.radiance.materials.reflectance import grey
+from simulate.radiance.outdoor.built_scene import BuiltScene
+from simulate.radiance.outdoor.description.camera import SceneCamera
+from simulate.radiance.outdoor.description.lamp_placement import LampPlacement
+from simulate.radiance.outdoor.description.material import MaterialSpec
+from simulate.radiance.outdoor.description.objects import Object, Pose
+from simulate.radiance.outdoor.description.scene import OutdoorScene
+from simulate.radiance.outdoor.viewpoint import Viewpoint
 from simulate.radiance.scene import load_scene
-from simulate.radiance.transport.air import Air
-from simulate.radiance.transport.dome import dome
-from simulate.radiance.transport.lights import Lighting
-from simulate.radiance.transport.points import Coats
-from simulate.radiance.transport.stage import Stage
-from simulate.radiance.world.description.camera import Camera
-from simulate.radiance.world.description.lamp_post import LampPost
-from simulate.radiance.world.description.material import Surface
-from simulate.radiance.world.description.objects import Object, Pose
-from simulate.radiance.world.description.scene import Scene
-from simulate.radiance.world.site import Site
-from simulate.radiance.world.viewpoint import Viewpoint
+from simulate.radiance.transport.air_path_table import Air
+from simulate.radiance.transport.environment_map import environment_map
+from simulate.radiance.transport.light_sources import Lighting
+from simulate.radiance.transport.shading_points import BsdfSet
+from simulate.radiance.transport.spectral_scene import SpectralScene
 
 # A third of the PULNiX frame each way, square pixels.
 SHAPE = (164, 256)
@@ -53,8 +53,8 @@ class Case:
     """
 
     name: str
-    site: Site
-    stage: Stage
+    site: BuiltScene
+    stage: SpectralScene
     view: Viewpoint
     bounces: int | None
     even_sky: float | None = None
@@ -62,7 +62,7 @@ class Case:
     @property
     def open_air(self) -> bool:
         """Whether it has a sky."""
-        return not self.stage.lighting.dome.dark
+        return not self.stage.lighting.environment_map.dark
 
 
 def cases() -> tuple[Case, ...]:
@@ -76,12 +76,14 @@ def cases() -> tuple[Case, ...]:
     )
 
 
-def _case(name: str, scene: Scene, *, field_deg: float, bounces: int | None, even_sky: float | None = None) -> Case:
-    site = Site(scene)
+def _case(
+    name: str, scene: OutdoorScene, *, field_deg: float, bounces: int | None, even_sky: float | None = None
+) -> Case:
+    site = BuiltScene(scene)
     stage = _grey(site.on(BANDS_NM))
     if even_sky is not None:
-        even = dome(lambda way: np.full((1, len(way)), even_sky))
-        stage = replace(stage, lighting=replace(stage.lighting, dome=even))
+        even = environment_map(lambda way: np.full((1, len(way)), even_sky))
+        stage = replace(stage, lighting=replace(stage.lighting, environment_map=even))
     focal = 0.5 * SHAPE[1] / np.tan(np.deg2rad(0.5 * field_deg))
     ahead = np.subtract(scene.camera.look_at_m, scene.camera.position_m)
     ahead /= np.linalg.norm(ahead)
@@ -94,24 +96,24 @@ def _case(name: str, scene: Scene, *, field_deg: float, bounces: int | None, eve
     return Case(name=name, site=site, stage=stage, view=view, bounces=bounces, even_sky=even_sky)
 
 
-def _grey(stage: Stage) -> Stage:
+def _grey(stage: SpectralScene) -> SpectralScene:
     """Return a stage whose bands are added up to one, matt, without air, its lamps as small as points."""
     weight = np.full(len(BANDS_NM), 1.0 / len(BANDS_NM), np.float32)
     light = stage.lighting
     panels = light.panels
     lighting = Lighting(
-        dome=replace(
-            light.dome,
-            radiance_table=(light.dome.radiance_table @ weight)[..., None],
-            irradiance_table=(light.dome.irradiance_table @ weight)[..., None],
+        environment_map=replace(
+            light.environment_map,
+            radiance_table=(light.environment_map.radiance_table @ weight)[..., None],
+            irradiance_table=(light.environment_map.irradiance_table @ weight)[..., None],
         ),
         lamps=tuple(replace(lamp, spectrum=_one(lamp.spectrum, weight), radius_m=POINT_M) for lamp in light.lamps),
         discs=tuple(replace(disc, irradiance=_one(disc.irradiance, weight)) for disc in light.discs),
         panels=None if panels is None else replace(panels, spectra=(panels.spectra @ weight)[:, None]),
     )
     nm = np.array([float(BANDS_NM.mean())])
-    brdfs = tuple(Lambert(reflectance=grey(_share(brdf, weight))) for brdf in stage.coats.brdfs)
-    return Stage(surfaces=stage.surfaces, coats=Coats.of(brdfs, nm), lighting=lighting, air=Air())
+    brdfs = tuple(Lambert(reflectance=grey(_share(brdf, weight))) for brdf in stage.bsdfs.brdfs)
+    return SpectralScene(surfaces=stage.surfaces, bsdfs=BsdfSet.of(brdfs, nm), lighting=lighting, air=Air())
 
 
 def _one(spectrum: NDArray[np.float32], weight: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -122,14 +124,14 @@ def _share(brdf, weight: NDArray[np.float32]) -> float:
     return float(brdf.reflectance.at(BANDS_NM) @ weight)
 
 
-def _shipped(name: str) -> Scene:
+def _shipped(name: str) -> OutdoorScene:
     scene = load_scene(name)
-    assert isinstance(scene, Scene)
+    assert isinstance(scene, OutdoorScene)
     return scene
 
 
-def _surfaces(**reflectance: float) -> tuple[Surface, ...]:
-    return tuple(Surface(label=label, reflectance=(share,)) for label, share in reflectance.items())
+def _surfaces(**reflectance: float) -> tuple[MaterialSpec, ...]:
+    return tuple(MaterialSpec(label=label, reflectance=(share,)) for label, share in reflectance.items())
 
 
 def _boxes(label: str, material: str, *placed: tuple[tuple[float, float, float], Pose]) -> tuple[Object, ...]:
@@ -139,7 +141,7 @@ def _boxes(label: str, material: str, *placed: tuple[tuple[float, float, float],
     )
 
 
-def _yard() -> Scene:
+def _yard() -> OutdoorScene:
     """Ground, eight boxes, a lamp, a sky that is even."""
     rng = np.random.default_rng(8)
     boxes = []
@@ -147,27 +149,29 @@ def _yard() -> Scene:
         place = (6.0 * (number % 4) - 9.0 + rng.uniform(-1, 1), 7.0 * (number // 4) - 2.0 + rng.uniform(-1, 1), 0.0)
         size = (rng.uniform(1.5, 3.0), rng.uniform(1.5, 3.0), rng.uniform(1.0, 4.0))
         boxes.append((size, Pose(position_m=place, heading_deg=rng.uniform(0, 90))))
-    return Scene(
+    return OutdoorScene(
         name="yard",
-        camera=Camera(position_m=(-4.0, -26.0, 13.0), look_at_m=(0.0, 1.0, 0.5)),
+        camera=SceneCamera(position_m=(-4.0, -26.0, 13.0), look_at_m=(0.0, 1.0, 0.5)),
         material=_surfaces(ground=0.25, crate=0.5),
         object=(
             Object(label="ground", material="ground", shape="ground", size_m=(2000.0,)),
             *_boxes("crate", "crate", *boxes),
         ),
-        lamp=(LampPost(label="lamp", kind="incandescent", lumens=3e4, position_m=(-3.0, 2.0, 7.0), radius_m=POINT_M),),
+        lamp=(
+            LampPlacement(label="lamp", kind="incandescent", lumens=3e4, position_m=(-3.0, 2.0, 7.0), radius_m=POINT_M),
+        ),
     )
 
 
-def _lab() -> Scene:
+def _lab() -> OutdoorScene:
     """A bench in a dark room: a plate with four bars before a glowing port, a ring that stands out, a dim lamp."""
     bars = tuple(((0.004, 0.001, 0.03), Pose(position_m=(-0.03 + 0.008 * i, -0.0025, 0.235))) for i in range(4))
-    return Scene(
+    return OutdoorScene(
         name="lab",
-        camera=Camera(position_m=(0.0, -1.0, 0.32), look_at_m=(0.0, 0.0, 0.24)),
+        camera=SceneCamera(position_m=(0.0, -1.0, 0.32), look_at_m=(0.0, 0.0, 0.24)),
         material=(
             *_surfaces(wall=0.3, table=0.15, plate=0.6, bar=0.05, ring=0.25),
-            Surface(label="port", reflectance=(0.05,), glow_lm_per_m2=30.0),
+            MaterialSpec(label="port", reflectance=(0.05,), glow_lm_per_m2=30.0),
         ),
         object=(
             Object(label="table", material="table", shape="box", size_m=(1.6, 1.2, 0.04), position_m=(0, 0, 0.06)),
@@ -182,13 +186,13 @@ def _lab() -> Scene:
             Object(label="sphere", material="port", shape="sphere", size_m=(0.09,), position_m=(0.3, 0.25, 0.19)),
         ),
         lamp=(
-            LampPost(label="room light", kind="incandescent", lumens=6.0, position_m=(-0.4, -1.2, 0.95),
+            LampPlacement(label="room light", kind="incandescent", lumens=6.0, position_m=(-0.4, -1.2, 0.95),
                      radius_m=POINT_M),
         ),
     )  # fmt: skip
 
 
-def _room() -> Scene:
+def _room() -> OutdoorScene:
     """A closed white room with a lamp panel in its ceiling, a chest and a ball: light that is reflected many times."""
     walls = (
         ((6.0, 5.0, 0.1), Pose(position_m=(0, 0, -0.1))),
@@ -198,12 +202,12 @@ def _room() -> Scene:
         ((6.0, 0.1, 2.6), Pose(position_m=(0, -2.5, 0))),
         ((6.0, 0.1, 2.6), Pose(position_m=(0, 2.5, 0))),
     )
-    return Scene(
+    return OutdoorScene(
         name="closed room",
-        camera=Camera(position_m=(-1.9, -2.2, 1.6), look_at_m=(0.5, 1.0, 1.0)),
+        camera=SceneCamera(position_m=(-1.9, -2.2, 1.6), look_at_m=(0.5, 1.0, 1.0)),
         material=(
             *_surfaces(wall=0.75, chest=0.5, ball=0.6),
-            Surface(label="panel", reflectance=(0.5,), glow_lm_per_m2=300.0),
+            MaterialSpec(label="panel", reflectance=(0.5,), glow_lm_per_m2=300.0),
         ),
         object=(
             *_boxes("wall", "wall", *walls),

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.noise.sweep.knob import KNOBS
-from charact.noise.sweep.settings import Setting, Sweep
-from charact.noise.sweep.sweep import of_sweep
+from charact.noise.sweep.gain_control import KNOBS
+from charact.noise.sweep.settings import Sweep, SweepSetting
+from charact.noise.sweep.sweep import measure_sweep
 from labdata.measurement import Result
 
 Array = NDArray[np.float64]
@@ -94,7 +94,7 @@ class SweepScene:
         return Sweep(knob=KNOBS[0], settings=settings, main=800.0), pulses + self.electron_gain_dn, factor
 
     def _setting(self, volts: float, gain: float, pulses: float, shared: float, lit: bool, rng: np.random.Generator
-                 ) -> Setting:  # fmt: skip
+                 ) -> SweepSetting:  # fmt: skip
         """Statistics of one setting."""
         light = np.array(self.lights)
         untired = gain / 2.0 * light / self.photons_per_pe
@@ -109,7 +109,7 @@ class SweepScene:
         levels = covariance * (1.0 - signal / self.saturation_dn)
         dark = self.read_noise_dn**2 + variance * covariance * self.dark_pe
         drawn = left * np.exp(seen + error * rng.standard_normal(DRAWS))
-        return Setting(
+        return SweepSetting(
             value=float(volts), labels=tuple(f"{volts:g} V, {value:g}" for value in light), gain_dn=drawn,
             log_variance=float(np.log(left * variance) + self.variance_sd * rng.standard_normal()),
             log_variance_sd=self.variance_sd, blur_factor=left * variance / drawn, white=False,
@@ -146,7 +146,7 @@ def covered(count: int, seed: int, *, lit: bool = True) -> Iterator[tuple[str, f
         rng = np.random.default_rng([seed, index])
         scene = scene_drawn(rng)
         sweep, gain, factor = scene.drawn(rng, lit=lit)
-        result = of_sweep(sweep, context=Context(seed=index, quick=True))
+        result = measure_sweep(sweep, context=Context(seed=index, quick=True))
         truth = scene.truths()
         if not lit:
             # Without light the law is that of the covariance gain, F^2 included.

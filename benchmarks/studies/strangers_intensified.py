@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
-from labdata.measurement import refused
+from labdata.measurement import make_refusal
 from labdata.session import Session, StackEntry
 
 Array = NDArray[Any]
@@ -224,7 +224,7 @@ def _entry(label: str, kind: Any, frames: FrameStack, told: Conditions) -> Stack
 def main(first: int = 0, count: int = SESSIONS) -> None:
     """Print one line a session, then how often the numbers are `ok`, hold and fail silently."""
     from charact import noise
-    from charact.measuring import context_of
+    from charact.session_measurement import method_context
 
     told: dict[str, list[tuple[str, bool, bool]]] = defaultdict(list)
     errors: dict[str, list[float]] = defaultdict(list)
@@ -232,13 +232,13 @@ def main(first: int = 0, count: int = SESSIONS) -> None:
     spent = 0.0
     for number in range(first, first + count):
         session, camera = session_drawn(number)
-        context = context_of(session, quick=True, seed=number)
+        context = method_context(session, quick=True, seed=number)
         begin = time.process_time()
         result = noise.measure(session, context=context)
         spent += time.process_time() - begin
         line = []
         for quantity, unit in QUANTITIES.items():
-            one = next(iter(result.find(quantity, unit=unit)), refused(quantity, unit, "absent", method="none"))
+            one = next(iter(result.find(quantity, unit=unit)), make_refusal(quantity, unit, "absent", method="none"))
             group = f"{quantity}, {'misbehaving' if camera.faulty else 'clean'} pixels"
             if one.value is None or one.interval95 is None:
                 told[group].append((one.status, False, False))

@@ -183,7 +183,7 @@ class Tally:
 def tallies_of(sessions: Iterator[tuple[str, Drawn]]) -> dict[tuple[str, str], Tally]:
     """Measure sessions and count by kind and quantity."""
     from charact import noise
-    from charact.measuring import context_of
+    from charact.session_measurement import method_context
     from labdata.measurement import Result
     from labdata.session import open_session
 
@@ -193,7 +193,7 @@ def tallies_of(sessions: Iterator[tuple[str, Drawn]]) -> dict[tuple[str, str], T
             write_session(one, Path(folder))
             session = open_session(folder)
             try:
-                result = noise.measure(session, context=context_of(session, quick=False, seed=0))
+                result = noise.measure(session, context=method_context(session, quick=False, seed=0))
             except KeyboardInterrupt:
                 print(f"broken off at {name}")
                 return out

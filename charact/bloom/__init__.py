@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from charact.bloom.defects import with_sound_pixels
-from charact.bloom.findings import explained
+from charact.bloom.findings import add_findings
 from charact.method import Context, choose
 from labdata.errors import BadInput
 from labdata.measurement import Result
@@ -11,7 +11,7 @@ from labdata.session import Session
 
 __all__ = ["measure"]
 
-# The one method for edges, see `charact.bloom.extended`.
+# The one method for edges, see `charact.bloom.lit_edge_halo`.
 EXTENDED = "lit-edge"
 
 
@@ -35,18 +35,18 @@ def measure(session: Session, *, method: str = "auto", within_percent: float = 2
         If the session has no point source, or the method is unknown.
     """
     if method == EXTENDED or (method == "auto" and session.of_kind("edge") and not session.of_kind("point")):
-        return _explained(choose(EXTENDED).function(session, context=context))
+        return _with_findings(choose(EXTENDED).function(session, context=context))
     session, bad = with_sound_pixels(session)
     chosen = choose("bloom", method, within_percent=within_percent)
     if not session.of_kind("point"):
         raise BadInput(f"blooming needs stacks of kind point, got only {sorted({s.kind for s in session.stacks})}")
     notes = (f"{bad} stuck, hot or hit pixels are left out or replaced by their neighbours' mean",) if bad else ()
-    return _explained(chosen.function(session, context=context), notes)
+    return _with_findings(chosen.function(session, context=context), notes)
 
 
-def _explained(result: Result, notes: tuple[str, ...] = ()) -> Result:
+def _with_findings(result: Result, notes: tuple[str, ...] = ()) -> Result:
     """Return a result whose flags come with their effects and remedies."""
     forms = result.evidence.get("bloom-forms", {}).get("table", [])
     effects = {"model-misfit": f"rings are off by {forms[0]['off_percent']:.2g} % of their light"} if forms else {}
-    out = (explained(one.with_(notes=(*one.notes, *notes)), effects) for one in result.measurements)
+    out = (add_findings(one.with_(notes=(*one.notes, *notes)), effects) for one in result.measurements)
     return replace(result, measurements=tuple(out))

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.bloom.polar import SECTORS
-from charact.bloom.view import View
+from charact.bloom.source_view import SourceView
 
 Array = NDArray[np.float64]
 
@@ -32,7 +32,7 @@ class Background:
         return self.level_dn > max(LEAST_DN, LEAST_ERRORS * self.sd_dn)
 
 
-def background_of(view: View) -> Background:
+def background_of(view: SourceView) -> Background:
     """Read the background from the sectors of the outermost rings, each median so that other sources do not count."""
     first = int(OUTER * view.polar.rings)
     half = (first + view.polar.rings) // 2
@@ -43,7 +43,7 @@ def background_of(view: View) -> Background:
     return Background(level_dn=level, sd_dn=sd, even=bool(even))
 
 
-def _level(view: View, rings: slice) -> tuple[float, float]:
+def _level(view: SourceView, rings: slice) -> tuple[float, float]:
     """Median of the sectors' means over some rings, and its standard error."""
     total, count = view.rings.total[rings].sum(axis=0), view.rings.count[rings].sum(axis=0)
     means = total[count > 0] / count[count > 0]

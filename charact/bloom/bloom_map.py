@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from charact.bloom.hidden_light import Source, hidden_sources
-from charact.bloom.lattice import Lattice, profiles, radial
-from charact.bloom.spread import Spread, nodes
+from charact.bloom.clipped_sources import ClippedSource, find_clipped_sources
+from charact.bloom.lattice import FrameGrid, profiles, radial
+from charact.bloom.posterior_psf import PosteriorPsf, nodes
 from labdata.errors import BadInput
 
 Array = NDArray[np.float64]
@@ -73,7 +73,7 @@ class BloomMap:
     blooming_dn: NDArray[np.float32]
     clipped: Mask
     near_border: Mask
-    sources: tuple[Source, ...]
+    sources: tuple[ClippedSource, ...]
     near_px: float
     noise_dn: NDArray[np.float32]
 
@@ -85,7 +85,7 @@ class BloomMap:
 
 def bloom_map(
     signal: NDArray,
-    spread: Spread,
+    spread: PosteriorPsf,
     *,
     clip_dn: float | None = None,
     clipped: Mask | None = None,
@@ -128,7 +128,7 @@ def bloom_map(
     -----
     With P the transfer of the spread and N that of its part within `near_px`, a frame S = P L of light L shows N L =
     (N/P) S of light that belongs; N/P is taken as 1 where P is so small that S holds nothing but noise. Of clipped
-    sources L itself is found first, see `charact.bloom.hidden_light`. What lies outside the frame is taken to be as its
+    sources L itself is found first, see `charact.bloom.clipped_sources`. What lies outside the frame is taken to be as its
     median.
     """
     _check(signal, near_px=near_px, pitch_ratio=pitch_ratio, clip_dn=clip_dn)
@@ -137,10 +137,10 @@ def bloom_map(
     if clipped is None:
         clipped = np.zeros(image.shape, bool) if clip_dn is None else image >= CLIPPED_SHARE * clip_dn
     halo_px = 0.5 * float(spread.halo_diameter_px.max())
-    lattice = Lattice(shape=(image.shape[0], image.shape[1]), room_px=int(halo_px + 20), pitch_ratio=pitch_ratio)
+    lattice = FrameGrid(shape=(image.shape[0], image.shape[1]), room_px=int(halo_px + 20), pitch_ratio=pitch_ratio)
     sources = ()
     if clip_dn is not None and clipped.any():
-        sources = hidden_sources(image, clipped, spread, lattice, noise_dn=noise, clip_dn=clip_dn, rng=rng)
+        sources = find_clipped_sources(image, clipped, spread, lattice, noise_dn=noise, clip_dn=clip_dn, rng=rng)
     count, mean, square, bloom = 0, 0.0, 0.0, 0.0
     for far, total in _draws(image, clipped, clip_dn, sources, spread, lattice, near_px):
         share = np.clip(far / np.maximum(total, 1e-6), 0.0, 1.0)
@@ -154,7 +154,7 @@ def bloom_map(
             rows, cols = np.divmod(source.region, lattice.shape[1])
             variance += PATCH_SD**2 * (_within(rows, cols, PATCH_MARGIN_PX, lattice) & ~clipped)
         if not source.known:
-            unknown |= _reached(source, image, spread.centre(), lattice, halo_px)
+            unknown |= _contaminated_pixels(source, image, spread.centre(), lattice, halo_px)
     return BloomMap(
         fraction=np.where(unknown, np.nan, mean).astype(np.float32),
         sd=np.where(unknown, np.nan, np.sqrt(variance)).astype(np.float32),
@@ -197,7 +197,7 @@ def pixel_noise(image: NDArray) -> NDArray[np.float32]:
 
 
 def _draws(
-    image: NDArray, clipped: Mask, clip_dn: float | None, sources: tuple[Source, ...], spread: Spread, lattice: Lattice,
+    image: NDArray, clipped: Mask, clip_dn: float | None, sources: tuple[ClippedSource, ...], spread: PosteriorPsf, lattice: FrameGrid,
     near_px: float,
 ) -> Iterator[tuple[NDArray, NDArray]]:  # fmt: skip
     """Light that does not belong, and all light, of every pixel, draw by draw."""
@@ -223,7 +223,7 @@ def _draws(
                      float(rest.sum()) + background * image.size, light, image.size)  # fmt: skip
         whole, near = tables.whole[draw], tables.near[draw]
         ratio = (near * whole + LEAST_TRANSFER**2) / (whole**2 + LEAST_TRANSFER**2)
-        belongs = lattice.filtered(lattice.transformed(rest), ratio) + np.float32(ratio[0] * (background - veil))
+        belongs = lattice.filtered(lattice.forward_transform(rest), ratio) + np.float32(ratio[0] * (background - veil))
         total = image
         if clipped.any():
             total = np.where(clipped, np.maximum(hidden + np.float32(background), np.float32(clip_dn or 0.0)), image)
@@ -245,7 +245,7 @@ def _veil(glare: float, area: float, rest: float, hidden: float, pixels: int) ->
     return glare * (outside + hidden) / area
 
 
-def _footprint(source: Source, lattice: Lattice) -> tuple[slice, slice, NDArray[np.float32] | None]:
+def _footprint(source: ClippedSource, lattice: FrameGrid) -> tuple[slice, slice, NDArray[np.float32] | None]:
     """Where a source's light lands, and the distances from it there; None for a patch, which lands anywhere."""
     if source.shape != "point":
         return slice(None), slice(None), None
@@ -254,7 +254,12 @@ def _footprint(source: Source, lattice: Lattice) -> tuple[slice, slice, NDArray[
 
 
 def _of_source(
-    source: Source, radius: NDArray[np.float32] | None, tables: _Tables, draw: int, lattice: Lattice, near_px: float
+    source: ClippedSource,
+    radius: NDArray[np.float32] | None,
+    tables: _Tables,
+    draw: int,
+    lattice: FrameGrid,
+    near_px: float,
 ) -> tuple[NDArray, NDArray]:
     """What one unit of a source's light leaves in the frame, all of it and what belongs where it is."""
     if radius is None:
@@ -275,7 +280,9 @@ def _near_transform(frequency: Array, near_px: float) -> Array:
     return to_density @ (ring[:, None] * j0(2.0 * np.pi * np.outer(radius, frequency)))
 
 
-def _reached(source: Source, image: NDArray, one: Spread, lattice: Lattice, halo_px: float) -> Mask:
+def _contaminated_pixels(
+    source: ClippedSource, image: NDArray, one: PosteriorPsf, lattice: FrameGrid, halo_px: float
+) -> Mask:
     """Pixels of which a source of unknown light may make up more than `REACHED`: no ring holds less than its light."""
     rows, cols = np.divmod(source.region, lattice.shape[1])
     near, away = _within(rows, cols, halo_px, lattice), lattice.distance(source.row, source.col)
@@ -297,7 +304,7 @@ def _reached(source: Source, image: NDArray, one: Spread, lattice: Lattice, halo
     return near | (most * share > REACHED * np.maximum(image, 1e-6))
 
 
-def _within(rows: NDArray, cols: NDArray, reach: float, lattice: Lattice) -> Mask:
+def _within(rows: NDArray, cols: NDArray, reach: float, lattice: FrameGrid) -> Mask:
     """Pixels within a distance of any of some pixels."""
     from scipy import ndimage
 
@@ -307,7 +314,7 @@ def _within(rows: NDArray, cols: NDArray, reach: float, lattice: Lattice) -> Mas
     return np.asarray(found) <= reach
 
 
-def _near_border(lattice: Lattice, halo_px: float) -> Mask:
+def _near_border(lattice: FrameGrid, halo_px: float) -> Mask:
     """Pixels nearer to the border than the halo is wide."""
     out = np.ones(lattice.shape, bool)
     down, across = int(np.ceil(halo_px / lattice.pitch_ratio)), int(np.ceil(halo_px))

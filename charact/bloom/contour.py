@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.bloom.pixel_noise import Noise, seen
+from charact.bloom.pixel_noise import PixelNoise, mean_with_clipping
 from charact.bloom.polar import Polar
 
 Array = NDArray[np.float64]
@@ -73,7 +73,7 @@ class Contour:
         return down, along
 
 
-def fit_contour(signal: Array, polar: Polar, profile: tuple[Array, Array], level: float, radius: float, noise: Noise,
+def fit_contour(signal: Array, polar: Polar, profile: tuple[Array, Array], level: float, radius: float, noise: PixelNoise,
                 top: float, sectors: NDArray[np.bool_], *, width: float = 1.0) -> Contour | None:  # fmt: skip
     """Fit the contour of a level near a radius; None where the pixels there do not fall through it.
 
@@ -114,7 +114,7 @@ def fit_contour(signal: Array, polar: Polar, profile: tuple[Array, Array], level
     weight, own, working, normal = np.ones(len(value)), np.ones(len(value)), linear, np.eye(len(beta))
     for _ in range(ROUNDS):
         mean = above * np.exp(np.clip(linear, -4.0, 4.0))
-        expected, share = seen(base + mean, noise, top)
+        expected, share = mean_with_clipping(base + mean, noise, top)
         lever = share * mean
         variance = noise.sd(base + mean) ** 2 / noise.frames
         weight = lever**2 / (variance + (INEXACT * mean) ** 2)
@@ -128,7 +128,7 @@ def fit_contour(signal: Array, polar: Polar, profile: tuple[Array, Array], level
     noisy = np.sqrt(noise.tied) * normal @ (basis * own[:, None]).T @ basis @ normal
     told = noise.tied * normal if radius <= SMALL_PX else noisy
     covariance = 0.5 * (normal @ _scatter(scores, noise.tied) @ normal + told)
-    return _solved(beta, covariance, radius, terms)
+    return _solve_contour(beta, covariance, radius, terms)
 
 
 def _surroundings(profile: tuple[Array, Array], level: float, radius: float) -> float:
@@ -172,7 +172,7 @@ def _scatter(scores: Array, tied: float) -> Array:
     return scores.T @ scores * tied * len(scores) / spare
 
 
-def _solved(beta: Array, covariance: Array, radius: float, terms: tuple[str, ...]) -> Contour | None:
+def _solve_contour(beta: Array, covariance: Array, radius: float, terms: tuple[str, ...]) -> Contour | None:
     """Follow the fitted signal to the level in every direction, with the errors that follow from its coefficients'."""
     t = np.zeros(len(DIRECTIONS))
     bend = float(beta[terms.index("tt")]) if "tt" in terms else 0.0

@@ -41,7 +41,7 @@ class SoundEntry(StackEntry):
     def read(self, plane: str | None = None) -> FrameStack:
         """Return the frames, misbehaving pixels replaced."""
         stack = self.entry.read() if plane is None else self.entry.read(plane)
-        return replace(stack, data=repaired(np.asarray(stack.data), self.bad))
+        return replace(stack, data=replace_bad_pixels(np.asarray(stack.data), self.bad))
 
 
 def with_sound_pixels(session: Session) -> tuple[Session, int]:
@@ -58,7 +58,7 @@ def with_sound_pixels(session: Session) -> tuple[Session, int]:
         if entry.kind in ("dark", "point"):
             image = entry.read().data.mean(axis=0, dtype=np.float64)
             bad = hot if hot.shape == image.shape else np.zeros(image.shape, bool)
-            bad = bad | lone_pixels(repaired(image[None], bad)[0])
+            bad = bad | lone_pixels(replace_bad_pixels(image[None], bad)[0])
             if bad.any():
                 every |= {tuple(place) for place in np.argwhere(bad).tolist()}
                 given = {one.name: getattr(entry, one.name) for one in fields(StackEntry)}
@@ -119,7 +119,7 @@ def _excess(image: Array) -> tuple[Array, float]:
     return excess, 1.4826 * float(np.median(np.abs(excess - np.median(excess))))
 
 
-def repaired(data: NDArray, bad: Mask) -> NDArray:
+def replace_bad_pixels(data: NDArray, bad: Mask) -> NDArray:
     """Return frames whose bad pixels hold the mean of their sound neighbours, shape (frame, row, col)."""
     if not bad.any():
         return data

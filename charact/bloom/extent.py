@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.bloom.contour import CUT_SHARE, Contour, fit_contour
-from charact.bloom.pixel_noise import seen
+from charact.bloom.pixel_noise import mean_with_clipping
 from charact.bloom.polar import SECTORS
-from charact.bloom.view import View
+from charact.bloom.source_view import SourceView
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -83,12 +83,12 @@ class Extent:
         return float(2.0 * np.sqrt(self.area / np.pi))
 
     @property
-    def determined(self) -> bool:
+    def has_contour(self) -> bool:
         """Whether the noise leaves one contour."""
         return self.contour is not None
 
 
-def extent_at(view: View, level_dn: float, *, level_sd: float = 0.0, seed: int = 0) -> Extent | None:
+def extent_at(view: SourceView, level_dn: float, *, level_sd: float = 0.0, seed: int = 0) -> Extent | None:
     """Return the region around the source at or above a level; None where the source does not reach it.
 
     Parameters
@@ -106,16 +106,16 @@ def extent_at(view: View, level_dn: float, *, level_sd: float = 0.0, seed: int =
     the light may first fall through it, and the draws say so.
     """
     level = level_dn - view.dark_dn
-    visible = float(seen(np.array([level]), view.noise, view.top)[0][0])
+    visible = float(mean_with_clipping(np.array([level]), view.noise, view.top)[0][0])
     near = float(view.signal[view.polar.radius < 1.5].max(initial=-np.inf))
     radius, profile = view.profile
     usable = int(np.argmin(np.append(view.rings.whole, 0.0) > LEAST_WHOLE))
     if near < visible or visible <= 0:
         return None
     first = _crossings(radius[:usable], profile[None, :usable], visible)[0]
-    sectors = ~_pulled(view, visible, first)
+    sectors = ~_find_pulled_sectors(view, visible, first)
     if sectors.sum() < SECTORS // 3 or np.isinf(first):
-        return _counted(view, level_dn, visible)
+        return _extent_from_pixels(view, level_dn, visible)
     rng = np.random.default_rng(seed)
     sd = view.noise.sd(profile)
     sd = sd * np.clip((view.top - profile) / sd, 0.0, 1.0) / np.sqrt(view.noise.frames)
@@ -127,19 +127,23 @@ def extent_at(view: View, level_dn: float, *, level_sd: float = 0.0, seed: int =
     low, high = np.quantile(crossings, [0.025, 0.975], method="nearest")
     contour = None
     if high - low < max(ONE_CONTOUR[0], ONE_CONTOUR[1] * middle):
-        contour = _settled(view, level, max(middle, 0.7), sectors)
+        contour = _refine_contour(view, level, max(middle, 0.7), sectors)
     if contour is None:
-        return _open(view, level_dn, crossings) if sectors.all() else _counted(view, level_dn, visible)
-    return _composed(view, level_dn, visible, contour, sectors, level_sd)
+        return (
+            _extent_from_crossings(view, level_dn, crossings)
+            if sectors.all()
+            else _extent_from_pixels(view, level_dn, visible)
+        )
+    return _extent_from_contour(view, level_dn, visible, contour, sectors, level_sd)
 
 
-def contour_at(view: View, level: float) -> tuple[Contour, bool] | None:
+def contour_at(view: SourceView, level: float) -> tuple[Contour, bool] | None:
     """Return the contour of a level over dark, DN, and whether no sector is pulled; None where there is none."""
-    visible = float(seen(np.array([level]), view.noise, view.top)[0][0])
+    visible = float(mean_with_clipping(np.array([level]), view.noise, view.top)[0][0])
     first = _crossings(view.profile[0], view.profile[1][None], visible)[0]
     if np.isinf(first):
         return None
-    sectors = ~_pulled(view, visible, first)
+    sectors = ~_find_pulled_sectors(view, visible, first)
     if sectors.sum() < SECTORS // 3:
         return None
     found = fit_contour(view.signal, view.polar, view.profile, level, max(first, 0.7), view.noise, view.top, sectors)
@@ -159,7 +163,7 @@ def _crossings(radius: Array, means: Array, level: Array | float) -> Array:
     return np.where(never, np.inf, np.where(last == 0, 0.7 * radius[0], out))
 
 
-def _component(view: View, above: Mask) -> Mask:
+def _component(view: SourceView, above: Mask) -> Mask:
     """The part of a mask that hangs together with the source."""
     from scipy import ndimage
 
@@ -168,7 +172,7 @@ def _component(view: View, above: Mask) -> Mask:
     return labels == np.bincount(near).argmax() if len(near) else np.zeros_like(above)
 
 
-def _pulled(view: View, visible: float, first: float) -> Mask:
+def _find_pulled_sectors(view: SourceView, visible: float, first: float) -> Mask:
     """Sectors in which the region reaches clearly farther than rings say, shape (sector,)."""
     if np.isinf(first):
         return np.zeros(SECTORS, bool)
@@ -182,7 +186,7 @@ def _pulled(view: View, visible: float, first: float) -> Mask:
     return pulled | (np.roll(pulled, 1) & (pixels > 0)) | (np.roll(pulled, -1) & (pixels > 0))
 
 
-def _along_columns(view: View, visible: float, beyond: float) -> Mask:
+def _along_columns(view: SourceView, visible: float, beyond: float) -> Mask:
     """Sectors through which columns near the source stay at a level for most of their length, shape (sector,)."""
     out = np.zeros(SECTORS, bool)
     for col in np.flatnonzero(np.abs(view.polar.dx[0]) < COLUMNS_PX):
@@ -193,7 +197,7 @@ def _along_columns(view: View, visible: float, beyond: float) -> Mask:
     return out
 
 
-def _settled(view: View, level: float, radius: float, sectors: Mask) -> Contour | None:
+def _refine_contour(view: SourceView, level: float, radius: float, sectors: Mask) -> Contour | None:
     """The contour fitted where the rings fall through the level, then where it was found."""
     found, width = None, 1.0
     for _ in range(4):
@@ -215,7 +219,9 @@ def _settled(view: View, level: float, radius: float, sectors: Mask) -> Contour 
     return found
 
 
-def _composed(view: View, level_dn: float, visible: float, contour: Contour, sectors: Mask, level_sd: float) -> Extent:
+def _extent_from_contour(
+    view: SourceView, level_dn: float, visible: float, contour: Contour, sectors: Mask, level_sd: float
+) -> Extent:
     """The contour's area, with pixels counted instead where sectors are pulled."""
     inside = contour.inside(view.polar)
     area, variance, region = contour.area, contour.area_sd**2, inside
@@ -244,7 +250,7 @@ def _composed(view: View, level_dn: float, visible: float, contour: Contour, sec
     )
 
 
-def _open(view: View, level_dn: float, crossings: Array) -> Extent:
+def _extent_from_crossings(view: SourceView, level_dn: float, crossings: Array) -> Extent:
     """A level within the noise of a plateau: the rings' crossings are all that is known."""
     finite = np.minimum(crossings, float(view.rings.radius[-1]))
     radius = float(np.median(finite))
@@ -259,7 +265,7 @@ def _open(view: View, level_dn: float, crossings: Array) -> Extent:
     )
 
 
-def _counted(view: View, level_dn: float, visible: float) -> Extent | None:
+def _extent_from_pixels(view: SourceView, level_dn: float, visible: float) -> Extent | None:
     """A region that is not round at all, or as large as the frame: its pixels."""
     noise = float(view.noise.sd(visible)) / np.sqrt(view.noise.frames)
     # Smoothing saves faint contours from fraying, and would wear away sharp narrow streaks.

@@ -26,7 +26,7 @@ REMEDIES = {
 }
 
 
-def explained(measurement: Measurement, effects: Mapping[str, str] | None = None) -> Measurement:
+def add_findings(measurement: Measurement, effects: Mapping[str, str] | None = None) -> Measurement:
     """Return a measurement with the effect and the remedy of each of its flags among its notes.
 
     Parameters

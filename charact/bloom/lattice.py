@@ -6,7 +6,7 @@ from functools import cache, cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from charact.bloom.spread import Spread, nodes
+from charact.bloom.posterior_psf import PosteriorPsf, nodes
 
 Array = NDArray[np.float64]
 
@@ -16,7 +16,7 @@ RADIUS_STEP_PX, REACH_PX = 0.1, 150.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Lattice:
+class FrameGrid:
     """The pixels of a frame, with room around it into which light spreads instead of coming in on the other side.
 
     Parameters
@@ -34,7 +34,7 @@ class Lattice:
     pitch_ratio: float = 1.0
 
     @cached_property
-    def padded(self) -> tuple[int, int]:
+    def transform_shape(self) -> tuple[int, int]:
         """Rows and columns with the room, of quick transforms."""
         from scipy.fft import next_fast_len
 
@@ -44,7 +44,7 @@ class Lattice:
     @cached_property
     def frequency_index(self) -> NDArray[np.int32]:
         """Place in a table of step `FREQUENCY_STEP` of every frequency of a transform, shape (row, half col)."""
-        rows, cols = self.padded
+        rows, cols = self.transform_shape
         down = np.fft.fftfreq(rows) / self.pitch_ratio
         frequency = np.hypot(down[:, None], np.fft.rfftfreq(cols)[None, :])
         return np.rint(frequency / FREQUENCY_STEP).astype(np.int32)
@@ -54,18 +54,20 @@ class Lattice:
         """Frequencies of the table, cy per column pitch."""
         return np.asarray(FREQUENCY_STEP * np.arange(int(self.frequency_index.max()) + 1), np.float64)
 
-    def transformed(self, image: NDArray) -> NDArray[np.complex64]:
+    def forward_transform(self, image: NDArray) -> NDArray[np.complex64]:
         """Transform of a frame with nothing around it."""
         from scipy.fft import rfft2
 
-        return np.asarray(rfft2(np.asarray(image, np.float32), s=self.padded))
+        return np.asarray(rfft2(np.asarray(image, np.float32), s=self.transform_shape))
 
     def filtered(self, transform: NDArray[np.complex64], table: Array) -> NDArray[np.float32]:
         """Frame of a transform times a round transfer function, given as a table over `frequency`."""
         from scipy.fft import irfft2
 
         rows, cols = self.shape
-        back = irfft2(transform * table.astype(np.float32)[self.frequency_index], s=self.padded, overwrite_x=True)
+        back = irfft2(
+            transform * table.astype(np.float32)[self.frequency_index], s=self.transform_shape, overwrite_x=True
+        )
         return np.asarray(back)[:rows, :cols]
 
     def distance(self, row: float, col: float) -> Array:
@@ -88,7 +90,7 @@ class Lattice:
         last = self.shape[0] - 1, self.shape[1] - 1
         return bool(rows.min() == 0 or cols.min() == 0 or rows.max() == last[0] or cols.max() == last[1])
 
-    def laid(self, place: tuple[float, float], profile: Array, pixels: NDArray[np.int64]) -> Array:
+    def point_image(self, place: tuple[float, float], profile: Array, pixels: NDArray[np.int64]) -> Array:
         """What one unit of light at a place leaves in some pixels, for a density against distance, 1/px."""
         rows, cols = np.divmod(pixels, self.shape[1])
         radius = np.hypot((rows - place[0]) * self.pitch_ratio, cols - place[1])
@@ -98,7 +100,7 @@ class Lattice:
         """What one unit of light, spread evenly over some pixels, leaves in the frame, for a transfer as a table."""
         image = np.zeros(self.shape, np.float32)
         image.ravel()[region] = 1.0 / len(region)
-        return self.filtered(self.transformed(image), table)
+        return self.filtered(self.forward_transform(image), table)
 
     def around(self, row: float, col: float) -> tuple[slice, slice]:
         """Rows and columns of the pixels that a source at a place reaches."""
@@ -108,7 +110,7 @@ class Lattice:
         return rows, cols
 
 
-def profiles(spread: Spread) -> Array:
+def profiles(spread: PosteriorPsf) -> Array:
     """Density of every draw of a spread against distance, in steps of `RADIUS_STEP_PX`, shape (draw, radius)."""
     return spread.transfer(nodes()[0]) @ kernel()
 

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.bloom.spot import Spot
+from charact.bloom.point_stack import PointStack
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
 
@@ -32,7 +32,7 @@ CUT_PIXELS, STEEP_SHARE = 0.02, 0.3
 
 
 @dataclass(frozen=True, kw_only=True)
-class OverTime:
+class FrameSeries:
     """What the frames of one stack show one after the other.
 
     Parameters
@@ -73,7 +73,7 @@ class OverTime:
     noise_variance_sd: Array
 
 
-def over_time(spot: Spot, stack: FrameStack, row_pitch: float) -> OverTime:
+def frame_series(spot: PointStack, stack: FrameStack, row_pitch: float) -> FrameSeries:
     """Follow one stack from frame to frame.
 
     Parameters
@@ -96,7 +96,7 @@ def over_time(spot: Spot, stack: FrameStack, row_pitch: float) -> OverTime:
     scatter = float(by_frame.std(ddof=1)) / np.sqrt(len(by_frame)) if len(by_frame) > 1 else 0.0
     variance = data.var(axis=0, ddof=1, dtype=np.float64) if len(data) > 1 else np.zeros(mean.shape)
     light, noise = _light(data, mean, radius, by_frame, tiles, spot)
-    return OverTime(
+    return FrameSeries(
         label=spot.label,
         conditions=spot.conditions,
         dark_dn=spot.dark_dn,
@@ -131,7 +131,7 @@ def _far_tiles(mean: Array, radius: Array, along: Array) -> Mask:
     return take & (np.abs(level - middle) <= TILE_APART * max(spread, 1e-3))
 
 
-def _centres(data: NDArray, mean: Array, noise_dn: float, spot: Spot) -> Array:
+def _centres(data: NDArray, mean: Array, noise_dn: float, spot: PointStack) -> Array:
     """Middle of what is brighter than half the peak, or half of full scale, in each frame."""
     row, col = round(spot.row), round(spot.col)
     span = spot.full_scale_dn - spot.dark_dn
@@ -156,7 +156,7 @@ def _middles(data: NDArray, threshold: float, most: float, begin: tuple[int, int
 
 
 def _light(
-    data: NDArray, mean: Array, radius: Array, background: Array, tiles: Mask, spot: Spot
+    data: NDArray, mean: Array, radius: Array, background: Array, tiles: Mask, spot: PointStack
 ) -> tuple[Array, float]:
     """Light of pixels that are neither cut in any frame nor faint, over its mean, and the noise of dark ones in it."""
     floor = float(background.mean()) + spot.dark_dn
@@ -175,7 +175,7 @@ def _light(
 
 
 def _noise(
-    data: NDArray, mean: Array, variance: Array, radius: Array, angle: Array, tiles: Mask, spot: Spot
+    data: NDArray, mean: Array, variance: Array, radius: Array, angle: Array, tiles: Mask, spot: PointStack
 ) -> dict[str, Array]:
     """Level, variance in time and its error of the background and of rings of about equal level."""
     ring = radius.astype(int)

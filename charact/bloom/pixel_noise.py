@@ -25,7 +25,7 @@ APART_ROWS = 3
 
 
 @dataclass(frozen=True, kw_only=True)
-class Noise:
+class PixelNoise:
     """Variance of a pixel of a single frame, `floor + slope * signal`, DN^2, and the number of frames averaged.
 
     `tied` is the variance of sums of many pixels over that of as many independent ones.
@@ -41,7 +41,7 @@ class Noise:
         return np.sqrt(np.maximum(self.floor + self.slope * np.maximum(signal, 0.0), 1e-6))
 
 
-def seen(mean: Array, noise: Noise, top: float) -> tuple[Array, Array]:
+def mean_with_clipping(mean: Array, noise: PixelNoise, top: float) -> tuple[Array, Array]:
     """Return the mean of a noisy signal cut at `top`, and the share of it that is not cut; shapes of `mean`."""
     from scipy.special import ndtr
 
@@ -52,7 +52,7 @@ def seen(mean: Array, noise: Noise, top: float) -> tuple[Array, Array]:
     return np.where(z >= 30.0, mean, mean * below - sd * density + top * (1.0 - below)), below
 
 
-def noise_of(frames: NDArray, signal: Array, smooth: Array, top: float, polar: Polar, rings: Rings) -> Noise:
+def noise_of(frames: NDArray, signal: Array, smooth: Array, top: float, polar: Polar, rings: Rings) -> PixelNoise:
     """Read the noise of pixels from what frames differ, or of a single frame from what pixels of a ring differ.
 
     Parameters
@@ -82,7 +82,7 @@ def noise_of(frames: NDArray, signal: Array, smooth: Array, top: float, polar: P
     return _line(variance.ravel(), of.ravel(), top, len(frames), tied)
 
 
-def _line(variance: Array, signal: Array, top: float, frames: int, tied: float) -> Noise:
+def _line(variance: Array, signal: Array, top: float, frames: int, tied: float) -> PixelNoise:
     """Variance that grows with the signal, from the faint half of the pixels and from those that are well lit."""
     known = np.isfinite(variance)
     variance, signal = variance[known], signal[known]
@@ -92,14 +92,14 @@ def _line(variance: Array, signal: Array, top: float, frames: int, tied: float) 
     if lit.sum() < FEWEST:
         # All of the noise is laid to the light, as intensified cameras have it.
         slope = max(of_faint - ROUNDING, 0.0) / max(at_faint, LEAST_LIGHT_DN)
-        return Noise(floor=ROUNDING, slope=slope, frames=frames, tied=tied)
+        return PixelNoise(floor=ROUNDING, slope=slope, frames=frames, tied=tied)
     # Medians: pixels at the end of a streak, or across which a source moves, vary more than by their noise.
     at_lit = float(np.median(signal[lit]))
     of_lit = float(np.median(variance[lit])) / _median_share(max(frames - 1, 1))
     if at_lit < APART * at_faint:
-        return Noise(floor=ROUNDING, slope=max(of_lit - ROUNDING, 0.0) / at_lit, frames=frames, tied=tied)
+        return PixelNoise(floor=ROUNDING, slope=max(of_lit - ROUNDING, 0.0) / at_lit, frames=frames, tied=tied)
     slope = max(of_lit - of_faint, 0.0) / max(at_lit - at_faint, 1e-6)
-    return Noise(floor=max(of_faint - slope * at_faint, ROUNDING), slope=slope, frames=frames, tied=tied)
+    return PixelNoise(floor=max(of_faint - slope * at_faint, ROUNDING), slope=slope, frames=frames, tied=tied)
 
 
 def _median_share(freedom: int) -> float:

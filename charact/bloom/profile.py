@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.bloom.spot import LINEAR_SHARE, Spot
+from charact.bloom.point_stack import LINEAR_SHARE, PointStack
 from charact.method import Context
 
 Array = NDArray[np.float64]
@@ -45,13 +45,13 @@ class Profile:
     used: NDArray[np.bool_]
 
 
-def reach_of(spot: Spot, most_px: int = REACH_PX) -> int:
+def reach_of(spot: PointStack, most_px: int = REACH_PX) -> int:
     """Return how many rings fit into the frame around the source, at most `most_px`."""
     rows, cols = spot.image.shape
     return int(max(8, min(most_px, spot.row, spot.col, rows - 1 - spot.row, cols - 1 - spot.col)))
 
 
-def profile_of(spot: Spot, reach_px: int, *, context: Context) -> Profile:
+def profile_of(spot: PointStack, reach_px: int, *, context: Context) -> Profile:
     """Average a stack's mean frame over rings one column pitch wide.
 
     Standard errors come from the scatter of sixteen sectors of each ring, so that noise shared by neighbouring pixels
@@ -74,24 +74,26 @@ def profile_of(spot: Spot, reach_px: int, *, context: Context) -> Profile:
     residual = np.where(cells > 0, total / np.maximum(cells, 1) - mean[:, None], 0.0)
     share = cells / np.maximum(count[:, None], 1)
     raw = (share**2 * residual**2).sum(axis=1) * SECTORS / (SECTORS - 1)
-    sd = np.sqrt(_smoothed(raw * np.maximum(count, 1)) / np.maximum(count, 1))
+    sd = np.sqrt(_geometric_mean(raw * np.maximum(count, 1)) / np.maximum(count, 1))
     return Profile(
         label=spot.label,
         radius_px=centre,
         mean_dn=mean,
         sd_dn=np.maximum(sd, 1e-3),
-        used=_used(mean, value, ring, spot, reach_px) & (count > 0),
+        used=_usable_rings(mean, value, ring, spot, reach_px) & (count > 0),
     )
 
 
-def _smoothed(values: Array) -> Array:
+def _geometric_mean(values: Array) -> Array:
     """Geometric mean over five rings."""
     logs = np.log(np.maximum(values, 1e-9))
     padded = np.pad(logs, 2, mode="edge")
     return np.exp(np.convolve(padded, np.full(5, 0.2), mode="valid") + 0.06)
 
 
-def _used(mean: Array, value: Array, ring: NDArray[np.int64], spot: Spot, reach_px: int) -> NDArray[np.bool_]:
+def _usable_rings(
+    mean: Array, value: Array, ring: NDArray[np.int64], spot: PointStack, reach_px: int
+) -> NDArray[np.bool_]:
     """Rings beyond the last that is saturated, or so bright that its noise meets the highest code."""
     top = spot.dark_dn + LINEAR_SHARE * (spot.full_scale_dn - spot.dark_dn)
     brightest = np.zeros(reach_px)

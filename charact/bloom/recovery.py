@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.bloom.over_time import OverTime
-from labdata.measurement import Measurement, from_draws, refused
+from charact.bloom.over_time import FrameSeries
+from labdata.measurement import Measurement, make_refusal, measurement_from_draws
 
 Array = NDArray[np.float64]
 
@@ -22,7 +22,7 @@ NOISE_SHARE = 0.35
 DRAWS = 2000
 
 
-def goes_out(watched: OverTime) -> int | None:
+def frames_before_switch_off(watched: FrameSeries) -> int | None:
     """Return the number of frames before the source goes out for good, or None where it does not."""
     light = watched.light_by_frame
     if len(light) < LEAST_ON + LEAST_OUT or not np.isfinite(light).all() or light.max() <= 0:
@@ -39,7 +39,7 @@ def goes_out(watched: OverTime) -> int | None:
     return count
 
 
-def recoveries(watched: tuple[OverTime, ...], seed: int, **fields: Any) -> list[Measurement]:
+def recoveries(watched: tuple[FrameSeries, ...], seed: int, **fields: Any) -> list[Measurement]:
     """Return the times until 10 % and 1 % of a source's light are left, of each stack in which it goes out.
 
     Notes
@@ -47,29 +47,29 @@ def recoveries(watched: tuple[OverTime, ...], seed: int, **fields: Any) -> list[
     When it went out is known to lie between two frames: the interval holds it. Between frames the light falls like an
     exponential. Pixels that the lit source saturates are left out.
     """
-    found = [(one, count) for one in watched if (count := goes_out(one)) is not None]
+    found = [(one, count) for one in watched if (count := frames_before_switch_off(one)) is not None]
     if not found:
         reason = "no stack shows the source going out: it must be lit in two frames at least and out in all that follow"
-        return [refused(name, "s", reason, **fields) for name in SHARES]
+        return [make_refusal(name, "s", reason, **fields) for name in SHARES]
     return [_time(one, count, name, seed, **fields) for one, count in found for name in SHARES]
 
 
-def _time(watched: OverTime, count: int, name: str, seed: int, **fields: Any) -> Measurement:
+def _time(watched: FrameSeries, count: int, name: str, seed: int, **fields: Any) -> Measurement:
     common = {"stack": watched.label, **fields}
     if len(watched.time_s) == 0:
-        return refused(name, "s", "the times of the frames are unknown", **common)
+        return make_refusal(name, "s", "the times of the frames are unknown", **common)
     share, lit = SHARES[name], float(watched.light_by_frame[:count].mean())
     noise = watched.light_noise / lit
     if noise > NOISE_SHARE * share:
         reason = f"noise is {100 * noise:.2g} % of the source's light: {100 * share:g} % cannot be told from none"
-        return refused(name, "s", reason, **common)
+        return make_refusal(name, "s", reason, **common)
     left = watched.light_by_frame[count:] / lit
     if left[-1] > share - 2.0 * noise:
         reason = f"at the end of the stack {100 * max(left[-1], 0.0):.2g} % of the light is left"
-        return refused(name, "s", reason, **common)
+        return make_refusal(name, "s", reason, **common)
     rng = np.random.default_rng(seed)
     draws = np.array([_crossing(watched.time_s, left, count, share, noise, rng) for _ in range(DRAWS)])
-    return from_draws(name, "s", draws[np.isfinite(draws)], **common)
+    return measurement_from_draws(name, "s", draws[np.isfinite(draws)], **common)
 
 
 def _crossing(time_s: Array, left: Array, count: int, share: float, noise: float, rng: np.random.Generator) -> float:

@@ -6,30 +6,30 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.bloom.blooms import coarse, provenance
-from charact.bloom.edge import STEP_SEEN, first_radius
-from charact.bloom.finish import finished
+from charact.bloom.common_measurements import add_common_measurements
+from charact.bloom.extent_measurements import provenance, quantisation_flags
+from charact.bloom.halo_edge_step import STEP_SEEN, first_radius
+from charact.bloom.point_stack import DETECTED, PointStack, read_point_stacks
 from charact.bloom.profile import profile_of, reach_of
-from charact.bloom.series.agreement import MISFIT, compared
-from charact.bloom.series.choice import Candidate, candidates
-from charact.bloom.series.gather import gathered
-from charact.bloom.series.shown import forms_evidence, profile_evidence
-from charact.bloom.series.telling import (
+from charact.bloom.series.extent_comparison import MISFIT, compare_extents
+from charact.bloom.series.figure_data import forms_evidence, profile_evidence
+from charact.bloom.series.halo_checks import MISFIT_SHARE, halo_refusal_reason, is_uneven, own_diameters
+from charact.bloom.series.model_selection import FittedHaloModel, candidates
+from charact.bloom.series.ring_series import build_ring_series
+from charact.bloom.series.series_measurements import (
     OF_THE_HALO,
-    glare_told,
-    halo_told,
+    energy_radius_measurements,
+    glare_measurements,
+    halo_measurements,
     levels_apart,
+    mcp_saturation_measurements,
     nearest_px,
-    plate_told,
     several_flag,
-    spread_told,
 )
-from charact.bloom.series.trust import MISFIT_SHARE, is_uneven, own_diameters, why_no_halo
-from charact.bloom.spot import DETECTED, Spot, read_spots
 from charact.bloom.thresholds import CUT_SD
 from charact.method import Context, register
-from charact.posterior import laplace, weighed
-from labdata.measurement import Measurement, Posterior, Result, refused
+from charact.posterior import importance_sample, laplace
+from labdata.measurement import Measurement, Posterior, Result, make_refusal
 from labdata.session import Session
 
 Array = NDArray[np.float64]
@@ -66,27 +66,27 @@ def series_forward(session: Session, *, context: Context) -> Result:
     fitted to ring means of all levels together; the Bayesian information criterion chooses. Each level's light and
     background are its own. A halo is told only where the disc is clearly the best and its edge is tied to one place.
     """
-    spots = read_spots(session, context=context)
+    spots = read_point_stacks(session, context=context)
     fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
-    told = _told(session, spots, context, fields)
-    result = finished(session, spots, told.measurements, told.evidence, context=context, **fields)
-    return result if told.best is None else _agreeing(result, told.best, told.group)
+    told = _analyse_series(session, spots, context, fields)
+    result = add_common_measurements(session, spots, told.measurements, told.evidence, context=context, **fields)
+    return result if told.best is None else _compare_extents(result, told.best, told.group)
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Told:
+class _SeriesResult:
     """What a series says of all its stacks together, and by which form of which stacks."""
 
     measurements: list[Measurement]
     evidence: dict[str, Any]
-    best: Candidate | None = None
-    group: tuple[Spot, ...] = ()
+    best: FittedHaloModel | None = None
+    group: tuple[PointStack, ...] = ()
 
 
-def _agreeing(result: Result, best: Candidate, group: tuple[Spot, ...]) -> Result:
+def _compare_extents(result: Result, best: FittedHaloModel, group: tuple[PointStack, ...]) -> Result:
     """Hold extents against the fitted light; where that fits no ring, none that it shows is sure."""
     if best.problem.misfit.share <= MISFIT_SHARE and not is_uneven(best.problem.series):
-        return replace(result, measurements=compared(best, group, result.measurements))
+        return replace(result, measurements=compare_extents(best, group, result.measurements))
     labels = {one.label for one in group}
     told = (
         one.with_(flags=MISFIT) if one.quantity in EXTENTS and one.stack in labels else one
@@ -95,14 +95,18 @@ def _agreeing(result: Result, best: Candidate, group: tuple[Spot, ...]) -> Resul
     return replace(result, measurements=tuple(told))
 
 
-def _told(session: Session, spots: tuple[Spot, ...], context: Context, fields: dict[str, Any]) -> _Told:
+def _analyse_series(
+    session: Session, spots: tuple[PointStack, ...], context: Context, fields: dict[str, Any]
+) -> _SeriesResult:
     """What the series says, and what the report draws of it."""
     clear = tuple(spot for spot in spots if spot.significance > DETECTED)
     if not clear:
-        return _Told(measurements=_refused("no point source stands out of its surroundings", fields), evidence={})
-    found = gathered(session, clear, context=context)
+        return _SeriesResult(
+            measurements=_refuse_halo("no point source stands out of its surroundings", fields), evidence={}
+        )
+    found = build_ring_series(session, clear, context=context)
     if isinstance(found, str):
-        return _Told(measurements=_refused(found, fields), evidence={})
+        return _SeriesResult(measurements=_refuse_halo(found, fields), evidence={})
     series, group = found
     context.progress("forms of the source's light", 0.9)
     has_tube = context.sensor is not None or any(one.conditions.mcp_v is not None for one in group)
@@ -112,27 +116,29 @@ def _told(session: Session, spots: tuple[Spot, ...], context: Context, fields: d
     best = forms[0]
     context.progress("posterior of the series", 0.95)
     posterior = _posterior(best, context)
-    reason = why_no_halo(forms)
+    reason = halo_refusal_reason(forms)
     own = own_diameters(best) if reason is None else None
-    flags = _flags(best, posterior, own) + coarse(min(group, key=lambda one: one.full_scale_dn - one.dark_dn))
+    flags = _flags(best, posterior, own) + quantisation_flags(
+        min(group, key=lambda one: one.full_scale_dn - one.dark_dn)
+    )
     notes = _notes(context, group, spots)
     if own is None:
-        said = _refused(reason or "", fields)
+        said = _refuse_halo(reason or "", fields)
     else:
-        said = halo_told(best, posterior, own, group, flags, notes, fields)
+        said = halo_measurements(best, posterior, own, group, flags, notes, fields)
     flags += several_flag(group)
-    said += spread_told(best, posterior, flags, notes, fields)
-    said += glare_told(best, posterior, group, flags, notes, fields)
-    said += plate_told(forms, posterior, flags, notes, fields) if has_tube else []
+    said += energy_radius_measurements(best, posterior, flags, notes, fields)
+    said += glare_measurements(best, posterior, group, flags, notes, fields)
+    said += mcp_saturation_measurements(forms, posterior, flags, notes, fields) if has_tube else []
     evidence = profile_evidence(best, posterior, own) | forms_evidence(forms, quick=context.quick)
-    return _Told(measurements=said, evidence=evidence, best=best, group=group)
+    return _SeriesResult(measurements=said, evidence=evidence, best=best, group=group)
 
 
-def _refused(reason: str, fields: dict[str, Any]) -> list[Measurement]:
-    return [refused(quantity, unit, reason, **fields) for quantity, unit in OF_THE_HALO]
+def _refuse_halo(reason: str, fields: dict[str, Any]) -> list[Measurement]:
+    return [make_refusal(quantity, unit, reason, **fields) for quantity, unit in OF_THE_HALO]
 
 
-def _posterior(best: Candidate, context: Context) -> Posterior:
+def _posterior(best: FittedHaloModel, context: Context) -> Posterior:
     """Draws of the best form's parameters."""
     asked: dict[str, Any] = {
         "names": best.form.names,
@@ -147,10 +153,10 @@ def _posterior(best: Candidate, context: Context) -> Posterior:
         if not _is_cut(best, gaussian):
             return gaussian
     enough = ENOUGH_QUICKLY if context.quick else ENOUGH
-    return weighed(best.problem.log_probability, enough=enough, first_draws=FIRST_DRAWS, **asked)
+    return importance_sample(best.problem.log_probability, enough=enough, first_draws=FIRST_DRAWS, **asked)
 
 
-def _is_cut(best: Candidate, gaussian: Posterior) -> bool:
+def _is_cut(best: FittedHaloModel, gaussian: Posterior) -> bool:
     """Whether bounds cut a Gaussian so that its peak is not the middle of its diameters: its width says little then."""
     if best.form.halo != "disc":
         return False
@@ -159,7 +165,7 @@ def _is_cut(best: Candidate, gaussian: Posterior) -> bool:
     return abs(away) > CUT_SD * float(np.std(diameter))
 
 
-def _flags(best: Candidate, posterior: Posterior, own: tuple[Array, Array, Array] | None) -> tuple[str, ...]:
+def _flags(best: FittedHaloModel, posterior: Posterior, own: tuple[Array, Array, Array] | None) -> tuple[str, ...]:
     """What speaks against the numbers; bounds of nuisance parameters harm nothing."""
     from scipy.stats import chi2
 
@@ -176,7 +182,7 @@ def _flags(best: Candidate, posterior: Posterior, own: tuple[Array, Array, Array
     return flags + (("model-misfit",) if freedom and chi2.sf(apart, freedom) < CONSTANT else ())
 
 
-def _notes(context: Context, group: tuple[Spot, ...], spots: tuple[Spot, ...]) -> tuple[str, ...]:
+def _notes(context: Context, group: tuple[PointStack, ...], spots: tuple[PointStack, ...]) -> tuple[str, ...]:
     notes = ("the row pitch is unknown: pixels are taken as square",) if context.sensor is None else ()
     if np.isfinite(nearest_px(group)):
         notes += (f"pixels nearer to another source, {nearest_px(group):.0f} px away or more, are left out",)

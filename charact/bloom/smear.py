@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.bloom.columns import ROUNDED_DN, Upright, upright
-from charact.bloom.grain import Grain, grain_of
-from charact.bloom.spot import DETECTED, Spot
+from charact.bloom.column_artefacts import ROUNDED_DN, ColumnArtefacts, compare_columns
+from charact.bloom.mean_frame_noise import MeanFrameNoise, grain_of
+from charact.bloom.point_stack import DETECTED, PointStack
 from charact.bloom.streak import FULL_SHARE
 from charact.method import Context
-from labdata.measurement import Measurement, from_sd, refused
+from labdata.measurement import Measurement, make_refusal, measurement_from_sd
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -90,7 +90,9 @@ class Smear:
     uneven: bool
 
 
-def smear_measurement(spots: tuple[Spot, ...], context: Context, **fields: Any) -> tuple[Measurement, dict[str, Any]]:
+def smear_measurement(
+    spots: tuple[PointStack, ...], context: Context, **fields: Any
+) -> tuple[Measurement, dict[str, Any]]:
     """Return the smear fraction of a series of stacks, and what the report draws of it.
 
     Parameters
@@ -111,34 +113,34 @@ def smear_measurement(spots: tuple[Spot, ...], context: Context, **fields: Any) 
     clear = tuple(spot for spot in spots if spot.significance > DETECTED)
     core = core_of(clear, context)
     if isinstance(core, str):
-        return refused("smear_fraction", "1", core, **fields), {}
+        return make_refusal("smear_fraction", "1", core, **fields), {}
     read = [_smear_of(spot, core, context) for spot in clear if (_light(spot) or 0.0) > LEAST_RATIO * core_light(clear)]
     found = [one for one in read if isinstance(one, Smear)]
     rows = clear[0].image.shape[0]
     evidence = {"bloom-smear": _evidence(found, core, rows)} if found else {}
     if not found:
         reason = next((one for one in read if isinstance(one, str)), "no stack is brighter than the unsaturated one")
-        return refused("smear_fraction", "1", reason, **fields), evidence
+        return make_refusal("smear_fraction", "1", reason, **fields), evidence
     return _fraction(found, core, rows, **fields), evidence
 
 
-def core_light(spots: tuple[Spot, ...]) -> float:
+def core_light(spots: tuple[PointStack, ...]) -> float:
     """Light of the brightest unsaturated stack; 0 where there is none."""
     return max((_light(spot) or 0.0 for spot in spots if _linear(spot)), default=0.0)
 
 
-def _light(spot: Spot) -> float | None:
+def _light(spot: PointStack) -> float | None:
     lux = spot.conditions.illuminance_lux
     return None if lux is None else lux * (spot.conditions.gate_ns or 1.0)
 
 
-def _linear(spot: Spot) -> bool:
+def _linear(spot: PointStack) -> bool:
     row, col = round(spot.row), round(spot.col)
     peak = float(spot.image[max(0, row - 2) : row + 3, max(0, col - 2) : col + 3].max())
     return peak - spot.dark_dn < LINEAR_SHARE * (spot.full_scale_dn - spot.dark_dn)
 
 
-def core_of(spots: tuple[Spot, ...], context: Context) -> Core | str:
+def core_of(spots: tuple[PointStack, ...], context: Context) -> Core | str:
     """Sum the light of each column of the brightest unsaturated stack; or say why that cannot be."""
     if not spots:
         return "no point source stands out of its surroundings"
@@ -187,11 +189,11 @@ def _contrast(image: Array, rows: Mask, half: int, col: int) -> tuple[float, flo
     return float(everywhere[col]), max(spread, ROUNDED_DN / np.sqrt(rows.sum()))
 
 
-def _smear_of(spot: Spot, core: Core, context: Context) -> Smear | str:
+def _smear_of(spot: PointStack, core: Core, context: Context) -> Smear | str:
     """Even light of one stack's core columns; or why it cannot be told."""
     col, half = round(spot.col), core.half_width_px
     # Round light is taken away first: across a halo or a wing it is bent enough to pass for a faint column.
-    found = upright(spot, context, half_width_px=spot.image.shape[1])
+    found = compare_columns(spot, context, half_width_px=spot.image.shape[1])
     middle = slice(max(0, col - half), col + half + 1)
     far = _far_rows(found, middle, grain_of(spot.image, spot.col, spot.dark_dn))
     above, below = far & (found.row_offset < 0), far & (found.row_offset > 0)
@@ -213,7 +215,7 @@ def _smear_of(spot: Spot, core: Core, context: Context) -> Smear | str:
     return Smear(label=spot.label, light=_light(spot) or 0.0, level_dn=level, level_sd_dn=sd, uneven=bool(uneven))
 
 
-def _far_rows(found: Upright, middle: slice, grain: Grain) -> Mask:
+def _far_rows(found: ColumnArtefacts, middle: slice, grain: MeanFrameNoise) -> Mask:
     """Rows beyond the streak, without those that the halo makes noisy: what they hold is even."""
     excess = found.excess_dn[:, middle].max(axis=1)
     noise = np.sqrt(grain.floor_variance)
@@ -250,7 +252,7 @@ def _fraction(found: list[Smear], core: Core, rows: int, **fields: Any) -> Measu
     if not seen.any():
         most = max(mean, 0.0) + 2.0 * total
         reason = f"no stack shows smear: it is at most {most:.2g} of a column's light, if the light rose as stated"
-        return refused("smear_fraction", "1", reason, **fields)
+        return make_refusal("smear_fraction", "1", reason, **fields)
     flags = ()
     if light[seen].max() < LEAST_RATIO * light[seen].min():
         flags += ("extrapolated",)
@@ -258,7 +260,7 @@ def _fraction(found: list[Smear], core: Core, rows: int, **fields: Any) -> Measu
         flags += ("nonlinear",)
     if any(one.uneven for one, here in zip(found, seen, strict=True) if here):
         flags += ("model-misfit",)
-    return from_sd("smear_fraction", "1", mean, total, flags=flags, **fields)
+    return measurement_from_sd("smear_fraction", "1", mean, total, flags=flags, **fields)
 
 
 def _between(share: Array, sd: Array) -> float:

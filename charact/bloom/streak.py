@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.bloom.columns import FIRST_ROW_PX, Upright, upright
-from charact.bloom.grain import Grain, grain_of
-from charact.bloom.spot import DETECTED, Spot
+from charact.bloom.column_artefacts import FIRST_ROW_PX, ColumnArtefacts, compare_columns
+from charact.bloom.mean_frame_noise import MeanFrameNoise, grain_of
+from charact.bloom.point_stack import DETECTED, PointStack
 from charact.method import Context
-from labdata.measurement import Measurement, from_sd, refused
+from labdata.measurement import Measurement, make_refusal, measurement_from_sd
 
 Array = NDArray[np.float64]
 
@@ -60,7 +60,7 @@ class Streak:
     uneven: bool
 
 
-def streak_of(spot: Spot, context: Context) -> Streak:
+def streak_of(spot: PointStack, context: Context) -> Streak:
     """Read the column of a source.
 
     Notes
@@ -69,7 +69,7 @@ def streak_of(spot: Spot, context: Context) -> Streak:
     sharp ends, the last pixels partly filled. Rows count as far as the noise leaves it sure that their mean is above
     the level. In interlaced frames the two fields overflow each by itself: near the ends every second row counts.
     """
-    found = upright(spot, context)
+    found = compare_columns(spot, context)
     grain = grain_of(spot.image, spot.col, spot.dark_dn)
     length, sd = _rows_above(spot, grain, round(spot.col))
     other = round(spot.col) + (1 if spot.col > round(spot.col) else -1)
@@ -96,7 +96,7 @@ def streak_of(spot: Spot, context: Context) -> Streak:
     )
 
 
-def _rows_above(spot: Spot, grain: Grain, col: int) -> tuple[float, float]:
+def _rows_above(spot: PointStack, grain: MeanFrameNoise, col: int) -> tuple[float, float]:
     """Rows of a column whose mean lies at or above half of full scale, and the standard error of their number."""
     from scipy.special import ndtr
 
@@ -111,7 +111,7 @@ def _rows_above(spot: Spot, grain: Grain, col: int) -> tuple[float, float]:
     return rows, float(np.sqrt(max(counted, spilled, seen) + COUNTING_PX**2))
 
 
-def _full_rows(spot: Spot, found: Upright, side: int) -> NDArray[np.int64]:
+def _full_rows(spot: PointStack, found: ColumnArtefacts, side: int) -> NDArray[np.int64]:
     """Rows above (-1) or below (1) the source that overflow fills, partly filled ends left out."""
     outward = np.flatnonzero(found.row_offset * side >= FIRST_ROW_PX)[::side]
     place = int(np.clip(round(spot.col) - found.first_col, 0, found.sd_dn.shape[1] - 1))
@@ -131,7 +131,7 @@ def _full_rows(spot: Spot, found: Upright, side: int) -> NDArray[np.int64]:
     return outward[bright]
 
 
-def streak_measurements(spot: Spot, context: Context, **fields: Any) -> list[Measurement]:
+def streak_measurements(spot: PointStack, context: Context, **fields: Any) -> list[Measurement]:
     """Return length and level of one stack's streak.
 
     The length is defined whether wells overflow or not: it is a chord of the bloom then. A level is refused where none
@@ -142,20 +142,20 @@ def streak_measurements(spot: Spot, context: Context, **fields: Any) -> list[Mea
     if spot.significance < DETECTED:
         reason = f"no point source: the brightest spot stands {spot.significance:.1f} standard deviations out, not 8"
         names = (("streak_length", "px"), ("streak_level", "DN"))
-        return [refused(name, unit, reason, **common) for name, unit in names]
+        return [make_refusal(name, unit, reason, **common) for name, unit in names]
     streak = streak_of(spot, context)
     flags = ("window-too-small",) if streak.meets_border or spot.touches_border else ()
     flags += ("several-targets",) if streak.uneven else ()
     if streak.length_px < 0.5:
         reason = f"the source stays below half of full scale, {level:.4g} DN"
-        length = refused("streak_length", "px", reason, **common)
+        length = make_refusal("streak_length", "px", reason, **common)
     else:
         sd = streak.length_sd_px if spot.dark_known else float(np.hypot(streak.length_sd_px, _lower_rows(spot) / 1.96))
-        length = from_sd("streak_length", "px", streak.length_px, sd, flags=flags, **common)
+        length = measurement_from_sd("streak_length", "px", streak.length_px, sd, flags=flags, **common)
     return [length, _level(streak, flags, **common)]
 
 
-def _lower_rows(spot: Spot) -> float:
+def _lower_rows(spot: PointStack) -> float:
     """Rows by which a streak is longer where the level without light is 0 and not what most pixels show."""
     column = spot.image[:, int(np.clip(round(spot.col), 0, spot.image.shape[1] - 1))]
     return float((column >= 0.5 * spot.full_scale_dn).sum()) - spot.streak_px
@@ -164,12 +164,12 @@ def _lower_rows(spot: Spot) -> float:
 def _level(streak: Streak, flags: tuple[str, ...], **common: Any) -> Measurement:
     if not streak.overflows:
         reason = "no wells overflow: above and below the source it is no brighter than beside it"
-        return refused("streak_level", "DN", reason, **common)
+        return make_refusal("streak_level", "DN", reason, **common)
     if streak.clipped and streak.meets_border:
         reason = "the column is at the highest code up to the frame's border: a streak and smear look alike there"
-        return refused("streak_level", "DN", reason, **common)
+        return make_refusal("streak_level", "DN", reason, **common)
     if streak.clipped:
         flags += ("clipped",)
         note = "the wells hold at least so much: the streak is at the highest code"
         common["notes"] = (*common.get("notes", ()), note)
-    return from_sd("streak_level", "DN", streak.level_dn, streak.level_sd_dn, flags=flags, **common)
+    return measurement_from_sd("streak_level", "DN", streak.level_dn, streak.level_sd_dn, flags=flags, **common)

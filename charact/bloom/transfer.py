@@ -58,7 +58,7 @@ def matern(frequency: Array, sd_px: Array, peak: Array) -> Array:
     return np.exp(-np.log1p(0.5 * power * (2.0 * np.pi * sd_px[:, None] * frequency) ** 2) / power)
 
 
-def bounced(elastic: Array) -> Array:
+def backscatter_profile(elastic: Array) -> Array:
     """Return the profile of electrons that bounced off a plate, shape (draw, fraction), by their elastic fraction."""
     return np.stack([elastic, 1.0 - elastic, 0.0 * elastic, 0.0 * elastic], axis=-1)
 

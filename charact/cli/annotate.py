@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.cli.captions import Box, placed
+from charact.cli.captions import Box, place_captions
 from charact.cli.output import Frequency, in_cycles_per_pixel
-from labdata.durable import write_durably
+from labdata.atomic_write import write_atomically
 from labdata.errors import BadInput
 from labdata.flags import FLAGS
 from labdata.frames import FrameStack
@@ -23,7 +23,9 @@ LINE_PX, DASH_PX = 18, 12
 INK, PAPER = (255, 255, 255), (25, 25, 25)
 
 
-def annotated(stack: FrameStack, result: Result, path: Path, frequency: Frequency = in_cycles_per_pixel) -> None:
+def write_annotated_image(
+    stack: FrameStack, result: Result, path: Path, frequency: Frequency = in_cycles_per_pixel
+) -> None:
     """Write the mean frame as PNG with the regions of a result drawn in, whole or not at all.
 
     Parameters
@@ -38,19 +40,19 @@ def annotated(stack: FrameStack, result: Result, path: Path, frequency: Frequenc
     """
     import cv2
 
-    ok, encoded = cv2.imencode(".png", drawn(stack, result, frequency))
+    ok, encoded = cv2.imencode(".png", render_annotations(stack, result, frequency))
     if not ok:
         raise BadInput(f"the annotated picture could not be encoded for {path}")
-    write_durably(path, encoded.tobytes())
+    write_atomically(path, encoded.tobytes())
 
 
-def must_be_png(path: Path) -> None:
+def require_png(path: Path) -> None:
     """Refuse a file that is not named .png."""
     if path.suffix.lower() != ".png":
         raise BadInput(f"--annotate must name a .png file, got {path.name!r}")
 
 
-def drawn(stack: FrameStack, result: Result, frequency: Frequency = in_cycles_per_pixel) -> Picture:
+def render_annotations(stack: FrameStack, result: Result, frequency: Frequency = in_cycles_per_pixel) -> Picture:
     """Return the annotated picture, shape (row, col, 3), blue, green, red.
 
     Every region has a frame in the colour and the line of its verdict, and a caption with the number and its 95 %
@@ -59,7 +61,7 @@ def drawn(stack: FrameStack, result: Result, frequency: Frequency = in_cycles_pe
     import cv2
 
     scale = max(1, int(np.ceil(LEAST_WIDTH_PX / stack.shape[2])))
-    grey = cv2.resize(_stretched(stack), None, fx=scale, fy=scale, interpolation=cv2.INTER_NEAREST)
+    grey = cv2.resize(_stretch_grey(stack), None, fx=scale, fy=scale, interpolation=cv2.INTER_NEAREST)
     picture = np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), np.uint8)
     shown = _one_a_region(result)
     boxes = [_box(measurement, stack, scale) for measurement in shown]
@@ -68,13 +70,13 @@ def drawn(stack: FrameStack, result: Result, frequency: Frequency = in_cycles_pe
     captions = [_caption(m, frequency, alone=len(shown) == 1) for m in shown]
     sizes = [(LINE_PX * len(lines) + 8, max(_width(line) for line in lines) + 12) for lines in captions]
     for measurement, box, lines, place in zip(
-        shown, boxes, captions, placed(boxes, sizes, picture.shape[:2]), strict=True
+        shown, boxes, captions, place_captions(boxes, sizes, picture.shape[:2]), strict=True
     ):
         _write(picture, lines, place, box, measurement.status)
     return np.concatenate([picture, _legend(shown, frequency, picture.shape[1])])
 
 
-def _stretched(stack: FrameStack) -> Picture:
+def _stretch_grey(stack: FrameStack) -> Picture:
     mean = stack.data.mean(axis=0)
     low, high = np.percentile(mean, (0.5, 99.5))
     return (np.clip((mean - low) / max(high - low, 1e-12), 0, 1) * 255).astype(np.uint8)

@@ -9,21 +9,21 @@ import typer
 
 from charact import __version__
 from charact.cli import (
-    acquisition,
-    conforming,
-    doctoring,
-    importing,
-    looking,
-    loop,
+    acquire,
+    conform,
+    demo,
+    doctor,
+    import_session,
+    live,
     mtf,
-    planning,
+    plan,
     reference,
     securing,
     sessions,
-    simulation,
+    simulate,
     studies,
     temperatures,
-    watching,
+    watch,
 )
 
 app = typer.Typer(
@@ -55,18 +55,18 @@ def charact(
 
 
 app.add_typer(mtf.app, name="mtf")
-app.add_typer(importing.app, name="import")
+app.add_typer(import_session.app, name="import")
 for verbs in (
-    loop,
-    simulation,
+    demo,
+    simulate,
     temperatures,
-    planning,
-    acquisition,
+    plan,
+    acquire,
     securing,
-    looking,
-    watching,
-    doctoring,
-    conforming,
+    live,
+    watch,
+    doctor,
+    conform,
     sessions,
     studies,
     reference,

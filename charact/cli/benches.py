@@ -6,24 +6,24 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from charact.cli.cameras import camera_named
-from charact.cli.output import say
+from charact.cli.output import print_message
 from charact.cli.progress import Progress
 from labdata.dose_ledger import DoseLedger, ledger_of
 from labdata.errors import BadInput
+from labdata.instrument_config import InstrumentConfig, Role
 from labdata.limits import limits_in_force
 from labdata.plan import Plan
 from labdata.sensor import Sensor
 from labdata.session import Session
 from labdata.tube_dose import warnings
-from labdata.wires import Role, Wires
 
 if TYPE_CHECKING:
     from drivers.bench.client import BenchClient
     from drivers.bench.local_bench import LocalBench
     from drivers.interface import Camera, Operator
     from drivers.serial_lines.line import InstrumentLine
-    from simulate.rig.bench import VirtualBench
-    from simulate.rig.fault_script import FaultScript
+    from simulate.virtual_bench.bench import VirtualBench
+    from simulate.virtual_bench.fault_script import FaultScript
 
 SAFETY_LOG = "safety.jsonl"
 DOSE = "dose.jsonl"
@@ -46,13 +46,13 @@ def bench_folder(session: Path) -> Path:
     return session.with_name(session.name + ".bench")
 
 
-def take(
+def acquire_session(
     plan: Plan,
     session: Path,
     *,
     resume: bool,
     progress: Progress,
-    tell: Callable[[str], None] = say,
+    tell: Callable[[str], None] = print_message,
     rehearse: "FaultScript | None" = None,
 ) -> Session:
     """Run a plan on the bench that it names and return the session; `rehearse`: faults that strike it meanwhile."""
@@ -87,23 +87,23 @@ def _on_virtual_bench(
     script: "FaultScript | None",
 ) -> Session:
     from drivers.instruments.models import lines_on
-    from simulate.rig.bench import VirtualBench
+    from simulate.virtual_bench.bench import VirtualBench
 
     sensor = _virtual_sensor(plan)
     folder = bench_folder(session)
     virtual_bench = VirtualBench(folder, sensor, plan.seed, wires=plan.wires, lamp=plan.lamp, say=tell)
-    with virtual_bench as virtual, _rehearsed(script, virtual, session, tell):
+    with virtual_bench as virtual, _fault_rehearsal(script, virtual, session, tell):
         session.parent.mkdir(parents=True, exist_ok=True)
         lines = None if virtual.inside is None else lines_on(virtual.inside.ports, virtual.wires)
         bench = _bench(plan, session, sensor, wires=virtual.wires, log=folder / SAFETY_LOG, lines=lines)
-        camera, operator = _eye(plan, virtual, tell), virtual.operator
-        return _acquired(plan, session, camera, bench, operator, resume=resume, progress=progress, tell=tell)
+        camera, operator = _virtual_camera(plan, virtual, tell), virtual.operator
+        return _acquire_session(plan, session, camera, bench, operator, resume=resume, progress=progress, tell=tell)
 
 
 def _virtual_sensor(plan: Plan) -> Sensor:
     """Return the sensor of a plan for the virtual bench, which must name one and take its mains as they are."""
     from labdata.sensors import load_sensor
-    from simulate.rig.delay_generator import LINE_HZ
+    from simulate.virtual_bench.delay_generator import LINE_HZ
 
     if plan.sensor is None:
         raise BadInput("a plan for the virtual bench must name its sensor, got none")
@@ -112,20 +112,22 @@ def _virtual_sensor(plan: Plan) -> Sensor:
     return load_sensor(plan.sensor)
 
 
-def _rehearsed(
+def _fault_rehearsal(
     script: "FaultScript | None", virtual: "VirtualBench", session: Path, tell: Callable[[str], None]
 ) -> AbstractContextManager[object]:
     """Let faults strike a virtual bench while a session is taken."""
     if script is None:
         return nullcontext()
     from drivers.acquisition.acquire import LOG
-    from simulate.rig.rehearsal import Rehearsal
+    from simulate.virtual_bench.rehearsal import Rehearsal
 
     log = bench_folder(session) / REHEARSAL
     return Rehearsal(script, provoke=virtual.provoke, steps=session / LOG, log=log, say=tell)
 
 
-def _eye(plan: Plan, virtual: "VirtualBench", tell: Callable[[str], None]) -> "AbstractContextManager[Camera]":
+def _virtual_camera(
+    plan: Plan, virtual: "VirtualBench", tell: Callable[[str], None]
+) -> "AbstractContextManager[Camera]":
     """Return the virtual bench's own camera, or the one that the plan names in its place."""
     if plan.wires.camera is not None:
         return camera_named(plan.wires.camera, tell=tell)
@@ -146,7 +148,7 @@ def _on_real_bench(
     camera = camera_named(plan.wires.camera, tell=tell)
     bench = _bench(plan, session, sensor, wires=plan.wires, log=session.with_name(f"{session.name}.{SAFETY_LOG}"))
     operator = PromptingOperator() if plan.lamp is None else TargetPlacer()
-    return _acquired(plan, session, camera, bench, operator, resume=resume, progress=progress, tell=tell)
+    return _acquire_session(plan, session, camera, bench, operator, resume=resume, progress=progress, tell=tell)
 
 
 def _bench(
@@ -154,7 +156,7 @@ def _bench(
     session: Path,
     sensor: Sensor | None,
     *,
-    wires: Wires,
+    wires: InstrumentConfig,
     log: Path,
     lines: "Mapping[Role, InstrumentLine] | None" = None,
 ) -> "BenchClient | LocalBench":
@@ -176,7 +178,7 @@ def _bench(
     )
 
 
-def _acquired(
+def _acquire_session(
     plan: Plan,
     session: Path,
     camera: "AbstractContextManager[Camera]",

@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 
 from charact.method import Context
-from labdata.durable import write_durably
+from labdata.atomic_write import write_atomically
 from labdata.errors import BadInput
 from labdata.measurement import Result
 from labdata.session import Session
 
 
-def mapped(session: Session, result: Result, context: Context, *, label: str | None, path: Path) -> None:
+def write_bloom_map(session: Session, result: Result, context: Context, *, label: str | None, path: Path) -> None:
     """Write the bloom map of a stack of a session.
 
     Parameters
@@ -34,7 +34,7 @@ def mapped(session: Session, result: Result, context: Context, *, label: str | N
     """
     if path.suffix.lower() not in (".png", ".npz"):
         raise BadInput(f"--map must name a .png or .npz file, got {path.name!r}")
-    from charact.bloom.mapping import evidence_of, map_of
+    from charact.bloom.session_bloom_map import evidence_of, map_of
 
     found, signal = map_of(session, result, label=label, context=context)
     content = io.BytesIO()
@@ -43,11 +43,13 @@ def mapped(session: Session, result: Result, context: Context, *, label: str | N
             content, signal_dn=signal.astype(np.float32), fraction=found.fraction, sd=found.sd,
             blooming_dn=found.blooming_dn, clipped=found.clipped, near_border=found.near_border, near_px=found.near_px,
         )  # fmt: skip
-        write_durably(path, content.getbuffer())
+        write_atomically(path, content.getbuffer())
         return
-    from charact.report.bloom_pictures import bloom_map
-    from charact.report.style import on_paper
+    from charact.report.bloom_images import plot_bloom_map
+    from charact.report.style import white_style
 
-    with on_paper():
-        bloom_map({**evidence_of(found, signal), "aspect": context.pitch_ratio}).savefig(content, format="png", dpi=130)
-    write_durably(path, content.getbuffer())
+    with white_style():
+        plot_bloom_map({**evidence_of(found, signal), "aspect": context.pitch_ratio}).savefig(
+            content, format="png", dpi=130
+        )
+    write_atomically(path, content.getbuffer())

@@ -4,14 +4,14 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING
 
-from charact.cli.output import say
+from charact.cli.output import print_message
 from labdata.errors import BadInput
 
 if TYPE_CHECKING:
     from drivers.interface import Camera
 
 
-def camera_named(name: str | None, *, tell: Callable[[str], None] = say) -> "AbstractContextManager[Camera]":
+def camera_named(name: str | None, *, tell: Callable[[str], None] = print_message) -> "AbstractContextManager[Camera]":
     """Return the camera of a name, not yet open.
 
     Parameters

@@ -12,7 +12,9 @@ RING_STEP_PX, RINGS, DIRECTIONS = 14, 24, 16
 LEAST_HEART_PX, COVERED_PX = 14, 250.0
 
 
-def placed(boxes: Sequence[Box], sizes: Sequence[tuple[int, int]], frame: tuple[int, ...]) -> list[tuple[int, int]]:
+def place_captions(
+    boxes: Sequence[Box], sizes: Sequence[tuple[int, int]], frame: tuple[int, ...]
+) -> list[tuple[int, int]]:
     """Return top and left of the caption of each box.
 
     Parameters

@@ -7,11 +7,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
-from charact.cli.one_picture import must_be_a_session
+from charact.cli.single_image import require_session
 from labdata.errors import BadInput
 
 if TYPE_CHECKING:
-    from charact.bench.source import Source
+    from charact.live.frame_source import FrameSource
     from charact.method import Context
     from labdata.plan import Plan, Step
 
@@ -22,13 +22,13 @@ VIRTUAL_SENSOR = "pulnix-ag5745ef3"
 def live_source(
     *, camera: str | None, plan: Path | None, session: Path | None, bits: int | None, seed: int,
     tell: Callable[[str], None],
-) -> "Iterator[Source]":  # fmt: skip
+) -> "Iterator[FrameSource]":  # fmt: skip
     """Yield where the frames come from.
 
     Parameters
     ----------
     camera
-        A camera as a plan names it, see `labdata.plan.Wires`.
+        A camera as a plan names it, see `labdata.plan.InstrumentConfig`.
     plan
         A plan: its camera, or the virtual bench with what its first lit target asks for.
     session
@@ -46,9 +46,9 @@ def live_source(
         raise BadInput(f"--bits must lie between 1 and 32, got {bits}")
     full_scale_dn = None if bits is None else float(2**bits - 1)
     if session is not None:
-        from charact.bench.growing import SessionSource
+        from charact.live.growing_session import SessionSource
 
-        must_be_a_session(session)
+        require_session(session)
         yield SessionSource(session)
         return
     asked = None if plan is None else _plan(plan)
@@ -56,23 +56,23 @@ def live_source(
         with _virtual(asked, seed, full_scale_dn, tell) as source:
             yield source
         return
-    yield _named(camera or (asked.wires.camera if asked else None), asked, full_scale_dn, tell)
+    yield _camera_source(camera or (asked.wires.camera if asked else None), asked, full_scale_dn, tell)
 
 
 def _plan(path: Path) -> "Plan":
-    from labdata.border import from_toml
     from labdata.plan import Plan
+    from labdata.serialiser import from_toml
 
     plan = from_toml(path, Plan)
     beside = path.parent / (plan.sensor or "")
     return replace(plan, sensor=str(beside.resolve())) if plan.sensor and beside.is_file() else plan
 
 
-def _named(
+def _camera_source(
     camera: str | None, plan: "Plan | None", full_scale_dn: float | None, tell: Callable[[str], None]
-) -> "Source":
-    from charact.bench.source import CameraSource
+) -> "FrameSource":
     from charact.cli.cameras import camera_named
+    from charact.live.frame_source import CameraSource
 
     return CameraSource(
         camera_named(camera, tell=tell),
@@ -84,8 +84,8 @@ def _named(
 
 def _frames_each(camera: str) -> int:
     """Return how many frames one capture may ask for: a recording plays what it holds, again and again."""
-    from charact.bench.source import ENDLESS
-    from labdata.opened import open_stack
+    from charact.live.frame_source import ENDLESS
+    from labdata.lazy_stack import open_lazy_stack
     from labdata.session import open_session
 
     kind, _, place = camera.partition(":")
@@ -94,20 +94,20 @@ def _frames_each(camera: str) -> int:
     folder, _, label = place.partition("#")
     session = open_session(folder)
     stacks = (session.stack(label),) if label else session.stacks
-    return min(len(open_stack(stack)) for stack in stacks)
+    return min(len(open_lazy_stack(stack)) for stack in stacks)
 
 
 @contextmanager
 def _virtual(
     plan: "Plan | None", seed: int, full_scale_dn: float | None, tell: Callable[[str], None]
-) -> "Iterator[Source]":
+) -> "Iterator[FrameSource]":
     """The virtual camera, its tube as somebody left it: gate and gain of the step shown, moved by nobody."""
-    from charact.bench.source import CameraSource
+    from charact.live.frame_source import CameraSource
     from labdata.sensors import load_sensor
-    from simulate.rig.in_process_camera import InProcessCamera
-    from simulate.rig.operator import VirtualOperator
-    from simulate.rig.outputs import Outputs
-    from simulate.rig.truth_folder import TRUTH, make_truth
+    from simulate.virtual_bench.in_process_camera import InProcessCamera
+    from simulate.virtual_bench.operator import VirtualOperator
+    from simulate.virtual_bench.outputs import Outputs
+    from simulate.virtual_bench.truth_folder import TRUTH, load_or_draw_truth
 
     name = plan.sensor if plan and plan.sensor else VIRTUAL_SENSOR
     sensor, step = load_sensor(name), _step(plan)
@@ -121,7 +121,7 @@ def _virtual(
     )
     with TemporaryDirectory(prefix="charact-live-") as made:
         folder = Path(made)
-        make_truth(folder / TRUTH, sensor, seed if plan is None else plan.seed)
+        load_or_draw_truth(folder / TRUTH, sensor, seed if plan is None else plan.seed)
         lux = step.conditions.illuminance_lux or 0.0
         VirtualOperator(folder).place(kind=step.kind, target=step.target, illuminance_lux=lux)
         yield CameraSource(
@@ -135,7 +135,7 @@ def _virtual(
 def _step(plan: "Plan | None") -> "Step":
     """Return the step to show: the first edge, else the first with light; without a plan, the demonstration's."""
     if plan is None:
-        from charact.cli.demonstration import demo_plan
+        from charact.cli.demo_loop import demo_plan
 
         plan = demo_plan(0, quick=True)
     lit = [step for step in plan.steps if step.conditions.illuminance_lux]

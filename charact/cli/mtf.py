@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from charact.cli import options
-from charact.cli.output import bad_input_ends, show
+from charact.cli.output import exit_on_bad_input, print_result
 from charact.cli.progress import Progress, progress_bar
 from labdata.errors import BadInput
 
@@ -140,17 +140,17 @@ def flats(
 
     Example: charact mtf flats my-session --quick
     """
-    with bad_input_ends(str(file), as_json=as_json, events=events):
+    with exit_on_bad_input(str(file), as_json=as_json, events=events):
         from charact import mtf
-        from charact.measuring import context_of
+        from charact.session_measurement import method_context
 
         session = _flats_of(file, _sensor(sensor), plane, axis)
         rows = session.of_kind("flat")[0].read().shape[1] if session.of_kind("flat") else 0
         frequency = _unit(units, pitch_um, demagnification, focal_length_mm, session.sensor, rows=rows)
         with progress_bar(events=events) as progress:
-            context = context_of(session, quick=quick, seed=seed, progress=progress)
+            context = method_context(session, quick=quick, seed=seed, progress=progress)
             result = mtf.measure_flats(session, method=method, within_percent=within, context=context)
-        show(
+        print_result(
             result,
             given=str(file),
             as_json=as_json,
@@ -194,33 +194,33 @@ def _measure(
     black_dn: float | None = None,
     **asked: Any,
 ) -> None:
-    with bad_input_ends(str(file), as_json=as_json, events=events):
-        from charact.cli.one_picture import as_of_file, region_in
+    with exit_on_bad_input(str(file), as_json=as_json, events=events):
+        from charact.cli.single_image import in_file_coordinates, region_in
         from labdata.importers import read_frames
 
-        _must_be_frames(file, kind)
+        _require_frames(file, kind)
         if annotate is not None:
-            from charact.cli.annotate import annotated, must_be_png
+            from charact.cli.annotate import require_png, write_annotated_image
 
-            must_be_png(annotate)
+            require_png(annotate)
         known = _sensor(sensor)
-        region = options.parsed_region(asked.pop("roi"))
+        region = options.parse_region(asked.pop("roi"))
         stack = _with_black(read_frames(file, plane=plane, axis=axis), black_dn)
         frequency = _unit(units, pitch_um, demagnification, focal_length_mm, known, rows=stack.shape[1])
         with progress_bar(events=events) as progress:
             result = _result(kind, stack, region_in(stack, region), known, progress, **asked)
-        show(
-            as_of_file(result, stack),
+        print_result(
+            in_file_coordinates(result, stack),
             given=str(file),
             as_json=as_json,
             events=events,
             frequency=frequency,
             next_verb=f"charact import frames {file} mine --kind {kind}, then charact measure mine",
-            then=None if annotate is None else lambda: annotated(stack, result, annotate, frequency),
+            then=None if annotate is None else lambda: write_annotated_image(stack, result, annotate, frequency),
         )
 
 
-def _must_be_frames(file: Path, kind: str) -> None:
+def _require_frames(file: Path, kind: str) -> None:
     """Refuse a session with what measures it."""
     from labdata.session import MANIFEST
 

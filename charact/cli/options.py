@@ -69,7 +69,7 @@ BloomMapOf = Annotated[
 ]
 
 
-def parsed_kind(text: str) -> "Kind":
+def parse_kind(text: str) -> "Kind":
     """Return what a stack shows, as an --kind says; any other word is a BadInput."""
     from labdata.session import Kind
 
@@ -79,7 +79,7 @@ def parsed_kind(text: str) -> "Kind":
     raise BadInput(f"--kind must be one of {', '.join(get_args(Kind))}, got {text!r}")
 
 
-def parsed_region(text: str | None) -> tuple[int, int, int, int] | None:
+def parse_region(text: str | None) -> tuple[int, int, int, int] | None:
     """Return ROW, COL, HEIGHT, WIDTH of an --roi, or None; anything but four whole numbers is a BadInput."""
     if text is None:
         return None

@@ -26,7 +26,7 @@ def in_cycles_per_pixel(frequency_cy_per_px: float, of: "Measurement | None" = N
     return frequency_cy_per_px, "cy/px"
 
 
-def say(sentence: str, *, events: bool = False) -> None:
+def print_message(sentence: str, *, events: bool = False) -> None:
     """Say one sentence on stderr, as an event if asked."""
     print(json.dumps({"message": sentence}) if events else sentence, file=sys.stderr)
 
@@ -37,12 +37,12 @@ def fail(sentence: str, *, given: str, as_json: bool, events: bool = False) -> N
     if as_json:
         with suppress(OSError):  # where stdout itself takes nothing more, the sentence below is what is left to say
             print(json.dumps({"charact": __version__, "input": given, "error": one_line}))
-    say(one_line if events else f"charact: {one_line}", events=events)
+    print_message(one_line if events else f"charact: {one_line}", events=events)
     raise typer.Exit(1)
 
 
 @contextmanager
-def bad_input_ends(
+def exit_on_bad_input(
     given: str, *, as_json: bool = False, events: bool = False, interrupted: str = "interrupted"
 ) -> Iterator[None]:
     """Turn bad input, a failing bench and a file system that refuses into one sentence and exit code 1.
@@ -54,7 +54,7 @@ def bad_input_ends(
     except BadInput as error:
         fail(str(error), given=given, as_json=as_json, events=events)
     except KeyboardInterrupt:
-        say(interrupted if events else f"charact: {interrupted}", events=events)
+        print_message(interrupted if events else f"charact: {interrupted}", events=events)
         raise typer.Exit(130) from None
     except BrokenPipeError:
         # Who reads has read enough (`| head`): nothing more may be written, not even when Python tidies up.
@@ -68,7 +68,7 @@ def bad_input_ends(
         fail(f"the file system refused: {error.strerror or error}{named}", given=given, as_json=as_json, events=events)
 
 
-def show(
+def print_result(
     result: "Result",
     *,
     given: str,
@@ -91,7 +91,7 @@ def show(
         and exit code 1.
     """
     if as_json:
-        from labdata.document import to_json
+        from labdata.result_io import to_json
 
         print(json.dumps(to_json(result, given=given, version=__version__), allow_nan=False))
     else:
@@ -103,11 +103,11 @@ def show(
     if then is not None:
         sys.stdout.flush()
         # The one JSON object is printed already.
-        with bad_input_ends("", events=events):
+        with exit_on_bad_input("", events=events):
             then()
     if all(m.value is None for m in result.measurements):
         reasons = list(dict.fromkeys(m.reason for m in result.measurements if m.reason))
-        say(f"charact: {reasons[0] if reasons else 'nothing could be measured'}", events=events)
+        print_message(f"charact: {reasons[0] if reasons else 'nothing could be measured'}", events=events)
         raise typer.Exit(1)
     if next_verb and sys.stdout.isatty() and not as_json:
         print(f"\nNext: {next_verb}")

@@ -11,12 +11,14 @@ Progress = Callable[[str, float], None]
 @contextmanager
 def progress_bar(*, events: bool = False) -> Iterator[Progress]:
     """Yield a function that takes a sentence and the share done (0..1); compiling is announced on stderr."""
-    from charact.cli.output import say
-    from charact.method.stopwatch import compiling_announced
+    from charact.cli.output import print_message
+    from charact.method.stopwatch import announce_compilation
 
     with (
         _bar(events=events) as progress,
-        compiling_announced(lambda sentence: say(sentence if events else f"charact: {sentence}", events=events)),
+        announce_compilation(
+            lambda sentence: print_message(sentence if events else f"charact: {sentence}", events=events)
+        ),
     ):
         yield progress
 

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from charact.cli import options
-from charact.cli.output import bad_input_ends
+from charact.cli.output import exit_on_bad_input
 
 
 def add_to(app: typer.Typer) -> None:
@@ -21,11 +21,11 @@ def methods(as_json: options.Json = False) -> None:
     Example: charact methods
     """
     from charact.method.catalogue import MODULES
-    from charact.method.registry import chart_table, of_kind
+    from charact.method.registry import chart_table, methods_of_kind
     from charact.method.stopwatch import time_text
 
     rows = []
-    for method in (method for kind in MODULES for method in of_kind(kind).values()):
+    for method in (method for kind in MODULES for method in methods_of_kind(kind).values()):
         charted = [r for q in method.quantities for r in chart_table(q) if r["method"] == method.name]
         measured = {key: charted[0][key] for key in ("error_percent", "seconds")} if charted else {}
         rows.append(
@@ -52,12 +52,12 @@ def schema(
 
     Example: charact schema plan > plan.schema.json
     """
-    with bad_input_ends(kind):
-        from labdata.border import file_schema
+    with exit_on_bad_input(kind):
+        from labdata.serialiser import file_schema
+        from simulate.radiance.outdoor.description.scene import OutdoorScene
         from simulate.radiance.scene import LabScene
-        from simulate.radiance.world.description.scene import Scene
 
-        found = file_schema(kind, {"scene": Scene, "bench": LabScene})
+        found = file_schema(kind, {"scene": OutdoorScene, "bench": LabScene})
         if kind == "scene":
             # Where the file lies is no part of it.
             del found["properties"]["folder"]

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from charact.cli import options
-from charact.cli.output import bad_input_ends, say
+from charact.cli.output import exit_on_bad_input, print_message
 
 
 def add_to(app: typer.Typer) -> None:
@@ -26,7 +26,7 @@ def safe(
 
     Example: charact safe plan.toml
     """
-    with bad_input_ends(str(plan or "the last bench"), events=events):
+    with exit_on_bad_input(str(plan or "the last bench"), events=events):
         from charact.cli.plan_files import load_plan
         from drivers.bench.last_bench import last_bench, with_present_ports
         from drivers.bench.safe_state import make_bench_safe
@@ -39,6 +39,6 @@ def safe(
         report = make_bench_safe(wires, lambda step, **details: None)
         print(f"The tube: {report.last_words()}.")
         for failure in report.failures:
-            say(f"charact: {failure}", events=events)
+            print_message(f"charact: {failure}", events=events)
         if not report.whole:
             raise typer.Exit(1)

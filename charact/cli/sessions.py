@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from charact.cli import options
-from charact.cli.one_picture import bloom_of_picture, is_picture, opened
-from charact.cli.output import bad_input_ends, say, show
+from charact.cli.output import exit_on_bad_input, print_message, print_result
 from charact.cli.progress import progress_bar
+from charact.cli.single_image import bloom_of_picture, is_picture, open_session_only
 
 if TYPE_CHECKING:
     from charact.method import Context
@@ -44,7 +44,7 @@ def noise(
 
     Example: charact noise ccd12 --json
     """
-    from charact.cli.many import each
+    from charact.cli.several_sessions import each
 
     def one(session: Path) -> None:
         _analyse("noise", session, method, within, quick, seed, as_json, events, scheduler)
@@ -83,9 +83,9 @@ def bloom(
     if map_to is not None:
         from functools import partial
 
-        from charact.cli.bloom_map import mapped
+        from charact.cli.bloom_map import write_bloom_map
 
-        drawn = partial(mapped, label=map_of, path=map_to)
+        drawn = partial(write_bloom_map, label=map_of, path=map_to)
     _analyse("bloom", session, method, within, quick, seed, as_json, events, drawn=drawn)
 
 
@@ -93,18 +93,18 @@ def _analyse(
     room: str, folder: Path, method: str, within: float, quick: bool, seed: int, as_json: bool, events: bool,
     scheduler: str | None = None, drawn: "Callable[[Session, Result, Context], None] | None" = None,
 ) -> None:  # fmt: skip
-    with bad_input_ends(str(folder), as_json=as_json, events=events), progress_bar(events=events) as progress:
+    with exit_on_bad_input(str(folder), as_json=as_json, events=events), progress_bar(events=events) as progress:
         from importlib import import_module
 
-        from charact.measuring import context_of
-        from charact.method.cluster import spread_over
+        from charact.method.cluster import parallel_map
+        from charact.session_measurement import method_context
 
-        given = opened(folder)
+        given = open_session_only(folder)
         analysis = import_module(f"charact.{room}")
-        with spread_over(scheduler) as spread:
-            context = context_of(given, quick=quick, seed=seed, progress=progress, spread=spread)
+        with parallel_map(scheduler) as spread:
+            context = method_context(given, quick=quick, seed=seed, progress=progress, spread=spread)
             result = analysis.measure(given, method=method, within_percent=within, context=context)
-        show(
+        print_result(
             result,
             given=str(folder),
             as_json=as_json,
@@ -127,58 +127,58 @@ def measure(
 
     Example: charact measure day1 --quick
     """
-    with bad_input_ends(str(session), as_json=as_json, events=events):
-        from labdata import document
+    with exit_on_bad_input(str(session), as_json=as_json, events=events):
+        from labdata import result_io
 
-        result = measured(session, quick=quick, seed=seed, within=within, events=events, scheduler=scheduler)
-        show(
+        result = measure_folder(session, quick=quick, seed=seed, within=within, events=events, scheduler=scheduler)
+        print_result(
             result,
             given=str(session),
             as_json=as_json,
             events=events,
             next_verb=f"charact report {session}",
-            then=lambda: document.save(result, opened(session).folder),
+            then=lambda: result_io.save(result, open_session_only(session).folder),
         )
 
 
-def measured_and_kept(folder: Path, *, quick: bool = False, seed: int = 0, events: bool = False) -> "Result":
+def measure_and_save(folder: Path, *, quick: bool = False, seed: int = 0, events: bool = False) -> "Result":
     """Measure a session and keep the result in it."""
-    from labdata import document
+    from labdata import result_io
 
-    result = measured(folder, quick=quick, seed=seed, events=events)
-    document.save(result, opened(folder).folder)
+    result = measure_folder(folder, quick=quick, seed=seed, events=events)
+    result_io.save(result, open_session_only(folder).folder)
     return result
 
 
-def measured(
+def measure_folder(
     folder: Path, *, quick: bool = False, seed: int = 0, within: float = 2.0, events: bool = False,
     scheduler: str | None = None,
 ) -> "Result":  # fmt: skip
     """Measure a session."""
-    from charact.measuring import measure as measure_session
-    from charact.measuring import with_inputs
-    from charact.method.cluster import spread_over
+    from charact.method.cluster import parallel_map
+    from charact.session_measurement import measure as measure_session
+    from charact.session_measurement import with_inputs
     from labdata.session import UNUSED
 
-    session = opened(folder)
+    session = open_session_only(folder)
     for note in session.notes:
         if UNUSED in note:
-            say(note, events=events)
-    with progress_bar(events=events) as progress, spread_over(scheduler) as spread:
+            print_message(note, events=events)
+    with progress_bar(events=events) as progress, parallel_map(scheduler) as spread:
         result = measure_session(
             session, quick=quick, seed=seed, within_percent=within, progress=progress, spread=spread
         )
     return with_inputs(result, session)
 
 
-def kept_or_measured(folder: Path, *, seed: int, events: bool):
+def load_or_measure(folder: Path, *, seed: int, events: bool):
     """The result kept in a session; measured now if there is none."""
-    from labdata import document
+    from labdata import result_io
 
-    if (result := document.load(opened(folder).folder)) is not None:
+    if (result := result_io.load(open_session_only(folder).folder)) is not None:
         return result
-    say(f"{folder} has not been measured yet: measuring it first", events=events)
-    return measured_and_kept(folder, seed=seed, events=events)
+    print_message(f"{folder} has not been measured yet: measuring it first", events=events)
+    return measure_and_save(folder, seed=seed, events=events)
 
 
 def fit(
@@ -191,13 +191,13 @@ def fit(
 
     Example: charact fit day1 --sensor-out day1/fitted.toml
     """
-    with bad_input_ends(str(session), events=events):
+    with exit_on_bad_input(str(session), events=events):
         from charact.fit import fit_sensor
         from labdata.sensors import save_sensor
 
-        result = kept_or_measured(session, seed=seed, events=events)
+        result = load_or_measure(session, seed=seed, events=events)
         with progress_bar(events=events) as progress:
-            fitted = fit_sensor(opened(session), result, seed=seed, progress=progress)
+            fitted = fit_sensor(open_session_only(session), result, seed=seed, progress=progress)
         save_sensor(fitted, sensor_out)
         for path, p in fitted.parameters().items():
             if p.standing in ("fitted", "prior"):
@@ -216,11 +216,11 @@ def validate(
 
     Example: charact validate day1 --sensor day1/fitted.toml
     """
-    with bad_input_ends(str(session), as_json=as_json, events=events):
-        from charact.cli.validating import shown, validated_and_kept
+    with exit_on_bad_input(str(session), as_json=as_json, events=events):
+        from charact.cli.validate import print_validation, validate_and_save
 
-        shown(
-            validated_and_kept(session, sensor or session / FITTED, seed=seed, events=events), session, as_json=as_json
+        print_validation(
+            validate_and_save(session, sensor or session / FITTED, seed=seed, events=events), session, as_json=as_json
         )
 
 
@@ -235,11 +235,11 @@ def report(
 
     Example: charact report day1 --pdf
     """
-    with bad_input_ends(str(session), events=events):
-        from charact.cli.validating import kept_validation
+    with exit_on_bad_input(str(session), events=events):
+        from charact.cli.validate import load_validation
         from charact.report import write
 
-        given = opened(session)
-        result = kept_or_measured(session, seed=seed, events=events)
-        path = write(given, result, out or session / "report.html", validation=kept_validation(given), pdf=pdf)
+        given = open_session_only(session)
+        result = load_or_measure(session, seed=seed, events=events)
+        path = write(given, result, out or session / "report.html", validation=load_validation(given), pdf=pdf)
         print(path)

@@ -7,17 +7,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from charact import __version__
-from charact.cli.simulating import Asked, Shot, night_of
+from charact.cli.simulation_sources import Shot, SimulationRequest, night_of
 from labdata.conditions import Conditions
 
 if TYPE_CHECKING:
-    from charact.cli.simulating import Description
-    from charact.cli.stage_pictures import Stage
-    from simulate.night import Seen
+    from charact.cli.simulation_sources import Description
+    from charact.cli.stage_image_files import Stage
+    from simulate.outdoor_rendering import RenderedView
 
 
 def preview_into(
-    out: Path, asked: Asked, description: "Description", conditions: Conditions, *, explain: bool
+    out: Path, asked: SimulationRequest, description: "Description", conditions: Conditions, *, explain: bool
 ) -> tuple[str, ...]:
     """Keep what a scene out of doors shows in seconds, print its plan if asked for, and return what it leaves out."""
     view = night_of(asked, description, conditions).seen(tolerance=asked.tolerance, seed=asked.seed, preview=True)
@@ -38,7 +38,7 @@ def save_frames(
     progress: Callable[[str, float], None] = lambda sentence, share: None,
 ) -> None:
     """Expose frames and keep them as a session, each written before the next is drawn."""
-    from labdata.durable import write_durably
+    from labdata.atomic_write import write_atomically
     from labdata.sensors import save_sensor
     from labdata.store import SessionWriter
 
@@ -60,18 +60,18 @@ def save_frames(
         if shot.view is not None:
             _save_view(shot.view, out)
         if shot.plan is not None:
-            write_durably(out / "economy.json", json.dumps(shot.plan.document(), indent=1).encode())
+            write_atomically(out / "economy.json", json.dumps(shot.plan.document(), indent=1).encode())
 
 
-def _save_view(view: "Seen", out: Path) -> None:
+def _save_view(view: "RenderedView", out: Path) -> None:
     """Keep what a scene out of doors shows: its radiance as a picture, the truth of each pixel, and the plan."""
-    from charact.cli.radiance_picture import save_radiance
-    from labdata.durable import write_durably
+    from charact.cli.radiance_image import save_radiance
+    from labdata.atomic_write import write_atomically
 
     out.mkdir(parents=True, exist_ok=True)
     save_radiance(view.picture.cube, view.title, out / "radiance.png")
     view.picture.truth.save(out / "truth.npz")
-    write_durably(out / "light.json", view.document())
+    write_atomically(out / "light.json", view.document())
 
 
 def _economy(shot: Shot) -> tuple[str, ...]:
@@ -85,7 +85,7 @@ def _economy(shot: Shot) -> tuple[str, ...]:
 
 def save_stage_images(shot: Shot, description: "Description", folder: Path, *, seed: int) -> int:
     """Keep the image after each stage, as files for teaching and for finding faults; return how many."""
-    from charact.cli.stage_pictures import save_stages
+    from charact.cli.stage_image_files import save_stages
 
     title = f"{description.name}, one frame through the chain, seed {seed}"
     return save_stages(_stages(shot, seed), folder, title)

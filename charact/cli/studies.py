@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from charact.cli import options
-from charact.cli.output import bad_input_ends
+from charact.cli.output import exit_on_bad_input
 from charact.cli.progress import progress_bar
 
 Name = Annotated[str, typer.Argument(help="Quantity, such as mtf50.")]
@@ -32,7 +32,7 @@ def chart(
 
     Example: charact chart mtf50 --out study
     """
-    with bad_input_ends(quantity, events=events), progress_bar(events=events) as progress:
+    with exit_on_bad_input(quantity, events=events), progress_bar(events=events) as progress:
         from charact import study
 
         print(study.chart(quantity, seed=seed, out=out, quick=quick, update=update, progress=progress).text())
@@ -49,7 +49,7 @@ def stability(
 
     Example: charact stability mtf50 --out study
     """
-    with bad_input_ends(quantity, events=events), progress_bar(events=events) as progress:
+    with exit_on_bad_input(quantity, events=events), progress_bar(events=events) as progress:
         from charact import study
 
         print(study.stability(quantity, seed=seed, out=out, quick=quick, progress=progress).text())

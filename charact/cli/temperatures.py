@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from charact.cli import options
-from charact.cli.output import bad_input_ends, say
+from charact.cli.output import exit_on_bad_input, print_message
 from charact.cli.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -47,13 +47,13 @@ def temperatures(
 
     Example: charact temperatures hangar warm --explain
     """
-    with bad_input_ends(str(scene), events=events), progress_bar(events=events) as progress:
-        from charact.cli.simulating import described
+    with exit_on_bad_input(str(scene), events=events), progress_bar(events=events) as progress:
+        from charact.cli.simulation_sources import load_described_camera
+        from labdata.atomic_write import write_atomically
         from labdata.conditions import Conditions
-        from labdata.durable import write_durably
         from labdata.errors import BadInput
-        from simulate.cameras import camera_of
-        from simulate.night import Night
+        from simulate.cameras import camera_from_description
+        from simulate.outdoor_rendering import OutdoorRendering
         from simulate.radiance.scene import LabScene, load_scene
         from simulate.thermal.temperatures import temperatures_of
 
@@ -62,18 +62,18 @@ def temperatures(
         loaded = load_scene(scene)
         if isinstance(loaded, LabScene):
             raise BadInput(f"surface temperatures need a scene out of doors, got the lab bench {loaded.name!r}")
-        view = Night(loaded, camera_of(described(sensor, None)), Conditions()).view
+        view = OutdoorRendering(loaded, camera_from_description(load_described_camera(sensor, None)), Conditions()).view
         progress("balance of heat", 0.0)
         found = temperatures_of(loaded, tolerance_mk=within_mk, seed=seed)
         kelvin = found.map_k(view, lambda fraction: progress("map", fraction))
         for note in found.balance.weather.notes:
-            say(note, events=events)
+            print_message(note, events=events)
         if explain:
             print("\n".join(_terms(found, within_mk)))
         title = f"{loaded.name}, {found.balance.weather.moment.isoformat(sep=' ', timespec='minutes')}"
         out.mkdir(parents=True, exist_ok=True)
-        write_durably(out / "temperatures.csv", _table(found).encode())
-        write_durably(out / "temperatures.json", json.dumps(_document(found), indent=1).encode())
+        write_atomically(out / "temperatures.csv", _table(found).encode())
+        write_atomically(out / "temperatures.json", json.dumps(_document(found), indent=1).encode())
         for name, figure in (("temperatures.png", _curves(found, title)), ("map.png", _map(kelvin, title))):
             _save(figure, out / name)
         _save_map(kelvin, out / "map.npz")
@@ -163,19 +163,19 @@ def _map(kelvin: "np.ndarray", title: str) -> "Figure":
 def _save(figure: "Figure", path: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-    from labdata.durable import write_durably
+    from labdata.atomic_write import write_atomically
 
     FigureCanvasAgg(figure)
     content = io.BytesIO()
     figure.savefig(content, format="png", dpi=DPI)
-    write_durably(path, content.getbuffer())
+    write_atomically(path, content.getbuffer())
 
 
 def _save_map(kelvin: "np.ndarray", path: Path) -> None:
     import numpy as np
 
-    from labdata.durable import write_durably
+    from labdata.atomic_write import write_atomically
 
     content = io.BytesIO()
     np.savez_compressed(content, temperature_k=kelvin)
-    write_durably(path, content.getbuffer())
+    write_atomically(path, content.getbuffer())

@@ -12,9 +12,9 @@ from typing import Any, Self
 from drivers.instruments.models import InstrumentModel, models
 from drivers.serial_lines.line import InstrumentLine
 from labdata.errors import BadInput
-from simulate.rig.faults import Faults, provoke
-from simulate.rig.models import virtual_model
-from simulate.rig.process import VirtualInstruments
+from simulate.virtual_bench.faults import Faults, inject_faults
+from simulate.virtual_bench.models import virtual_model
+from simulate.virtual_bench.process import VirtualInstruments
 
 ADDRESS = 14
 FASTER_THAN_LIFE = 20.0
@@ -95,7 +95,7 @@ class VirtualPair:
         self._tripped = False
 
     def _now(self, faults: Faults) -> None:
-        provoke(self._folder, self._virtual.place, replace(faults, power_cycles=self._power_cycles))
+        inject_faults(self._folder, self._virtual.place, replace(faults, power_cycles=self._power_cycles))
         time.sleep(SEEN_S)
 
     def _close(self) -> None:

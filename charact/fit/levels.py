@@ -13,7 +13,7 @@ HIGHEST_SHARE_OF_FULL_SCALE = 0.85
 
 
 @dataclass(frozen=True, kw_only=True)
-class Level:
+class StackMean:
     """Mean level of one stack.
 
     Parameters
@@ -40,13 +40,13 @@ class Level:
     mcp_v: float
 
 
-def levels_of(session: Session) -> tuple[Level, ...]:
+def levels_of(session: Session) -> tuple[StackMean, ...]:
     """Return the levels of the session's darks and flats that are inside the straight part of the camera's range."""
     found = (_level(session, entry) for entry in session.of_kind("dark", "flat"))
     return tuple(level for level in found if level is not None)
 
 
-def _level(session: Session, entry: StackEntry) -> Level | None:
+def _level(session: Session, entry: StackEntry) -> StackMean | None:
     conditions = entry.conditions
     illuminance = 0.0 if entry.kind == "dark" else conditions.illuminance_lux
     if illuminance is None or session.sensor is None:
@@ -61,7 +61,7 @@ def _level(session: Session, entry: StackEntry) -> Level | None:
     exposure_s = conditions.exposure_s or field_s
     gate_s = exposure_s if conditions.gate_ns is None else min(conditions.gate_ns * 1e-9, exposure_s)
     reference_v = float(session.sensor.microchannel_plate.reference_v)
-    return Level(
+    return StackMean(
         label=entry.label,
         mean_dn=float(means.mean()),
         sd_dn=scatter,

@@ -6,10 +6,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.fit.forward import Values
-from charact.fit.observed import Observed
-from charact.fit.prior import Prior, fixed_values, prior_of
-from charact.fit.product import Product, products_of, widened
+from charact.fit.degenerate_products import Product, products_of, widen_to_products
+from charact.fit.observed import Observation
+from charact.fit.predicted_quantities import Values
+from charact.fit.prior import SensorPrior, prior_of, values_of_description
 from labdata.measurement import Posterior
 from labdata.sensor import Sensor
 
@@ -38,15 +38,15 @@ class Model:
 
     sensor: Sensor
     products: tuple[Product, ...]
-    prior: Prior
-    observed: tuple[Observed, ...]
+    prior: SensorPrior
+    observed: tuple[Observation, ...]
 
     def misfit(self, coordinates: Array) -> Array:
         """Return chi-squared of all observations for coordinates (n, parameter), shape (n,)."""
         values = self.values(coordinates)
         return np.sum([observed.chi_squared(values) for observed in self.observed], axis=0)
 
-    def part(self, observed: Observed, coordinates: Array) -> Array:
+    def part(self, observed: Observation, coordinates: Array) -> Array:
         """Return one observation's share of chi-squared for coordinates (n, parameter), shape (n,)."""
         return observed.chi_squared(self.values(coordinates))
 
@@ -57,7 +57,7 @@ class Model:
 
     @cached_property
     def _fixed(self) -> Values:
-        return fixed_values(self.sensor)
+        return values_of_description(self.sensor)
 
     def log_probability(self, coordinates: Array) -> Array:
         """Return the logarithm of the posterior, not normalised, shape (n,); -inf outside the prior's bounds."""
@@ -69,18 +69,18 @@ class Model:
         return out
 
 
-def model_of(sensor: Sensor, observed: tuple[Observed, ...]) -> Model:
+def model_of(sensor: Sensor, observed: tuple[Observation, ...]) -> Model:
     """Return the model that asks exactly the parameters that the observations speak of."""
     asked = tuple(dict.fromkeys(path for one in observed for path in one.speaks_of))
     products = products_of(sensor, asked)
     riding = {path for product in products for path in product.partners}
-    prior = prior_of(widened(sensor, products), tuple(path for path in asked if path not in riding))
+    prior = prior_of(widen_to_products(sensor, products), tuple(path for path in asked if path not in riding))
     return Model(sensor=sensor, products=products, prior=prior, observed=observed)
 
 
 def most_probable(model: Model, start: Array, free: NDArray[np.bool_]) -> Array:
     """Return the most probable point that differs from the start in the free coordinates only."""
-    from charact.posterior import maximum
+    from charact.posterior import find_maximum
 
     if not free.any():
         return start
@@ -91,11 +91,11 @@ def most_probable(model: Model, start: Array, free: NDArray[np.bool_]) -> Array:
         return model.log_probability(whole)
 
     found = start.copy()
-    found[free], _ = maximum(conditional, start[free], model.prior.bounds[free])
+    found[free], _ = find_maximum(conditional, start[free], model.prior.bounds[free])
     return found
 
 
-def doubted(model: Model) -> tuple[Model, str | None]:
+def inflate_errors(model: Model) -> tuple[Model, str | None]:
     """Return the model with errors wide enough for what it cannot explain, and the sentence that says so.
 
     Notes
@@ -123,9 +123,9 @@ def doubted(model: Model) -> tuple[Model, str | None]:
 
 def posterior_of(model: Model, *, seed: int) -> Posterior:
     """Draw the joint posterior of all parameters drawn, in the prior's coordinates."""
-    from charact.posterior import maximum, sample
+    from charact.posterior import find_maximum, sample
 
-    point, covariance = maximum(model.log_probability, model.prior.centre, model.prior.bounds)
+    point, covariance = find_maximum(model.log_probability, model.prior.centre, model.prior.bounds)
     return sample(
         model.log_probability,
         names=model.prior.names,

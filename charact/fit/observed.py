@@ -7,14 +7,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.fit.forward import Values
+from charact.fit.predicted_quantities import Values
 
 Array = NDArray[np.float64]
 Predict = Callable[[Values], Array]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Observed:
+class Observation:
     """Measured numbers with Gaussian errors and the model's prediction of them.
 
     Parameters
@@ -42,7 +42,7 @@ class Observed:
         away = (self.predict(values) - self.value) @ self._whitening
         return np.sum(away**2, axis=1)
 
-    def doubted(self, factor: float) -> "Observed":
+    def doubted(self, factor: float) -> "Observation":
         """Return the same numbers with all errors larger by a factor."""
         return replace(self, covariance=self.covariance * factor**2)
 
@@ -52,9 +52,11 @@ class Observed:
         return np.asarray(np.linalg.inv(np.linalg.cholesky(self.covariance)).T, np.float64)
 
 
-def one(name: str, value: float, sd: float, predict: Callable[[Values], Array], speaks_of: tuple[str, ...]) -> Observed:
+def one(
+    name: str, value: float, sd: float, predict: Callable[[Values], Array], speaks_of: tuple[str, ...]
+) -> Observation:
     """Return one measured number; its prediction has shape (n,)."""
-    return Observed(
+    return Observation(
         name=name,
         value=np.array([value]),
         covariance=np.array([[sd**2]]),
@@ -63,7 +65,7 @@ def one(name: str, value: float, sd: float, predict: Callable[[Values], Array], 
     )
 
 
-def curve(
+def curve_observation(
     name: str,
     value: Array,
     sd: Array,
@@ -73,7 +75,7 @@ def curve(
     *,
     correlation_length: float,
     model_sd: float,
-) -> Observed:
+) -> Observation:
     """Return points of a measured curve, whose errors go together over a correlation length in frequency.
 
     Notes
@@ -82,4 +84,4 @@ def curve(
     """
     apart = np.abs(frequency[:, None] - frequency[None, :])
     covariance = np.outer(sd, sd) * np.exp(-apart / correlation_length) + model_sd**2 * np.eye(value.size)
-    return Observed(name=name, value=value, covariance=covariance, predict=predict, speaks_of=speaks_of)
+    return Observation(name=name, value=value, covariance=covariance, predict=predict, speaks_of=speaks_of)

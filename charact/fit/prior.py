@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.fit.forward import Values
+from charact.fit.predicted_quantities import Values
 from labdata.parameter import Parameter
 from labdata.sensor import Sensor
 
@@ -45,7 +45,7 @@ HALF_WIDTH95_SD = 1.959964
 
 
 @dataclass(frozen=True, kw_only=True)
-class Prior:
+class SensorPrior:
     """Independent priors: halves of two Gaussians that meet at the value, so that low..high hold 95 %.
 
     Parameters
@@ -105,7 +105,7 @@ class Prior:
         return np.where(logarithmic, exponential, np.where(inverse, turned, coordinates))
 
 
-def prior_of(sensor: Sensor, asked: tuple[str, ...]) -> Prior:
+def prior_of(sensor: Sensor, asked: tuple[str, ...]) -> SensorPrior:
     """Return the prior of the asked parameters that a sensor's ranges state; an exact one is not asked.
 
     Parameters
@@ -118,7 +118,7 @@ def prior_of(sensor: Sensor, asked: tuple[str, ...]) -> Prior:
     known = sensor.parameters()
     rows = [(path, *_row(path, known[path])) for path in asked if _has_range(known[path])]
     numbers = np.array([row[1:] for row in rows], float).reshape(-1, 6)
-    return Prior(
+    return SensorPrior(
         names=tuple(row[0] for row in rows),
         power=numbers[:, 0].astype(int),
         centre=numbers[:, 1],
@@ -128,7 +128,7 @@ def prior_of(sensor: Sensor, asked: tuple[str, ...]) -> Prior:
     )
 
 
-def fixed_values(sensor: Sensor) -> Values:
+def values_of_description(sensor: Sensor) -> Values:
     """Return every parameter's own value, shape (1,)."""
     values = {path: np.array([float(parameter)]) for path, parameter in sensor.parameters().items()}
     order = sensor.video.filter_order

@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.fit.degenerate_products import distribute_product
 from charact.fit.full_well import PATH as FULL_WELL
 from charact.fit.full_well import fills_the_scale, full_well_draws
-from charact.fit.gather import observations
 from charact.fit.levels import levels_of
-from charact.fit.model import Model, doubted, model_of, most_probable, posterior_of
-from charact.fit.product import shared_out
-from charact.noise.light.stated import UNSTATED_ILLUMINANCE_SD
+from charact.fit.model import Model, inflate_errors, model_of, most_probable, posterior_of
+from charact.fit.observations import observations
+from charact.noise.snr.stated_illumination import UNSTATED_ILLUMINANCE_SD
 from labdata.errors import BadInput
 from labdata.measurement import Posterior, Result
 from labdata.parameter import Parameter
@@ -72,11 +72,11 @@ def fit_sensor(
     observed = observations(session, session.sensor, result, levels_of(session))
     if not observed:
         raise BadInput(f"a fit needs at least one measurement that was not refused, got none in {session.name!r}")
-    model, doubt = doubted(model_of(session.sensor, observed))
+    model, doubt = inflate_errors(model_of(session.sensor, observed))
     progress("posterior of the sensor", 0.2)
     posterior = posterior_of(model, seed=seed)
     progress("choosing what the data identify", 0.9)
-    fitted = described(
+    fitted = description_from_posterior(
         model,
         posterior,
         illuminance_relative_sd=_illuminance_sd(session),
@@ -89,7 +89,7 @@ def fit_sensor(
     return fitted
 
 
-def described(
+def description_from_posterior(
     model: Model, posterior: Posterior, *, illuminance_relative_sd: float, seed: int, scale_filled: bool = False
 ) -> Sensor:
     """Return the sensor description that a posterior amounts to.
@@ -125,7 +125,7 @@ def described(
     well = full_well_draws(model.sensor, draws, rng) if scale_filled else None
     if well is not None:
         draws[FULL_WELL] = well
-        changes[FULL_WELL] = _bounded(before[FULL_WELL], well)
+        changes[FULL_WELL] = _full_well_parameter(before[FULL_WELL], well)
     table = np.stack(list(draws.values()), axis=1)
     return replace(
         model.sensor.with_parameters(changes),
@@ -139,7 +139,7 @@ def _all_draws(model: Model, posterior: Posterior, rng: np.random.Generator) -> 
     """Return the posterior's draws by path, products shared out among their factors."""
     draws = dict(zip(posterior.names, model.prior.parameters(posterior.draws).T, strict=True))
     for product in model.products:
-        draws.update(shared_out(model.sensor, product, draws[product.carrier], rng))
+        draws.update(distribute_product(model.sensor, product, draws[product.carrier], rng))
     return draws
 
 
@@ -176,7 +176,7 @@ def _parameter(before: Parameter, value: float | None, draws: Array, left: float
     return Parameter(value=value, low=min(low, value), high=max(high, value), standing="fitted", source=source)
 
 
-def _bounded(before: Parameter, draws: Array) -> Parameter:
+def _full_well_parameter(before: Parameter, draws: Array) -> Parameter:
     """Return the full well of a camera that is known to fill its scale."""
     low, value, high = (float(q) for q in np.quantile(draws, (0.025, 0.5, 0.975)))
     source = f"the prior, cut off below what fills the scale, which frames reach; prior: {before.source}"

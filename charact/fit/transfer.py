@@ -15,7 +15,7 @@ MIDDLE_WAVELENGTH_MM = 0.7e-3
 LARGEST_LOGARITHM = 700.0
 
 
-def lens(frequency_per_mm: Array, blur_um: Array, f_number: Array) -> Array:
+def lens_transfer(frequency_per_mm: Array, blur_um: Array, f_number: Array) -> Array:
     """Return exp(-2 (pi f s)^2) times diffraction: a lens whose aberrations blur like a Gaussian of width s.
 
     Notes
@@ -28,13 +28,13 @@ def lens(frequency_per_mm: Array, blur_um: Array, f_number: Array) -> Array:
     return diffraction * np.exp(-2.0 * (np.pi * frequency_per_mm * blur_um * 1e-3) ** 2)
 
 
-def tube(frequency_per_mm: Array, cut_off_per_mm: Array, exponent: Array, share: Array | float = 1.0) -> Array:
+def tube_transfer(frequency_per_mm: Array, cut_off_per_mm: Array, exponent: Array, share: Array | float = 1.0) -> Array:
     """Return exp(-share (f/fc)^n), the part `share` of an image tube's transfer (Johnson's form)."""
     logarithm = exponent * np.log(np.maximum(frequency_per_mm / cut_off_per_mm, 1e-9))
     return np.exp(-share * np.exp(np.minimum(logarithm, LARGEST_LOGARITHM)))
 
 
-def halo(frequency_per_mm: Array, gap_mm: Array, elastic_share: Array) -> Array:
+def halo_transfer(frequency_per_mm: Array, gap_mm: Array, elastic_share: Array) -> Array:
     """Return the transfer of the halo of back-scattered photoelectrons.
 
     Notes
@@ -49,12 +49,12 @@ def halo(frequency_per_mm: Array, gap_mm: Array, elastic_share: Array) -> Array:
     return elastic_share * np.sinc(argument / np.pi) + (1.0 - elastic_share) * sici(safe)[0] / safe
 
 
-def fibres(frequency_per_mm: Array, pitch_um: Array, interface_per_mm: Array) -> Array:
+def fibre_transfer(frequency_per_mm: Array, pitch_um: Array, interface_per_mm: Array) -> Array:
     """Return |2 J1(pi p f)/(pi p f)| exp(-(f/f0)^2), a fibre taper with its interfaces; f at the detector."""
     argument = np.maximum(np.pi * np.asarray(frequency_per_mm * pitch_um, float) * 1e-3, 1e-9)
     return np.abs(2.0 * j1(argument) / argument) * np.exp(-((frequency_per_mm / interface_per_mm) ** 2))
 
 
-def aperture(frequency_cy_per_width: Array) -> Array:
+def aperture_transfer(frequency_cy_per_width: Array) -> Array:
     """Return |sinc f|, an evenly sensitive aperture; f in cycles per its width."""
     return np.abs(np.sinc(frequency_cy_per_width))

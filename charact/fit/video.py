@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 LENGTH_PX = 14
 
 
-def weights(bandwidth_mhz: Array, clock_mhz: float, order: int, phase: float = 1.0) -> Array:
+def video_filter_weights(bandwidth_mhz: Array, clock_mhz: float, order: int, phase: float = 1.0) -> Array:
     """Return the weights with which earlier pixels enter one, shape (n, LENGTH_PX), their sum 1.
 
     Parameters
@@ -46,7 +46,7 @@ def weights(bandwidth_mhz: Array, clock_mhz: float, order: int, phase: float = 1
     return found / found.sum(axis=1, keepdims=True)
 
 
-def transfer(weight: Array, frequency_cy_per_px: Array) -> Array:
+def video_filter_transfer(weight: Array, frequency_cy_per_px: Array) -> Array:
     """Return |sum_j w_j exp(-2 pi i f j)| of weights (n, pixel) at frequencies (m,), shape (n, m)."""
     turns = np.exp(-2j * np.pi * np.outer(np.arange(weight.shape[1]), frequency_cy_per_px))
     return np.abs(weight @ turns)

@@ -18,7 +18,7 @@ MODULES: dict[str, dict[str, str]] = {
     "point": {
         "point-forward": "charact.mtf.point.forward",
         "point-parametric": "charact.mtf.point.parametric",
-        "point-spread": "charact.mtf.point.spread",
+        "point-spread": "charact.mtf.point.spot_transform",
     },
     "post-gain": {
         "noise-spectrum": "charact.mtf.noise_spectrum.flats",
@@ -31,7 +31,7 @@ MODULES: dict[str, dict[str, str]] = {
     "bloom": {
         "series-forward": "charact.bloom.series_forward",
     },
-    "lit-edge": {"lit-edge": "charact.bloom.extended"},
+    "lit-edge": {"lit-edge": "charact.bloom.lit_edge_halo"},
 }
 # By kind of target, the quantity by which its methods are charted, and what "auto" takes where no chart was measured.
 CHARTED: dict[str, tuple[str, str]] = {

@@ -13,7 +13,7 @@ CONNECT_S = 10.0
 
 
 @contextmanager
-def spread_over(scheduler: str | None) -> Iterator[Spread]:
+def parallel_map(scheduler: str | None) -> Iterator[Spread]:
     """Yield what applies a function to parts and returns what it gives in their order.
 
     Parameters

@@ -8,8 +8,8 @@ from typing import Any
 
 from charact.method.catalogue import CHARTED, MODULES, load
 from charact.method.cluster import Spread
-from charact.method.stopwatch import timed
-from charact.method.threads import on_one_thread
+from charact.method.stopwatch import with_timing
+from charact.method.threads import with_single_blas_thread
 from charact.method.tolerance import meets
 from labdata.errors import BadInput
 from labdata.measurement import Result
@@ -17,7 +17,7 @@ from labdata.sensor import Sensor
 from labdata.solid_state import Register
 
 
-def unheard(sentence: str, share: float) -> None:
+def ignore_progress(sentence: str, share: float) -> None:
     """Progress that nobody asked for."""
 
 
@@ -52,7 +52,7 @@ class Context:
     register: Register | None = None
     interlaced: bool = False
     full_scale_dn: float | None = None
-    progress: Callable[[str, float], None] = unheard
+    progress: Callable[[str, float], None] = ignore_progress
     spread: Spread = map
 
     @property
@@ -95,14 +95,14 @@ def register(kind: str, name: str, *, quantities: tuple[str, ...], scope: str) -
     """Register a function as a method of a kind under a name: timed, on one thread of the linear algebra library."""
 
     def enter(function: Callable[..., Result]) -> Callable[..., Result]:
-        function = on_one_thread(timed(function))
+        function = with_single_blas_thread(with_timing(function))
         METHODS[kind, name] = Method(kind=kind, name=name, quantities=quantities, scope=scope, function=function)
         return function
 
     return enter
 
 
-def of_kind(kind: str) -> dict[str, Method]:
+def methods_of_kind(kind: str) -> dict[str, Method]:
     """Methods of a kind by name."""
     load(kind)
     return {name: method for (of, name), method in METHODS.items() if of == kind}
@@ -131,7 +131,7 @@ def choose(kind: str, name: str = "auto", *, within_percent: float = 2.0) -> Met
     if name != "auto":
         load(kind, name)
         if (kind, name) not in METHODS:
-            raise BadInput(f"--method must be auto or one of {', '.join(sorted(of_kind(kind)))}, got {name!r}")
+            raise BadInput(f"--method must be auto or one of {', '.join(sorted(methods_of_kind(kind)))}, got {name!r}")
         return METHODS[kind, name]
     if kind not in MODULES:
         raise BadInput(f"the kind of target must be one of {', '.join(sorted(MODULES))}, got {kind!r}")

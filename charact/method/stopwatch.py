@@ -36,14 +36,14 @@ class Stopwatch:
 
     def seconds(self) -> float:
         """Seconds since it was made, compiling not counted."""
-        return perf_counter() - self._made_s - self.compiled_s()
+        return perf_counter() - self._made_s - self.compilation_s()
 
-    def compiled_s(self) -> float:
+    def compilation_s(self) -> float:
         """Seconds of compiling since it was made."""
         return _HERE.seconds() - self._compiled_s
 
 
-def timed(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+def with_timing(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
     """Return a function whose measurements, refused ones too, say how long the call took, compiling not counted.
 
     A measurement that says so already keeps its time: a timed call within this one made it, and knows it better.
@@ -93,21 +93,21 @@ class _Announcer:
     def begin(self) -> None:
         """Say that numba compiles, if it has for long; called as each function begins."""
         self._functions += 1
-        if not self._said and self._watch.compiled_s() > LONG_S:
+        if not self._said and self._watch.compilation_s() > LONG_S:
             self._said = True
             self._say("compiling once on this machine, up to a minute; the next call finds it on disk")
 
     def close(self) -> None:
         """Say how much was compiled, if it took long."""
         if self._said:
-            self._say(f"compiled {self._functions} functions in {time_text(self._watch.compiled_s())}")
+            self._say(f"compiled {self._functions} functions in {time_text(self._watch.compilation_s())}")
 
 
 _ANNOUNCERS: list[_Announcer] = []
 
 
 @contextmanager
-def compiling_announced(say: Callable[[str], None]) -> Iterator[None]:
+def announce_compilation(say: Callable[[str], None]) -> Iterator[None]:
     """Say that numba compiles, if it does for long within this block, and how many functions it compiled."""
     announcer = _Announcer(say)
     _ANNOUNCERS.append(announcer)

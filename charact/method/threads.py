@@ -10,7 +10,7 @@ Arguments = ParamSpec("Arguments")
 Found = TypeVar("Found")
 
 
-def on_one_thread(function: Callable[Arguments, Found]) -> Callable[Arguments, Found]:
+def with_single_blas_thread(function: Callable[Arguments, Found]) -> Callable[Arguments, Found]:
     """Return a function that leaves the linear algebra library one thread while it works, then those it had.
 
     Notes

@@ -33,7 +33,7 @@ def quantiles(draws: Array, shares: tuple[float, ...]) -> Array:
     return ordered[low] + rest * (ordered[np.minimum(low + 1, len(draws) - 1)] - ordered[low])
 
 
-def falls_to(frequency: Array, curves: Array, level: float) -> Array:
+def crossing_frequency(frequency: Array, curves: Array, level: float) -> Array:
     """Return the lowest frequency at which each curve falls to a level, NaN where it never does.
 
     Parameters

@@ -1,7 +1,7 @@
 """Noise against gain, from dark and evenly lit frames."""
 
 from charact.method import Context, choose
-from charact.method.stopwatch import timed
+from charact.method.stopwatch import with_timing
 from labdata.errors import BadInput
 from labdata.measurement import Result
 from labdata.session import Session
@@ -9,7 +9,7 @@ from labdata.session import Session
 __all__ = ["measure"]
 
 
-@timed
+@with_timing
 def measure(session: Session, *, method: str = "auto", within_percent: float = 2.0, context: Context) -> Result:
     """Measure noise and gain from the darks and flats of a session, the 3-D noise of each, and the law of
     single photoelectrons in the darks of an intensified camera.
@@ -34,10 +34,10 @@ def measure(session: Session, *, method: str = "auto", within_percent: float = 2
     if not session.of_kind("dark", "flat"):
         raise BadInput(f"noise needs dark or flat stacks, got only {sorted({s.kind for s in session.stacks})}")
     from charact.noise.defect_pixels import defect_pixels
-    from charact.noise.light.separation_pulses import with_pulses
+    from charact.noise.snr.gain_separation_events import add_event_gains
     from charact.noise.sound import prepare
 
     ready = prepare(session, context=context)
     session, context = ready.session, ready.context
-    result = with_pulses(chosen.function(session, context=context), session, context=context)
+    result = add_event_gains(chosen.function(session, context=context), session, context=context)
     return ready.in_dn(result) + defect_pixels(session, ready.surveys, ready.found, context=context)

@@ -7,11 +7,11 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.noise.findings import Finding, flags_of
-from charact.noise.gain.series import CLIPPED_SHARE, GAINS, Series, without_noise
-from charact.noise.gain.standard import errors_of
-from charact.noise.hidden import Effect
+from charact.noise.gain.emva1288 import errors_of
+from charact.noise.gain.series import CLIPPED_SHARE, GAINS, FlatSeries, without_noise
 from charact.noise.processing import gamma_of_light, gamma_of_noise, processing_findings
-from charact.noise.stack.level import Level
+from charact.noise.stack.stack_statistics import StackStatistics
+from charact.noise.undetected_correlation import UndetectedEffect
 from labdata import flags
 from labdata.conditions import Conditions
 
@@ -52,20 +52,20 @@ SAME_EXPOSURE = 0.1
 LEAST_SPAN = 1.3
 
 
-def series_findings(series: Series, *, context: Context) -> list[Finding]:
+def series_findings(series: FlatSeries, *, context: Context) -> list[Finding]:
     """Return the flags, with their sentences, that concern every number made of the series."""
     found: list[Finding] = []
     if series.reference != "dark":
         found.append(("no-darks", f"no darks of two frames or more: levels are counted from the {series.reference}"))
     if series.left_out:
         found.append((None, f"left out, at another gain: {', '.join(series.left_out)}"))
-        found += _chosen(series)
+        found += _gain_findings(series)
     if series.single:
         found.append((None, without_noise(series.single)))
-    found += _steadiness(series)
-    found += _light(series)
-    found += _codes(series)
-    found += _unlike(series)
+    found += _stationarity_findings(series)
+    found += _proportionality_findings(series)
+    found += _clipping_findings(series)
+    found += _condition_findings(series)
     found += processing_findings(series)
     found += dark_findings(series)
     left = int(series.fitted.sum())
@@ -75,7 +75,7 @@ def series_findings(series: Series, *, context: Context) -> list[Finding]:
     return found
 
 
-def dark_findings(series: Series) -> list[Finding]:
+def dark_findings(series: FlatSeries) -> list[Finding]:
     """Return whether light fell on a dark: flats below it by more than the noise of a pixel."""
     if series.reference != "dark":
         return []
@@ -92,7 +92,7 @@ def dark_findings(series: Series) -> list[Finding]:
                           remedy="kind in session.toml: dark and flat may be exchanged")]  # fmt: skip
 
 
-def _chosen(series: Series) -> list[Finding]:
+def _gain_findings(series: FlatSeries) -> list[Finding]:
     """At which of several gains the numbers hold."""
     here = series.flats[0].conditions
     known = [f"{name} {getattr(here, name):.4g}" for name in GAINS if getattr(here, name) is not None]
@@ -103,7 +103,7 @@ def _chosen(series: Series) -> list[Finding]:
     )
 
 
-def _unlike(series: Series) -> list[Finding]:
+def _condition_findings(series: FlatSeries) -> list[Finding]:
     """Conditions that set the dark level or the gain and that a flat and its dark do not share."""
     if series.reference != "dark":
         return []
@@ -122,16 +122,16 @@ def _unlike(series: Series) -> list[Finding]:
     return found
 
 
-def light_findings(series: Series) -> list[Finding]:
+def light_findings(series: FlatSeries) -> list[Finding]:
     """Return what speaks against numbers that need the light, and against no gain: dark current, light misstated.
 
     Dark current that a dark of shorter exposure leaves out arrives at random as light does: variance and signal rise
     by it together, and the slope stays.
     """
-    return [*_left_out_dark_current(series), *_contradicted_light(series)]
+    return [*_dark_current_findings(series), *_stated_light_findings(series)]
 
 
-def _left_out_dark_current(series: Series) -> list[Finding]:
+def _dark_current_findings(series: FlatSeries) -> list[Finding]:
     """Flats exposed for longer than their darks."""
     times = [
         (f.conditions.exposure_s, d.conditions.exposure_s) for f, d in zip(series.flats, series.darks, strict=True)
@@ -144,7 +144,7 @@ def _left_out_dark_current(series: Series) -> list[Finding]:
     return [flags.Finding(flag="unlike-conditions", effect=effect, remedy="darks of the flats' exposure_s")]
 
 
-def _contradicted_light(series: Series) -> list[Finding]:
+def _stated_light_findings(series: FlatSeries) -> list[Finding]:
     """Levels that differ under light that is stated to be one."""
     chosen = np.flatnonzero(series.fitted)
     light = [light_of(series.flats[i].conditions) for i in chosen]
@@ -162,15 +162,15 @@ def _contradicted_light(series: Series) -> list[Finding]:
     return [flags.Finding(flag="agc", effect=effect, remedy=remedy)]
 
 
-def coarse(dark: Level, signal_dn: float) -> bool:
+def is_quantisation_limited(dark: StackStatistics, signal_dn: float) -> bool:
     """Whether rare pulses a few DN above a dark are seen through steps that its own noise does not hide."""
     return dark.variance_dn2 < COARSE_DN2 and signal_dn < COARSE_DN
 
 
-def coarse_findings(series: Series) -> list[Finding]:
+def quantisation_findings(series: FlatSeries) -> list[Finding]:
     """Whether all the flats are so dim that the digitiser's steps take part in every pulse."""
     fitted = np.flatnonzero(series.fitted)
-    if not all(coarse(series.darks[i], float(series.signal_dn[i])) for i in fitted):
+    if not all(is_quantisation_limited(series.darks[i], float(series.signal_dn[i])) for i in fitted):
         return []
     brightest = float(series.signal_dn[fitted].max())
     sentence = (
@@ -197,7 +197,7 @@ class _Trend:
     middle: float
 
 
-def _trend(series: Series) -> _Trend | None:
+def _trend(series: FlatSeries) -> _Trend | None:
     """Fit it, or None for a single level."""
     chosen = np.flatnonzero(series.fitted)
     signal = series.signal_dn[chosen]
@@ -214,7 +214,7 @@ def _trend(series: Series) -> _Trend | None:
                   rise_sd=float(np.sqrt(covariance[1, 1])), middle=middle)  # fmt: skip
 
 
-def bend_allowance(series: Series) -> float:
+def bend_allowance(series: FlatSeries) -> float:
     """Return the relative standard deviation that a response which may not be straight adds to the gain.
 
     The slope lies up to the change of variance over signal below the gain at small signals. Three levels and more show
@@ -225,10 +225,10 @@ def bend_allowance(series: Series) -> float:
     if series.fitted.sum() >= CHECKED_LEVELS:
         return min(abs(share), BENT_SHARE) if abs(share) > BENT_ERRORS * sd else 0.0
     told = BENT_SHARE**2 / (BENT_SHARE**2 + sd**2)
-    return Effect(share=told * share, sd=BENT_SHARE * float(np.sqrt(1.0 - told))).expected
+    return UndetectedEffect(share=told * share, sd=BENT_SHARE * float(np.sqrt(1.0 - told))).expected
 
 
-def bent(series: Series) -> list[Finding]:
+def variance_ratio_changes(series: FlatSeries) -> list[Finding]:
     """Whether variance over signal changes with the signal, so that no one slope is the gain."""
     trend = _trend(series)
     if trend is None:
@@ -248,37 +248,37 @@ def bent(series: Series) -> list[Finding]:
     return found + gamma_of_noise(trend.signal, own, trend.sd)
 
 
-def exposure_findings(exposures: Effect) -> list[Finding]:
+def exposure_findings(exposures: UndetectedEffect) -> list[Finding]:
     """What successive exposures share, or may share unseen."""
     if exposures.seen:
         share = 100 * exposures.share
         return [("lag", f"successive exposures hold {share:.3g} % of the noise of one in common")]
-    if exposures.blind:
+    if exposures.is_untestable:
         return [(None, f"too few frames to tell what they share in time; {ALLOWED}")]
     return []
 
 
-def exposure_flags(exposures: Effect) -> tuple[str, ...]:
+def exposure_flags(exposures: UndetectedEffect) -> tuple[str, ...]:
     """The flags of what successive exposures share."""
     return flags_of(exposure_findings(exposures))
 
 
-def hidden_findings(neighbours: Effect, exposures: Effect) -> list[Finding]:
+def correlation_findings(neighbours: UndetectedEffect, exposures: UndetectedEffect) -> list[Finding]:
     """Return what makes a variance read low."""
     found = exposure_findings(exposures)
     if neighbours.seen:
         low = 100.0 * (1.0 - 1.0 / (1.0 + max(neighbours.share, 0.0)))
         effect = f"neighbouring pixels share noise, so that the slope of EMVA 1288 is {low:.2g} % low"
         found.append(flags.Finding(flag="correlated-noise", effect=effect, remedy="--method covariance-sum"))
-    elif neighbours.blind:
+    elif neighbours.is_untestable:
         found.append((None, f"too few pixels and frames to tell what neighbours share; {ALLOWED}"))
     return found
 
 
-def _steadiness(series: Series) -> list[Finding]:
+def _stationarity_findings(series: FlatSeries) -> list[Finding]:
     found: list[Finding] = []
     for flat, signal in zip(series.flats, series.signal_dn, strict=True):
-        drift, flicker = unsteadiness(flat)
+        drift, flicker = drift_and_flicker(flat)
         if abs(drift) > DRIFT_SHARE * abs(signal):
             found.append(("drift", f"{flat.label} drifts by {drift:.3g} DN from first to last frame"))
         if flicker > FLICKER_SHARE * abs(signal):
@@ -286,7 +286,7 @@ def _steadiness(series: Series) -> list[Finding]:
     return found
 
 
-def unsteadiness(level: Level) -> tuple[float, float]:
+def drift_and_flicker(level: StackStatistics) -> tuple[float, float]:
     """Return drift from first to last frame and rms flicker, DN; zero where they are within their noise.
 
     Noise of a frame's mean: its variance by the covariance sum, which blur cannot exceed 100-fold at these sizes.
@@ -306,7 +306,7 @@ def unsteadiness(level: Level) -> tuple[float, float]:
     return drift, rms if significant else 0.0
 
 
-def _low_power(level: Level) -> float:
+def _low_power(level: StackStatistics) -> float:
     """Power of the lowest bins, all lags."""
     spectrum = level.many
     low = np.argsort(np.hypot(level.bins.column_cy_per_px, level.bins.row_cy_per_px))[:8]
@@ -324,7 +324,7 @@ def light_of(conditions: Conditions) -> float | None:
     return conditions.illuminance_lux * (1.0 if time is None else time)
 
 
-def _light(series: Series) -> list[Finding]:
+def _proportionality_findings(series: FlatSeries) -> list[Finding]:
     """Whether the signal follows the light between the levels that are fitted."""
     # What turns the gain up for all levels alike no flat betrays: it is taken from whoever states it.
     if any(flat.conditions.automatic_gain or flat.conditions.brightness_control for flat in series.flats):
@@ -350,14 +350,14 @@ def _light(series: Series) -> list[Finding]:
     return []
 
 
-def _codes(series: Series) -> list[Finding]:
+def _clipping_findings(series: FlatSeries) -> list[Finding]:
     found: list[Finding] = []
     found += [
-        ("clipped", f"{100 * level.low_share:.1f} % of the pixels of {level.label} are at code 0")
+        ("clipped", f"{100 * level.low_fraction:.1f} % of the pixels of {level.label} are at code 0")
         for level in (*series.all_darks, *series.flats)
-        if level.low_share > 0.01
+        if level.low_fraction > 0.01
     ]
-    over = [flat.label for flat in series.flats if flat.high_share > CLIPPED_SHARE]
+    over = [flat.label for flat in series.flats if flat.high_fraction > CLIPPED_SHARE]
     if over and not series.fitted.any():
         found.append(("saturated", f"pixels of {', '.join(over)} are at the highest code"))
     return found

@@ -7,14 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.method.stopwatch import timed
-from charact.noise.checks import QUANTISED_DN2, unsteadiness
+from charact.method.stopwatch import with_timing
+from charact.noise.checks import QUANTISED_DN2, drift_and_flicker
 from charact.noise.findings import Finding, flags_of, notes_of
-from charact.noise.gain.standard import QUANTISATION_DN2
+from charact.noise.gain.emva1288 import QUANTISATION_DN2
 from charact.noise.provenance import provenance
 from charact.noise.quantities import CUT_SHARE
-from charact.noise.stack.level import Level
-from labdata.measurement import Measurement, Result, from_draws, refused
+from charact.noise.stack.stack_statistics import StackStatistics
+from labdata.measurement import Measurement, Result, make_refusal, measurement_from_draws
 
 Array = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ LAW_SHARE = 0.02
 
 
 @dataclass(frozen=True, kw_only=True)
-class Slope:
+class DarkSlope:
     """Dark current at one temperature.
 
     Parameters
@@ -51,8 +51,8 @@ class Slope:
     findings: tuple[Finding, ...]
 
 
-@timed
-def dark_current(darks: list[Level], result: Result, *, context: Context) -> Result:
+@with_timing
+def dark_current(darks: list[StackStatistics], result: Result, *, context: Context) -> Result:
     """Return the dark current of a series of exposures, and the temperature difference that doubles it.
 
     Parameters
@@ -81,22 +81,24 @@ def dark_current(darks: list[Level], result: Result, *, context: Context) -> Res
             + (f"only {known[0]:.4g} s" if len(known) == 1 else "no two alike but for their exposure" if known else
                "none whose exposure is stated")
         )  # fmt: skip
-        return Result(measurements=(refused("dark_current", "DN/s", reason, **fields),))
+        return Result(measurements=(make_refusal("dark_current", "DN/s", reason, **fields),))
     best = max(slopes, key=lambda slope: slope.exposures)
     out = [_current(best, "DN/s", best.draws, (), **fields), *_electrons(best, result, rng, **fields)]
     out.append(_doubling(slopes, rng, **fields))
     return Result(measurements=tuple(out))
 
 
-def _groups(darks: list[Level]) -> list[list[Level]]:
+def _groups(darks: list[StackStatistics]) -> list[list[StackStatistics]]:
     """Darks of one gain and temperature; of several gains those of the one with most darks."""
-    whole = [d for d in darks if d.conditions.exposure_s is not None and max(d.low_share, d.high_share) <= CUT_SHARE]
-    gains: dict[tuple, list[Level]] = {}
+    whole = [
+        d for d in darks if d.conditions.exposure_s is not None and max(d.low_fraction, d.high_fraction) <= CUT_SHARE
+    ]
+    gains: dict[tuple, list[StackStatistics]] = {}
     for dark in whole:
         here = dark.conditions
         gains.setdefault((here.mcp_v, here.camera_gain_db, here.em_gain, here.gain_control), []).append(dark)
     chosen = max(gains.values(), key=len, default=[])
-    groups: list[list[Level]] = []
+    groups: list[list[StackStatistics]] = []
     for dark in sorted(chosen, key=lambda level: level.conditions.temperature_c or 0.0):
         last = groups[-1][-1].conditions.temperature_c if groups else None
         here = dark.conditions.temperature_c
@@ -110,7 +112,7 @@ def _groups(darks: list[Level]) -> list[list[Level]]:
     return groups
 
 
-def _slope(darks: list[Level], rng: np.random.Generator) -> Slope | None:
+def _slope(darks: list[StackStatistics], rng: np.random.Generator) -> DarkSlope | None:
     """Fit level against exposure; None where there is one exposure only."""
     time = np.array([d.conditions.exposure_s for d in darks], float)
     exposures = len(np.unique(time))
@@ -124,11 +126,11 @@ def _slope(darks: list[Level], rng: np.random.Generator) -> Slope | None:
         rng.standard_t(freedom, DRAWS) * np.sqrt(max(1.0, chi2 / freedom)) if freedom else rng.standard_normal(DRAWS)
     )
     warm = [d.conditions.temperature_c for d in darks if d.conditions.temperature_c is not None]
-    return Slope(temperature_c=float(np.mean(warm)) if warm else None, draws=value + error * student,
+    return DarkSlope(temperature_c=float(np.mean(warm)) if warm else None, draws=value + error * student,
                  exposures=exposures, findings=tuple(_findings(darks, time, mean, sd, value)))  # fmt: skip
 
 
-def _level_sd(dark: Level) -> float:
+def _level_sd(dark: StackStatistics) -> float:
     """Standard error of the level of a dark, DN."""
     scatter = float(np.std(dark.frame_mean_dn, ddof=1)) / np.sqrt(dark.frames)
     return max(scatter, float(np.sqrt(max(dark.variance_dn2, QUANTISATION_DN2) / (dark.pixels * dark.frames))))
@@ -144,7 +146,7 @@ def _line(time: Array, mean: Array, sd: Array, order: int) -> tuple[float, float
     return float(fit[-1] / scale), float(np.sqrt(covariance[-1, -1]) / scale), chi2
 
 
-def _findings(darks: list[Level], time: Array, mean: Array, sd: Array, slope: float) -> list[Finding]:
+def _findings(darks: list[StackStatistics], time: Array, mean: Array, sd: Array, slope: float) -> list[Finding]:
     """What is wrong with darks of several exposures."""
     found: list[Finding] = []
     if len(np.unique(time)) == 2:
@@ -158,7 +160,7 @@ def _findings(darks: list[Level], time: Array, mean: Array, sd: Array, slope: fl
         found.append(("quantised", "darks whose noise is below the digitiser's steps have levels between two codes"))
     rise = abs(slope) * float(np.ptp(time))
     for dark in darks:
-        drift = abs(unsteadiness(dark)[0])
+        drift = abs(drift_and_flicker(dark)[0])
         if drift > 0.1 * rise:
             found.append(
                 ("drift", f"{dark.label} drifts by {drift:.3g} DN, beside {rise:.3g} DN from exposure to exposure")
@@ -168,39 +170,41 @@ def _findings(darks: list[Level], time: Array, mean: Array, sd: Array, slope: fl
     return found
 
 
-def _current(slope: Slope, unit: str, draws: Array, flags: tuple[str, ...], **fields: Any) -> Measurement:
+def _current(slope: DarkSlope, unit: str, draws: Array, flags: tuple[str, ...], **fields: Any) -> Measurement:
     notes = notes_of(list(slope.findings))
     if slope.temperature_c is not None:
         notes = (f"at {slope.temperature_c:.1f} degrees Celsius", *notes)
-    return from_draws("dark_current", unit, draws, flags=flags_of(list(slope.findings)) + flags, notes=notes, **fields)
+    return measurement_from_draws(
+        "dark_current", unit, draws, flags=flags_of(list(slope.findings)) + flags, notes=notes, **fields
+    )
 
 
-def _electrons(slope: Slope, result: Result, rng: np.random.Generator, **fields: Any) -> list[Measurement]:
+def _electrons(slope: DarkSlope, result: Result, rng: np.random.Generator, **fields: Any) -> list[Measurement]:
     """Dark current in electrons, where the system gain is known."""
     known = [m for m in result.find("system_gain") if m.value is not None and "correlated-noise" not in m.flags]
     if not known:
         reason = "dark current in electrons needs the system gain, which this session does not tell"
-        return [refused("dark_current", "e-/s", reason, **fields)]
+        return [make_refusal("dark_current", "e-/s", reason, **fields)]
     gain = known[0]
     low, high = gain.interval68 or (0.0, 0.0)
     draws = float(gain.value or 0.0) + 0.5 * (high - low) * rng.standard_normal(DRAWS)
     return [_current(slope, "e-/s", slope.draws / draws, gain.flags, **fields)]
 
 
-def _doubling(slopes: list[Slope], rng: np.random.Generator, **fields: Any) -> Measurement:
+def _doubling(slopes: list[DarkSlope], rng: np.random.Generator, **fields: Any) -> Measurement:
     """Temperature difference at which the dark current doubles, from all temperatures."""
     known = [slope for slope in slopes if slope.temperature_c is not None]
     if len(known) < 2:
         reason = (
             "the temperature law of the dark current needs darks of two exposures each at two temperatures, got one"
         )
-        return refused("dark_doubling_temperature", "K", reason, **fields)
+        return make_refusal("dark_doubling_temperature", "K", reason, **fields)
     warm = np.array([slope.temperature_c for slope in known], float)
     draws = np.array([slope.draws for slope in known])
     unseen = [f"{t:.1f}" for t, current in zip(warm, draws, strict=True) if np.quantile(current, 0.025) <= 0]
     if unseen:
         reason = f"no dark current is seen at {', '.join(unseen)} degrees Celsius: longer exposures are needed"
-        return refused("dark_doubling_temperature", "K", reason, **fields)
+        return make_refusal("dark_doubling_temperature", "K", reason, **fields)
     log2 = np.log2(np.maximum(draws, 1e-12 * draws.max()))
     spread = np.hypot(log2.std(axis=1), LAW_SHARE / np.log(2.0))
     log2 = log2 + LAW_SHARE / np.log(2.0) * rng.standard_normal(log2.shape)
@@ -208,7 +212,7 @@ def _doubling(slopes: list[Slope], rng: np.random.Generator, **fields: Any) -> M
     rise = weight @ log2 / (weight @ warm)
     if np.quantile(rise, 0.025) <= 0:
         reason = f"the dark current does not rise between {warm.min():.1f} and {warm.max():.1f} degrees Celsius"
-        return refused("dark_doubling_temperature", "K", reason, **fields)
+        return make_refusal("dark_doubling_temperature", "K", reason, **fields)
     findings = [finding for slope in known for finding in slope.findings]
     middle = np.median(log2, axis=1)
     rest = (
@@ -220,5 +224,5 @@ def _doubling(slopes: list[Slope], rng: np.random.Generator, **fields: Any) -> M
         findings.append(("model-misfit", "the dark current does not double at equal steps of temperature"))
     if len(known) == 2:
         findings.append((None, "from two temperatures: the law itself cannot be checked"))
-    return from_draws("dark_doubling_temperature", "K", 1.0 / rise, flags=flags_of(findings),
+    return measurement_from_draws("dark_doubling_temperature", "K", 1.0 / rise, flags=flags_of(findings),
                       notes=tuple(dict.fromkeys(notes_of(findings))), **fields)  # fmt: skip

@@ -7,10 +7,10 @@ import numpy as np
 
 from charact.method import Context
 from charact.noise.provenance import provenance
-from charact.noise.sound.pixels import Unsound
-from charact.noise.sound.survey import Survey
+from charact.noise.sound.pixels import DefectivePixels
+from charact.noise.sound.survey import PixelSurvey
 from charact.noise.sound.thresholds import FAR
-from labdata.measurement import Measurement, Result, measured, refused
+from labdata.measurement import Measurement, Result, make_measurement, make_refusal
 from labdata.session import Session
 
 METHOD = "outlying-pixels"
@@ -18,22 +18,24 @@ METHOD = "outlying-pixels"
 LISTED = 10
 
 
-def defect_pixels(session: Session, surveys: Sequence[Survey], found: Unsound | None, *, context: Context) -> Result:
+def defect_pixels(
+    session: Session, surveys: Sequence[PixelSurvey], found: DefectivePixels | None, *, context: Context
+) -> Result:
     """Return how many pixels are defective in the dark of the longest exposure and in the brightest flat."""
     fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
     known = [one for one in surveys if one.threshold_dn > 0]
     if found is None or not known:
         reason = "defective pixels need stacks of two frames and of 32 x 32 px at least that change from frame to frame"
-        return Result(measurements=(refused("defect_pixels", "px", reason, **fields),))
+        return Result(measurements=(make_refusal("defect_pixels", "px", reason, **fields),))
     exposure = {entry.label: entry.conditions.exposure_s or 0.0 for entry in session.stacks}
     darks = [one for one in known if one.kind == "dark"]
     flats = [one for one in known if one.kind == "flat"]
     chosen = [max(darks, key=lambda one: (exposure[one.label], one.frames))] if darks else []
     chosen += [max(flats, key=lambda one: one.level_dn)] if flats else []
-    return Result(measurements=tuple(_counted(one, found, fields) for one in chosen))
+    return Result(measurements=tuple(_defect_count(one, found, fields) for one in chosen))
 
 
-def _counted(one: Survey, found: Unsound, fields: dict[str, Any]) -> Measurement:
+def _defect_count(one: PixelSurvey, found: DefectivePixels, fields: dict[str, Any]) -> Measurement:
     """The number of defective pixels of a stack."""
     blinking = np.intersect1d(found.blinking, one.sudden)
     bright, faint = (np.setdiff1d(places, blinking) for places in (one.bright, one.faint))
@@ -50,4 +52,4 @@ def _counted(one: Survey, found: Unsound, fields: dict[str, Any]) -> Measurement
         notes.append(f"row and column of the first: {shown}")
     least, most = ([number + len(blinking) for number in bounds] for bounds in (one.least, one.most))
     around = [(float(min(least[i], count)), float(max(most[i], count))) for i in (0, 1)]
-    return measured("defect_pixels", "px", float(count), *around, notes=tuple(notes), stack=one.label, **fields)
+    return make_measurement("defect_pixels", "px", float(count), *around, notes=tuple(notes), stack=one.label, **fields)

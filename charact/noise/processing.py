@@ -4,9 +4,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.noise.findings import Finding
-from charact.noise.gain.series import Series
-from charact.noise.hidden import FEW_FRAMES, light_correlation, weighted_mean
-from charact.noise.stack.level import Level
+from charact.noise.gain.series import FlatSeries
+from charact.noise.stack.stack_statistics import StackStatistics
+from charact.noise.undetected_correlation import FEW_FRAMES, inverse_variance_mean, light_correlation
 
 Array = NDArray[np.float64]
 
@@ -28,30 +28,34 @@ POWER_ERROR = 0.05
 LEAST_LEVELS = 4
 
 
-def processing_findings(series: Series) -> list[Finding]:
+def processing_findings(series: FlatSeries) -> list[Finding]:
     """Return what the noise of a series tells of filters in the camera."""
     lit = [flat for flat, fitted in zip(series.flats, series.fitted, strict=True) if fitted]
-    return [*_sharpened(lit), *_averaged(series.all_darks), *_smoothed_by_level(series)]
+    return [
+        *_sharpening_findings(lit),
+        *_temporal_filter_findings(series.all_darks),
+        *_level_smoothing_findings(series),
+    ]
 
 
-def _sharpened(levels: list[Level]) -> list[Finding]:
+def _sharpening_findings(levels: list[StackStatistics]) -> list[Finding]:
     """Whether noise is stronger in fine detail than in coarse, which no blur can make it."""
     for place, correlations in (
         ("in a row", [(level.neighbour_correlation, level.neighbour_sd) for level in levels]),
         ("in a column", [(level.below_correlation, level.below_sd) for level in levels]),
     ):
-        value, sd = weighted_mean(correlations)
+        value, sd = inverse_variance_mean(correlations)
         if value < -LEAST_SHARE - SIGNIFICANT * sd:
             word = f"the noise of neighbours {place} is opposed ({100 * value:.2g} %)"
             return [("processed", f"{word}: the camera sharpens its pictures, and the variance reads high")]
-    value, sd = weighted_mean([_rise(level) for level in levels])
+    value, sd = inverse_variance_mean([_rise(level) for level in levels])
     if value > LEAST_RISE + SIGNIFICANT * sd:
         word = f"the noise is {100 * value:.2g} % stronger in fine detail than in coarse"
         return [("processed", f"{word}: the camera sharpens its pictures")]
     return []
 
 
-def _rise(level: Level) -> tuple[float, float]:
+def _rise(level: StackStatistics) -> tuple[float, float]:
     """Power of the noise in the outer ring over that in the inner one, less one, and its standard error."""
     radius = np.hypot(level.bins.column_cy_per_px, level.bins.row_cy_per_px)
     exposures = level.runs * (len(level.time) - len(np.unique(level.parity)))
@@ -68,19 +72,19 @@ def _rise(level: Level) -> tuple[float, float]:
     return ratio - 1.0, ratio * float(np.sqrt(1.0 / modes[0] + 1.0 / modes[1]))
 
 
-def _averaged(darks: tuple[Level, ...]) -> list[Finding]:
+def _temporal_filter_findings(darks: tuple[StackStatistics, ...]) -> list[Finding]:
     """Whether dark frames share noise in time that pixels do not share in space: no light glows on so."""
     known = [dark for dark in darks if dark.frames > FEW_FRAMES]
-    value, sd = weighted_mean([(dark.successor_correlation, dark.successor_sd) for dark in known])
-    around = [weighted_mean([(d.neighbour_correlation, d.neighbour_sd) for d in known]),
-              weighted_mean([(d.below_correlation, d.below_sd) for d in known])]  # fmt: skip
+    value, sd = inverse_variance_mean([(dark.successor_correlation, dark.successor_sd) for dark in known])
+    around = [inverse_variance_mean([(d.neighbour_correlation, d.neighbour_sd) for d in known]),
+              inverse_variance_mean([(d.below_correlation, d.below_sd) for d in known])]  # fmt: skip
     if value < LEAST_SHARE + SIGNIFICANT * sd or max(part for part, _ in around) > SHARED_IN_SPACE * value:
         return []
     word = f"successive dark frames hold {100 * value:.2g} % of their noise in common, neighbouring pixels none"
     return [("processed", f"{word}: the camera reduces noise in time")]
 
 
-def _smoothed_by_level(series: Series) -> list[Finding]:
+def _level_smoothing_findings(series: FlatSeries) -> list[Finding]:
     """Whether neighbours share more of the light's noise at one level than at another.
 
     Blur after the gain, and every filter that treats all pictures alike, spread the noise of each level by one form. A

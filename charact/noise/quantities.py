@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 from charact.method import Context
 from charact.noise.checks import QUANTISED_DN2
 from charact.noise.findings import Finding, flags_of, notes_of
-from charact.noise.gain import standard
-from charact.noise.gain.series import Series
-from charact.noise.hidden import FEW_FRAMES
-from charact.noise.light.rounding import rounding_sd
-from charact.noise.light.stated import light_of_photons
-from charact.noise.stack.level import Level
-from labdata.measurement import Measurement, from_draws, from_sd, refused
+from charact.noise.gain import emva1288
+from charact.noise.gain.series import FlatSeries
+from charact.noise.snr.rounding import rounding_sd
+from charact.noise.snr.stated_illumination import light_of_photons
+from charact.noise.stack.stack_statistics import StackStatistics
+from charact.noise.undetected_correlation import FEW_FRAMES
+from labdata.measurement import Measurement, make_refusal, measurement_from_draws, measurement_from_sd
 
 Array = NDArray[np.float64]
 
@@ -28,43 +28,45 @@ PAIR = "of a pair: what its two frames share in time, if anything, is in it"
 DARK_SHARE = 0.02
 
 
-def dark_quantities(darks: tuple[Level, ...], *, flags: tuple[str, ...], **fields: Any) -> list[Measurement]:
+def dark_quantities(darks: tuple[StackStatistics, ...], *, flags: tuple[str, ...], **fields: Any) -> list[Measurement]:
     """Read noise and level of the darks, DN; the shortest exposure speaks."""
     dark = min(darks, key=lambda level: level.conditions.exposure_s or 0.0)
     spread = float(np.hypot(dark.variance_sd_dn2, rounding_sd(dark.variance_dn2)[1]))
-    noise, sd = standard.noise_of(dark.variance_dn2, spread)
+    noise, sd = emva1288.noise_of(dark.variance_dn2, spread)
     small = ("quantised",) if dark.variance_dn2 < QUANTISED_DN2 else ()
     # Said here as well, for darks without a series of flats.
-    flags += cut(dark)
+    flags += dark_clipping_flags(dark)
     out = []
     if noise > 0:
         note = ("temporal noise of a dark frame: electronics, digitiser and what scintillates in the dark",)
-        out.append(from_sd("read_noise", "DN", noise, sd, flags=flags + small, notes=note, **fields))
+        out.append(measurement_from_sd("read_noise", "DN", noise, sd, flags=flags + small, notes=note, **fields))
     else:
-        out.append(refused("read_noise", "DN", f"{dark.label} does not change from frame to frame", **fields))
+        out.append(make_refusal("read_noise", "DN", f"{dark.label} does not change from frame to frame", **fields))
     scatter = float(np.std(dark.frame_mean_dn, ddof=1)) / np.sqrt(dark.frames)
     level_sd = max(scatter, np.sqrt(max(dark.variance_dn2, QUANTISED_DN2) / (dark.pixels * dark.frames)))
-    out.append(from_sd("dark_signal", "DN", dark.mean_dn, float(level_sd), flags=flags, **fields))
+    out.append(measurement_from_sd("dark_signal", "DN", dark.mean_dn, float(level_sd), flags=flags, **fields))
     return out
 
 
-def cut(dark: Level) -> tuple[str, ...]:
+def dark_clipping_flags(dark: StackStatistics) -> tuple[str, ...]:
     """The flag of a dark whose noise is cut short at an end of the codes."""
-    return ("clipped",) if max(dark.low_share, dark.high_share) > CUT_SHARE else ()
+    return ("clipped",) if max(dark.low_fraction, dark.high_fraction) > CUT_SHARE else ()
 
 
-def saturation(series: Series, *, flags: tuple[str, ...], **fields: Any) -> Measurement:
+def saturation_level(series: FlatSeries, *, flags: tuple[str, ...], **fields: Any) -> Measurement:
     """Level at which the temporal variance peaks."""
     if series.peak is None:
         reason = f"the variance still rises at the brightest flat, {series.flats[-1].mean_dn:.4g} DN"
-        return refused("saturation", "DN", reason, **fields)
+        return make_refusal("saturation", "DN", reason, **fields)
     level = np.array([flat.mean_dn for flat in series.flats])
     near = level[max(0, series.peak - 1) : series.peak + 2]
     # The peak lies somewhere between the neighbouring levels: a triangular spread.
-    return from_sd("saturation", "DN", level[series.peak], float(np.ptp(near)) / np.sqrt(24.0), flags=flags, **fields)
+    return measurement_from_sd(
+        "saturation", "DN", level[series.peak], float(np.ptp(near)) / np.sqrt(24.0), flags=flags, **fields
+    )
 
 
-def pattern_quantities(series: Series, gain: Array | None, *, flags: tuple[str, ...],
+def pattern_quantities(series: FlatSeries, gain: Array | None, *, flags: tuple[str, ...],
                        gain_flags: tuple[str, ...] = (), pair_flags: tuple[str, ...] = (), **fields: Any
                        ) -> list[Measurement]:  # fmt: skip
     """Non-uniformity of dark signal and of response, from the stacks of most frames.
@@ -85,43 +87,43 @@ def pattern_quantities(series: Series, gain: Array | None, *, flags: tuple[str, 
     variance = flat.spatial_variance_dn2 - dark.spatial_variance_dn2
     sd = float(np.hypot(flat.spatial_sd_dn2, dark.spatial_sd_dn2))
     weighs = dark.spatial_variance_dn2 + dark.spatial_sd_dn2 > DARK_SHARE * variance
-    out.append(_root("prnu", "%", variance, sd, lambda s: 100.0 * s / signal,
-                     flags=flags + lagging(flat, *((dark,) if weighs else ()))
+    out.append(_spatial_deviation("prnu", "%", variance, sd, lambda s: 100.0 * s / signal,
+                     flags=flags + image_lag_flags(flat, *((dark,) if weighs else ()))
                      + pair_flags * (flat.frames <= FEW_FRAMES),
                      notes=("shading of the light and of the lens included",), **fields))  # fmt: skip
     return out
 
 
-def _dark_pattern(dark: Level, gain: Array | None, *, flags: tuple[str, ...], **fields: Any) -> Measurement:
+def _dark_pattern(dark: StackStatistics, gain: Array | None, *, flags: tuple[str, ...], **fields: Any) -> Measurement:
     """Non-uniformity of the dark signal, in electrons where the gain is known."""
-    flags += lagging(dark) + (("quantised",) if dark.variance_dn2 < QUANTISED_DN2 else ())
+    flags += image_lag_flags(dark) + (("quantised",) if dark.variance_dn2 < QUANTISED_DN2 else ())
     notes = (PAIR,) if dark.frames < FEW_FRAMES else ()
     unit, scale, relative_sd = "DN", 1.0, 0.0
     if gain is not None:
         unit, scale, relative_sd = "e-", float(np.median(gain)), float(np.std(gain) / np.median(gain))
     sd = float(np.hypot(dark.spatial_sd_dn2, 2.0 * relative_sd * dark.spatial_variance_dn2))
-    return _root("dsnu", unit, dark.spatial_variance_dn2, sd, lambda s: s / scale, flags=flags, notes=notes,
+    return _spatial_deviation("dsnu", unit, dark.spatial_variance_dn2, sd, lambda s: s / scale, flags=flags, notes=notes,
                  **fields)  # fmt: skip
 
 
-def lagging(*levels: Level) -> tuple[str, ...]:
+def image_lag_flags(*levels: StackStatistics) -> tuple[str, ...]:
     """The flag of stacks in which noise that frames share for a while may pass for pattern."""
     return () if all(level.settled for level in levels) else ("lag",)
 
 
-def _root(quantity: str, unit: str, variance: float, sd: float, scaled: Callable[[float], float], *,
+def _spatial_deviation(quantity: str, unit: str, variance: float, sd: float, scaled: Callable[[float], float], *,
           flags: tuple[str, ...], notes: tuple[str, ...] = (), **fields: Any) -> Measurement:  # fmt: skip
     """A standard deviation over the image, refused where it drowns in temporal noise."""
     if variance < 3.0 * sd or variance <= 0:
         limit = float(scaled(np.sqrt(max(variance, 0.0) + 3.0 * sd)))
         reason = f"it drowns in temporal noise: more frames are needed to see less than {limit:.3g} {unit}"
-        return refused(quantity, unit, reason, notes=notes, **fields)
+        return make_refusal(quantity, unit, reason, notes=notes, **fields)
     root = float(np.sqrt(variance))
-    return from_sd(quantity, unit, float(scaled(root)), float(scaled(sd / (2 * root))), flags=flags, notes=notes,
+    return measurement_from_sd(quantity, unit, float(scaled(root)), float(scaled(sd / (2 * root))), flags=flags, notes=notes,
                    **fields)  # fmt: skip
 
 
-def white_quantities(series: Series, gain: standard.Line, *, context: Context, findings: list[Finding],
+def white_quantities(series: FlatSeries, gain: emva1288.GainLine, *, context: Context, findings: list[Finding],
                      light: list[Finding], notes: tuple[str, ...] = (), factor: float = 1.0, **fields: Any
                      ) -> list[Measurement]:  # fmt: skip
     """Return what EMVA 1288 makes of K: efficiency, noise in electrons, range.
@@ -144,33 +146,33 @@ def white_quantities(series: Series, gain: standard.Line, *, context: Context, f
     out: list[Measurement] = []
     fields |= {"flags": flags_of(findings) + gain.posterior.flags}
     lit = {**fields, "flags": flags_of([*findings, *light]) + gain.posterior.flags}
-    photons = standard.photons_of(series)
+    photons = emva1288.photons_of(series)
     efficiency = None
     if photons is not None and (photons > 0).all():
-        response = standard.responsivity_line(series, photons, context=context)
+        response = emva1288.responsivity_line(series, photons, context=context)
         efficiency = rng.permutation(response.slope) / slope
         stated = light_of_photons(series, photons)
         true = efficiency / stated.scale(context.seed, len(efficiency))
         words = (*notes, stated.note, *notes_of(light))
-        out.append(from_draws("quantum_efficiency", "%", 100 * true, notes=words, **lit))
+        out.append(measurement_from_draws("quantum_efficiency", "%", 100 * true, notes=words, **lit))
         out.append(_linearity(series, response, photons, notes=notes_of(light), **lit))
     if not series.all_darks:
         return out
-    dark, dark_sd = standard.dark_noise_dn(series)
+    dark, dark_sd = emva1288.dark_noise_dn(series)
     # What the steps do to so little noise depends on where between two codes it lies, and on neither side of none.
     steps = rounding_sd(dark**2)[1] * rng.standard_normal(len(slope))
-    square = (dark + dark_sd * rng.standard_normal(len(slope))) ** 2 - standard.QUANTISATION_DN2 + steps
+    square = (dark + dark_sd * rng.standard_normal(len(slope))) ** 2 - emva1288.QUANTISATION_DN2 + steps
     if np.quantile(square, 0.02) <= 0:
         reason = f"the noise of {dark:.3g} DN is not above that of the digitiser's steps"
         fields.pop("flags")
-        out.append(refused("read_noise", "e-", reason, **fields))
+        out.append(make_refusal("read_noise", "e-", reason, **fields))
         return out
     dark_e2 = np.maximum(square, 0.0) / slope**2
-    out.append(from_draws("read_noise", "e-", np.sqrt(dark_e2), notes=notes, **fields))
+    out.append(measurement_from_draws("read_noise", "e-", np.sqrt(dark_e2), notes=notes, **fields))
     return out + _range(series, slope, None if light else efficiency, dark_e2, photons, factor, **fields)
 
 
-def _linearity(series: Series, response: standard.Line, photons: Array, **fields: Any) -> Measurement:
+def _linearity(series: FlatSeries, response: emva1288.GainLine, photons: Array, **fields: Any) -> Measurement:
     """Mean departure from the line between 5 and 70 % of saturation, percent of the line."""
     chosen = np.flatnonzero(series.fitted)
     value = np.median(response.slope) * photons[chosen]
@@ -179,22 +181,22 @@ def _linearity(series: Series, response: standard.Line, photons: Array, **fields
     departure = np.abs(response.residual[inside] / value[inside])
     sd = np.hypot(float(np.sqrt(np.sum((error / value)[inside] ** 2))) / inside.sum(),
                   float(np.std(response.slope) / np.median(response.slope)))  # fmt: skip
-    return from_sd("linearity_error", "%", 100 * float(departure.mean()), 100 * float(sd), **fields)
+    return measurement_from_sd("linearity_error", "%", 100 * float(departure.mean()), 100 * float(sd), **fields)
 
 
-def _range(series: Series, slope: Array, efficiency: Array | None, dark_e2: Array, photons: Array | None,
+def _range(series: FlatSeries, slope: Array, efficiency: Array | None, dark_e2: Array, photons: Array | None,
            factor: float, **fields: Any) -> list[Measurement]:  # fmt: skip
     """Capacity, largest signal-to-noise ratio and dynamic range, at the level where the variance peaks."""
     names = (("saturation_capacity", "e-"), ("snr_max", "1"), ("dynamic_range", "1"))
     if series.peak is None:
         reason = f"no flat reaches saturation: the variance still rises at {series.flats[-1].mean_dn:.4g} DN"
         fields.pop("flags")
-        return [refused(name, unit, reason, **fields) for name, unit in names]
+        return [make_refusal(name, unit, reason, **fields) for name, unit in names]
     if efficiency is not None and photons is not None:
         capacity = efficiency * photons[series.peak]
     else:
         capacity = series.signal_dn[series.peak] / slope
-    least = standard.sensitivity_photons(np.ones_like(slope), dark_e2, slope, factor)
+    least = emva1288.sensitivity_photons(np.ones_like(slope), dark_e2, slope, factor)
     # The peak is known to within the step between levels.
     draws = (capacity, np.sqrt(capacity / factor), capacity / least)
-    return [from_draws(name, unit, d, **fields) for (name, unit), d in zip(names, draws, strict=True)]
+    return [measurement_from_draws(name, unit, d, **fields) for (name, unit), d in zip(names, draws, strict=True)]

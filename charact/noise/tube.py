@@ -10,12 +10,14 @@ from labdata.session import Session
 OF_TUBES = ("mcp_v", "gain_control", "luminous_gain", "brightness_control")
 
 
-def intensified(conditions: Iterable[Conditions], context: Context) -> bool:
+def has_intensifier(conditions: Iterable[Conditions], context: Context) -> bool:
     """Return whether an intensifier is described, or a setting of one is stated."""
     return context.sensor is not None or any(getattr(one, name) is not None for one in conditions for name in OF_TUBES)
 
 
-def multiplies(session: Session, context: Context) -> bool:
+def has_multiplication(session: Session, context: Context) -> bool:
     """Return whether single electrons become pulses: in a tube or in a multiplying register."""
     known = [entry.conditions for entry in session.of_kind("dark", "flat")]
-    return intensified(known, context) or context.register is not None or any((c.em_gain or 1.0) > 1.0 for c in known)
+    return (
+        has_intensifier(known, context) or context.register is not None or any((c.em_gain or 1.0) > 1.0 for c in known)
+    )

@@ -1,20 +1,20 @@
 """Posterior draws that may be trusted: a maximum with its curvature, weighted draws, a chain that must prove itself."""
 
 from charact.posterior.chain import sample
-from charact.posterior.curvature import laplace, maximum
 from charact.posterior.diagnostics import has_several_peaks
-from charact.posterior.drawing import draw
-from charact.posterior.importance import weighed
+from charact.posterior.importance import importance_sample
+from charact.posterior.laplace import find_maximum, laplace
 from charact.posterior.predictive import PredictiveCheck, predictive_check, predictive_probability
+from charact.posterior.sampling import sample_posterior
 
 __all__ = [
     "PredictiveCheck",
-    "draw",
+    "find_maximum",
     "has_several_peaks",
+    "importance_sample",
     "laplace",
-    "maximum",
     "predictive_check",
     "predictive_probability",
     "sample",
-    "weighed",
+    "sample_posterior",
 ]

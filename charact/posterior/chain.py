@@ -10,19 +10,26 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from charact.posterior.curvature import Vectorised, gaussian_within, laplace, maximum, root_of, walls_of
 from charact.posterior.diagnostics import (
     autocorrelation_time,
+    crowds_at_bound,
     ensemble_r_hat,
     has_several_peaks,
-    leans_on_bound,
-    moves_well,
+    mixes_well,
     split_r_hat,
 )
 from charact.posterior.ensembles import Ensembles, first_places
-from charact.posterior.moves import mixed_moves
-from charact.posterior.open_space import OpenSpace
-from charact.posterior.scores import NormalScores
+from charact.posterior.laplace import (
+    Vectorised,
+    bounds_of,
+    covariance_root,
+    find_maximum,
+    laplace,
+    truncated_gaussian_draws,
+)
+from charact.posterior.moves import walker_moves
+from charact.posterior.normal_scores import NormalScores
+from charact.posterior.probit_transform import ProbitTransform
 from labdata.errors import BadInput
 from labdata.measurement import Posterior
 
@@ -106,30 +113,32 @@ def sample(
     unknown to any chain, and a chain knows nothing of a wrong model: that is for `predictive_check`.
     """
     spread = np.asarray(covariance, float)
-    walls = walls_of(bounds, len(spread))
+    walls = bounds_of(bounds, len(spread))
     count = _walkers(walkers, len(spread))
     places = _peaks(log_probability, np.atleast_2d(np.asarray(start, float)), spread, walls, seed)
-    open_space = OpenSpace(walls)
+    open_space = ProbitTransform(walls)
 
-    def unbounded(points: NDArray) -> NDArray:
+    def log_probability_of_scores(points: NDArray) -> NDArray:
         return log_probability(open_space.inside(points)) + open_space.log_volume(points)
 
-    running = _started(log_probability, unbounded, open_space, places, spread, (max(2, ensembles), count), seed)
-    _learn(running, unbounded, max_steps)
+    running = _start_ensembles(
+        log_probability, log_probability_of_scores, open_space, places, spread, (max(2, ensembles), count), seed
+    )
+    _learn(running, log_probability_of_scores, max_steps)
     chains, trust = _run(running, max_steps)
     chains = open_space.inside(chains)
-    seen = _chosen(chains, 4000, seed)
+    seen = _pick_draws(chains, 4000, seed)
     several = ("several-modes",) if has_several_peaks(seen) else ()
     if not trust.converged:
         return laplace(
             log_probability, names=names, units=units, start=places[0], covariance=spread, seed=seed,
             bounds=bounds, draws=draws, flags=("not-converged", *several),
         )  # fmt: skip
-    leaning = ("prior-bound",) if leans_on_bound(seen, walls).any() else ()
+    leaning = ("prior-bound",) if crowds_at_bound(seen, walls).any() else ()
     return Posterior(
         names=names,
         units=units,
-        draws=_chosen(chains, draws, seed),
+        draws=_pick_draws(chains, draws, seed),
         autocorrelation_time=trust.tau,
         acceptance=float(np.mean(running.acceptance)),
         r_hat=trust.r_hat,
@@ -149,8 +158,8 @@ def _walkers(asked: int | None, parameters: int) -> int:
     return asked
 
 
-def _started(
-    log_probability: Vectorised, unbounded: Vectorised, open_space: OpenSpace, places: NDArray, covariance: NDArray,
+def _start_ensembles(
+    log_probability: Vectorised, unbounded: Vectorised, open_space: ProbitTransform, places: NDArray, covariance: NDArray,
     shape: tuple[int, int], seed: int,
 ) -> Ensembles:  # fmt: skip
     """Start the ensembles around their places, in coordinates without walls."""
@@ -158,11 +167,11 @@ def _started(
     generators = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(ensembles)]
     first = [first_places(log_probability, places, covariance, open_space.walls, walkers, rng) for rng in generators]
     if len(places) == 1:
-        near = open_space.outside(gaussian_within(generators[0], places[0], covariance, open_space.walls, 500))
-        moves = mixed_moves(near.mean(axis=0)[None], np.atleast_2d(np.cov(near.T)), ensembles)
+        near = open_space.outside(truncated_gaussian_draws(generators[0], places[0], covariance, open_space.walls, 500))
+        moves = walker_moves(near.mean(axis=0)[None], np.atleast_2d(np.cov(near.T)), ensembles)
     else:
         stretch = open_space.stretch(places[0])
-        moves = mixed_moves(open_space.outside(places), covariance * np.outer(stretch, stretch), ensembles)
+        moves = walker_moves(open_space.outside(places), covariance * np.outer(stretch, stretch), ensembles)
     return Ensembles(unbounded, moves, open_space.outside(np.array(first)), int(generators[0].integers(2**31)))
 
 
@@ -189,12 +198,12 @@ def _learnt(seen: NDArray, ensembles: int) -> list:
     scores = NormalScores(seen)
     straight, _ = scores.of(seen)
     covariance = np.atleast_2d(np.cov(straight.T)) + 1e-12 * np.diag(straight.var(axis=0))
-    return mixed_moves(straight.mean(axis=0)[None], covariance, ensembles, scores)
+    return walker_moves(straight.mean(axis=0)[None], covariance, ensembles, scores)
 
 
 def _alike(one: NDArray, other: NDArray) -> bool:
     """Tell whether the variance in every direction is alike within `ALIKE`."""
-    inverse = np.linalg.pinv(root_of(one))
+    inverse = np.linalg.pinv(covariance_root(one))
     ratios = np.linalg.eigvalsh(inverse @ other @ inverse.T)
     return bool(ratios.max() < ALIKE and ratios.min() > 1.0 / ALIKE)
 
@@ -235,14 +244,14 @@ def _trust(chains: NDArray[np.float64], last_tau: NDArray[np.float64] | float, r
     converged = (
         bool(np.all(steps > STEPS_PER_TAU * longest))
         and bool(np.all(known))
-        and moves_well(running.acceptance, running.local_acceptance)
+        and mixes_well(running.acceptance, running.local_acceptance)
         and bool(np.all(r_hat < R_HAT))
         and bool(np.all(split_r_hat(merged) < WALKER_R_HAT))
     )
     return _Trust(tau=tau, r_hat=r_hat, converged=converged)
 
 
-def _chosen(chains: NDArray[np.float64], draws: int, seed: int) -> NDArray[np.float64]:
+def _pick_draws(chains: NDArray[np.float64], draws: int, seed: int) -> NDArray[np.float64]:
     """Return draws picked at random from all steps, walkers and ensembles.
 
     An even stride would fall in step with the walkers and keep a few of them at every step.
@@ -258,9 +267,9 @@ def _peaks(
     """Return the places and every other peak of comparable height that climbs from far around reach."""
     wide = _far_around(places[0], covariance, walls, np.random.default_rng([seed, 1]))
     possible = wide[np.isfinite(log_probability(wide))][: max(2, CLIMBS // len(walls))]
-    inverse = np.linalg.pinv(root_of(covariance))
+    inverse = np.linalg.pinv(covariance_root(covariance))
     for begin in possible:
-        peak, _ = maximum(log_probability, begin, walls, iterations=15)
+        peak, _ = find_maximum(log_probability, begin, walls, iterations=15)
         height = log_probability(np.concatenate([peak[None], places]))
         far = np.sum(((places - peak) @ inverse.T) ** 2, axis=1).min() > FAR_SD**2
         if far and height[0] > height[1:].max() - LOWEST_PEAK:

@@ -73,7 +73,7 @@ def autocorrelation_time(chain: NDArray[np.float64], window: float = 5.0) -> NDA
     return np.where(moving, np.maximum(times[np.arange(len(times)), last], 1.0), np.inf)
 
 
-def moves_well(acceptance: NDArray[np.float64], local_acceptance: float) -> bool:
+def mixes_well(acceptance: NDArray[np.float64], local_acceptance: float) -> bool:
     """Tell whether walkers move as they should.
 
     Parameters
@@ -92,7 +92,7 @@ def moves_well(acceptance: NDArray[np.float64], local_acceptance: float) -> bool
     return bool(acceptance.mean() >= LEAST_ACCEPTANCE and local_acceptance <= LARGEST_ACCEPTANCE and not stuck)
 
 
-def leans_on_bound(draws: NDArray[np.float64], walls: NDArray[np.float64]) -> NDArray[np.bool_]:
+def crowds_at_bound(draws: NDArray[np.float64], walls: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Tell which parameters crowd at a wall: many more draws than a uniform density would put there.
 
     Parameters

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.posterior.curvature import Vectorised, gaussian_within
+from charact.posterior.laplace import Vectorised, truncated_gaussian_draws
 from charact.posterior.moves import DifferentialEvolution
 
 Array = NDArray[np.float64]
@@ -21,7 +21,7 @@ class Ensembles:
     log_probability
         Vectorised: points (n, parameter) -> (n,).
     moves
-        Moves with their weights, as of `charact.posterior.moves.mixed_moves`.
+        Moves with their weights, as of `charact.posterior.moves.walker_moves`.
     first
         Where the walkers begin, shape (ensemble, walker, parameter).
     seed
@@ -78,7 +78,7 @@ def first_places(
     share = np.array_split(np.arange(walkers), len(places))
     first = np.concatenate(
         [
-            gaussian_within(rng, place, 2.0 * covariance, walls, len(part))
+            truncated_gaussian_draws(rng, place, 2.0 * covariance, walls, len(part))
             for place, part in zip(places, share, strict=True)
         ]
     )
@@ -86,7 +86,7 @@ def first_places(
         lost = ~np.isfinite(log_probability(first))
         if not lost.any():
             return first
-        first[lost] = gaussian_within(rng, places[0], shrink * covariance, walls, int(lost.sum()))
+        first[lost] = truncated_gaussian_draws(rng, places[0], shrink * covariance, walls, int(lost.sum()))
     raise ValueError(f"no point near the start {places[0].tolist()} has a finite log-probability")
 
 

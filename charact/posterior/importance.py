@@ -7,9 +7,9 @@ middle only.
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from charact.posterior.curvature import Vectorised, gaussian_within, root_of, walls_of
-from charact.posterior.diagnostics import leans_on_bound
-from charact.posterior.open_space import OpenSpace
+from charact.posterior.diagnostics import crowds_at_bound
+from charact.posterior.laplace import Vectorised, bounds_of, covariance_root, truncated_gaussian_draws
+from charact.posterior.probit_transform import ProbitTransform
 from labdata.measurement import Posterior
 
 Array = NDArray[np.float64]
@@ -25,7 +25,7 @@ FREEDOM = 6.0
 WIDER = 2.0
 
 
-def weighed(
+def importance_sample(
     log_probability: Vectorised,
     *,
     names: tuple[str, ...],
@@ -70,29 +70,33 @@ def weighed(
     added at the draw of the largest weight, shaped after the weighted draws nearest to it; each draw counts as one from
     the whole mixture. Works in coordinates without walls.
     """
-    walls = walls_of(bounds, len(names))
-    space, rng = OpenSpace(walls), np.random.default_rng(seed)
-    near = space.outside(gaussian_within(rng, np.asarray(start, float), np.asarray(covariance, float), walls, 2000))
+    walls = bounds_of(bounds, len(names))
+    space, rng = ProbitTransform(walls), np.random.default_rng(seed)
+    near = space.outside(
+        truncated_gaussian_draws(rng, np.asarray(start, float), np.asarray(covariance, float), walls, 2000)
+    )
     first = _StudentT(near.mean(axis=0), WIDER * np.atleast_2d(np.cov(near.T)))
     mixture, points = [(first, first_draws)], first.draw(rng, first_draws)
     heights = _heights(log_probability, space, points)
     # How densely all that was drawn lies at each point: densities add up, so that old points need the new one only.
-    drawn, unit = _drawn(mixture, points), points @ first.inverse.T
+    drawn, unit = _log_density_of_draws(mixture, points), points @ first.inverse.T
     while True:
         weight = _weights(heights - drawn)
         effective = 1.0 / float(np.sum(weight**2))
         if effective >= enough or len(mixture) > MOST_ADDED:
             break
-        more = _added(points, unit, weight), MORE_DRAWS
+        more = _add_component(points, unit, weight), MORE_DRAWS
         # A posterior that no draw comes near, as of a model far from its data: one draw holds all weight, and what is
         # added shrinks to nothing about it.
         if not np.isfinite(more[0].log_volume):
             break
         mixture, fresh = [*mixture, more], more[0].draw(rng, MORE_DRAWS)
         heights = np.concatenate([heights, _heights(log_probability, space, fresh)])
-        drawn = np.concatenate([np.logaddexp(drawn, _drawn([more], points)), _drawn(mixture, fresh)])
+        drawn = np.concatenate(
+            [np.logaddexp(drawn, _log_density_of_draws([more], points)), _log_density_of_draws(mixture, fresh)]
+        )
         points, unit = np.concatenate([points, fresh]), np.concatenate([unit, fresh @ first.inverse.T])
-    picked = space.inside(points[_picked(rng, weight, draws)])
+    picked = space.inside(points[_pick_draws(rng, weight, draws)])
     return Posterior(
         names=names,
         units=units,
@@ -100,7 +104,7 @@ def weighed(
         effective_sample_size=np.full(len(names), effective),
         sampler="importance",
         seed=seed,
-        flags=("prior-bound",) if leans_on_bound(picked, walls).any() else (),
+        flags=("prior-bound",) if crowds_at_bound(picked, walls).any() else (),
     )
 
 
@@ -108,7 +112,7 @@ class _StudentT:
     """A Student t density about a place."""
 
     def __init__(self, place: Array, covariance: Array) -> None:
-        self.place, self.root = place, root_of(covariance + 1e-9 * np.diag(np.diag(covariance)))
+        self.place, self.root = place, covariance_root(covariance + 1e-9 * np.diag(np.diag(covariance)))
         self.inverse = np.linalg.pinv(self.root)
         self.log_volume = float(np.linalg.slogdet(self.root)[1])
 
@@ -125,7 +129,7 @@ class _StudentT:
         return -0.5 * (FREEDOM + self.place.size) * np.log1p(squares / FREEDOM) - self.log_volume
 
 
-def _added(points: Array, unit: Array, weight: Array) -> _StudentT:
+def _add_component(points: Array, unit: Array, weight: Array) -> _StudentT:
     """Return the density of the draws nearest to the one that weighs most, in units of the first density."""
     heaviest = int(np.argmax(weight))
     place, away = points[heaviest], unit - unit[heaviest]
@@ -136,16 +140,16 @@ def _added(points: Array, unit: Array, weight: Array) -> _StudentT:
     return _StudentT(place, (off * (own / own.sum())[:, None]).T @ off)
 
 
-def _drawn(mixture: list[tuple[_StudentT, int]], points: Array) -> Array:
+def _log_density_of_draws(mixture: list[tuple[_StudentT, int]], points: Array) -> Array:
     """Return ln of how densely the draws from some densities lie at points, shape (point,)."""
     return np.logaddexp.reduce([np.log(count) + one.log_density(points) for one, count in mixture], axis=0)
 
 
-def _heights(log_probability: Vectorised, space: OpenSpace, points: Array) -> Array:
+def _heights(log_probability: Vectorised, space: ProbitTransform, points: Array) -> Array:
     return log_probability(space.inside(points)) + space.log_volume(points)
 
 
-def _picked(rng: np.random.Generator, weight: Array, count: int) -> NDArray[np.int64]:
+def _pick_draws(rng: np.random.Generator, weight: Array, count: int) -> NDArray[np.int64]:
     """Return which draws are picked, each as often as its weight says but for one, in random order."""
     steps = (np.arange(count) + rng.random()) / count
     return rng.permutation(np.minimum(np.searchsorted(np.cumsum(weight), steps), len(weight) - 1))

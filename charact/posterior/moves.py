@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.posterior.curvature import root_of
-from charact.posterior.scores import NormalScores
+from charact.posterior.laplace import covariance_root
+from charact.posterior.normal_scores import NormalScores
 
 Array = NDArray[np.float64]
 
@@ -25,7 +25,7 @@ WHOLE_SHARE = 0.1
 INDEPENDENT_SHARE = 0.75
 
 
-def mixed_moves(
+def walker_moves(
     places: Array, covariance: Array, ensembles: int, scores: NormalScores | None = None
 ) -> list[tuple[Any, float]]:
     """Return the moves with their weights.
@@ -75,7 +75,7 @@ class DifferentialEvolution:
         for moving, still in (halves, halves[::-1]):
             fresh = state.coords[moving] + _differences(state.coords[still], moving.shape[1], model.random)
             fresh = fresh.reshape(moving.size, -1)
-            moved |= _taken(model, state, moving.ravel(), fresh, np.zeros(moving.size))
+            moved |= _metropolis_step(model, state, moving.ravel(), fresh, np.zeros(moving.size))
         self.proposed, self.accepted = self.proposed + moved.size, self.accepted + int(moved.sum())
         return state, moved
 
@@ -97,7 +97,7 @@ class IndependentDraws:
     def __init__(self, places: Array, covariance: Array, scores: NormalScores | None = None) -> None:
         self._places = places
         self._scores = scores
-        self._root = root_of(covariance)
+        self._root = covariance_root(covariance)
         self._inverse = np.linalg.pinv(self._root)
 
     def propose(self, model: Any, state: Any) -> tuple[Any, NDArray[np.bool_]]:
@@ -110,11 +110,11 @@ class IndependentDraws:
         fresh = centre + (random.standard_normal((count, parameters)) * stretch[:, None]) @ self._root.T
         if self._scores is None:
             log_ratio = self._log_density(state.coords) - self._log_density(fresh)
-            return state, _taken(model, state, np.arange(count), fresh, log_ratio)
+            return state, _metropolis_step(model, state, np.arange(count), fresh, log_ratio)
         now, slope_now = self._scores.of(state.coords)
         points, slope = self._scores.points(fresh)
         log_ratio = self._log_density(now) + slope_now - self._log_density(fresh) - slope
-        return state, _taken(model, state, np.arange(count), points, log_ratio)
+        return state, _metropolis_step(model, state, np.arange(count), points, log_ratio)
 
     def _log_density(self, points: Array) -> Array:
         """Return the log-density of the mixture up to a constant, shape (point,)."""
@@ -130,7 +130,9 @@ def _log_student_t(squares: Array, parameters: int, share: float, freedom: float
     return log(share) + norm - half * np.log1p(squares / (freedom * scale**2))
 
 
-def _taken(model: Any, state: Any, index: NDArray[np.intp], fresh: Array, log_ratio: Array) -> NDArray[np.bool_]:
+def _metropolis_step(
+    model: Any, state: Any, index: NDArray[np.intp], fresh: Array, log_ratio: Array
+) -> NDArray[np.bool_]:
     """Take or refuse proposals for some walkers after Metropolis and Hastings; tell which of all walkers moved."""
     log_probability, _ = model.compute_log_prob_fn(fresh)
     gain = log_probability - state.log_prob[index] + log_ratio

@@ -98,9 +98,11 @@ def predictive_check(
     whiten = _whitener(np.asarray(noise, float), measured.size)
     spread = whiten((mean - mean.mean(axis=0)).T).T / np.sqrt(len(mean) - 1)
     residual = whiten((measured - mean.mean(axis=0))[:, None])[:, 0]
-    ours = _signs(residual[None])
+    ours = _discrepancies(residual[None])
     blocks = np.array_split(np.arange(replicates), -(-replicates * measured.size // BLOCK))
-    theirs = [_signs(_fitted(rng.standard_normal((len(block), measured.size)), spread)) for block in blocks]
+    theirs = [
+        _discrepancies(_shrink_by_fit(rng.standard_normal((len(block), measured.size)), spread)) for block in blocks
+    ]
     odd = [_tail(one[0], many, rng) for one, many in zip(ours, np.concatenate(theirs, axis=1), strict=True)]
     return PredictiveCheck(chi_squared=odd[0], runs=odd[1], neighbours=odd[2], level=level)
 
@@ -153,7 +155,7 @@ def _whitener(noise: Array, size: int) -> Callable[[Array], Array]:
     return lambda columns: np.asarray(np.linalg.solve(root, columns), np.float64)
 
 
-def _fitted(white: Array, spread: Array) -> Array:
+def _shrink_by_fit(white: Array, spread: Array) -> Array:
     """Return white noise (replicate, datum) as it is left after the fit: each direction shrunk to variance 1 - H.
 
     A direction of which the posterior knows no more than its noise allows has H = 1 at most; scatter of the draws
@@ -164,7 +166,7 @@ def _fitted(white: Array, spread: Array) -> Array:
     return white - ((white @ directions.T) * (1.0 - left)) @ directions
 
 
-def _signs(residual: Array) -> Array:
+def _discrepancies(residual: Array) -> Array:
     """Return the three signs of white residuals (data set, datum), shape (sign, data set)."""
     return np.array([_chi_squared(residual), _few_runs(residual), _neighbours(residual)])
 

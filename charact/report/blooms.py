@@ -5,39 +5,39 @@ from typing import Any
 
 import numpy as np
 
-from charact.report.generic import array, dots, has, line
-from charact.report.style import COLOURS, DATA, FOURTH, INK, MODEL, THIRD, WARN, note, panels
+from charact.report.plot_helpers import first_array, has_all, plot_line, plot_points
+from charact.report.style import COLOURS, DATA, FOURTH, INK, MODEL, THIRD, WARN, panels, write_note
 
 Data = Mapping[str, Any]
 MOST_PROFILES = 6
 
 
-def point_profile(data: Data) -> Any:
+def plot_point_profile(data: Data) -> Any:
     """Radial profiles of a point series with the joint fit, and below what is left over in standard errors.
 
     Reads `label`, and for each of these a list per level: `radius_px`, `mean_dn`, `sd_dn`, `used` (rings that are
     fitted), and where there is a fit `model_dn` and `residual_sd`. `halo_diameter_px` is marked, `full_scale_dn` too.
     """
-    fitted = has(data, "model_dn")
+    fitted = has_all(data, "model_dn")
     rows = 2 if fitted else 1
     figure, grid = panels(rows, 1, size=(5.8, 5.2 if fitted else 4.0), sharex=True,
                           height_ratios=(2.2, 1.0) if fitted else None)  # fmt: skip
     axes = grid[0, 0]
-    for colour, number in zip(COLOURS * 2, _spaced(len(data["label"])), strict=False):
+    for colour, number in zip(COLOURS * 2, _pick_levels(len(data["label"])), strict=False):
         radius, mean, sd = (np.asarray(data[key][number], float) for key in ("radius_px", "mean_dn", "sd_dn"))
         used = np.asarray(data["used"][number], bool)
-        dots(axes, radius[used], mean[used], sd[used], color=colour, label=str(data["label"][number]), alpha=0.8)
-        dots(axes, radius[~used], mean[~used], color=colour, alpha=0.3, marker="x")
+        plot_points(axes, radius[used], mean[used], sd[used], color=colour, label=str(data["label"][number]), alpha=0.8)
+        plot_points(axes, radius[~used], mean[~used], color=colour, alpha=0.3, marker="x")
         if not fitted:
             continue
         model = np.asarray(data["model_dn"][number], float)
-        line(axes, radius, model, color=colour, linewidth=1)
+        plot_line(axes, radius, model, color=colour, linewidth=1)
         left = (
             np.asarray(data["residual_sd"][number], float)
-            if has(data, "residual_sd")
+            if has_all(data, "residual_sd")
             else (mean - model) / np.maximum(sd, 1e-9)
         )
-        dots(grid[1, 0], radius[used], left[used], color=colour, alpha=0.8)
+        plot_points(grid[1, 0], radius[used], left[used], color=colour, alpha=0.8)
     for one in grid[:, 0]:
         if data.get("halo_diameter_px") is not None:
             one.axvline(data["halo_diameter_px"] / 2, color=INK, linestyle="--", linewidth=0.9, label="halo radius")
@@ -62,34 +62,34 @@ def point_profile(data: Data) -> Any:
 
 def _largest(data: Data, fitted: bool) -> float:
     """Largest residual of the rings that are fitted, in standard errors, at most 12."""
-    if not fitted or not has(data, "residual_sd"):
+    if not fitted or not has_all(data, "residual_sd"):
         return 4.0
     pairs = zip(data["residual_sd"], data["used"], strict=True)
     largest = [np.abs(np.asarray(r, float)[np.asarray(u, bool)]).max(initial=0.0) for r, u in pairs]
     return float(min(12.0, max(largest)))
 
 
-def point_spread(data: Data) -> Any:
+def plot_point_spread(data: Data) -> Any:
     """A point source along its row and column and its rings further out, with the model."""
     figure, grid = panels(1, 2, size=(5.8, 3.4), width_ratios=(1.2, 1))
     core, rings = grid[0]
     for colour, way, place in ((DATA, "row", "column_px"), (THIRD, "column", "row_px")):
-        x = array(data, place)
-        dots(core, x, array(data, f"along_{way}_dn"), color=colour, label=f"along the {way}", markersize=4)
-        line(core, x, array(data, f"along_{way}_model_dn"), color=colour)
+        x = first_array(data, place)
+        plot_points(core, x, first_array(data, f"along_{way}_dn"), color=colour, label=f"along the {way}", markersize=4)
+        plot_line(core, x, first_array(data, f"along_{way}_model_dn"), color=colour)
     core.set(xlabel="distance from the source (px)", ylabel="signal (DN)")
     low, high = core.get_ylim()
     core.set(ylim=(low, high + 0.2 * (high - low)))
     core.legend(loc="upper right")
-    radius, mean = array(data, "ring_px"), array(data, "ring_dn")
-    dots(rings, radius, mean, array(data, "ring_sd_dn"), color=DATA, label="rings, ± 1 sd")
-    line(rings, radius, array(data, "ring_model_dn"), color=MODEL, label="model", zorder=3)
+    radius, mean = first_array(data, "ring_px"), first_array(data, "ring_dn")
+    plot_points(rings, radius, mean, first_array(data, "ring_sd_dn"), color=DATA, label="rings, ± 1 sd")
+    plot_line(rings, radius, first_array(data, "ring_model_dn"), color=MODEL, label="model", zorder=3)
     rings.set(xlabel="radius (column pitches, px)", ylabel="mean of the ring (DN)")
     rings.legend()
     return figure
 
 
-def _spaced(count: int) -> list[int]:
+def _pick_levels(count: int) -> list[int]:
     """At most six levels, evenly chosen."""
     return sorted({int(n) for n in np.linspace(0, count - 1, min(count, MOST_PROFILES)).round()})
 
@@ -97,7 +97,7 @@ def _spaced(count: int) -> list[int]:
 def exposure(data: Data) -> tuple[np.ndarray, str]:
     """What rises from stack to stack: the overload where it is known, else the light dose, else the stack's number."""
     if data.get("overload_known"):
-        return array(data, "overload"), "overload: light over what meets full scale (1)"
+        return first_array(data, "overload"), "overload: light over what meets full scale (1)"
     gate = [1.0 if value is None else value for value in data.get("gate_ns", [])]
     light = [None if value is None else value for value in data.get("illuminance_lux", [])]
     if light and all(value is not None and value > 0 for value in light):
@@ -105,7 +105,7 @@ def exposure(data: Data) -> tuple[np.ndarray, str]:
     return np.arange(1, len(data["label"]) + 1, dtype=float), "stack, in order (1)"
 
 
-def lit_edge(data: Data) -> Any:
+def plot_illuminated_edge(data: Data) -> Any:
     """Brightness across the edge of a lit area at every level, with the model; where the halo ends is marked.
 
     Reads `label`, and for each of these a list per level: `distance_px`, `mean_dn`, `sd_dn`, `used`, `model_dn`;
@@ -113,15 +113,15 @@ def lit_edge(data: Data) -> Any:
     """
     figure, grid = panels(2, 1, size=(5.8, 4.8), sharex=True, height_ratios=(2.2, 1.0))
     upper, lower = grid[:, 0]
-    for colour, number in zip(COLOURS * 2, _spaced(len(data["label"])), strict=False):
+    for colour, number in zip(COLOURS * 2, _pick_levels(len(data["label"])), strict=False):
         at, mean, sd, model = (
             np.asarray(data[key][number], float) for key in ("distance_px", "mean_dn", "sd_dn", "model_dn")
         )
         used = np.asarray(data["used"][number], bool)
-        dots(upper, at[used], mean[used], sd[used], color=colour, label=str(data["label"][number]))
-        dots(upper, at[~used], mean[~used], color=colour, alpha=0.3, marker="x")
-        line(upper, at[used], model[used], color=colour, linewidth=1)
-        dots(lower, at[used], (mean - model)[used] / np.maximum(sd[used], 1e-9), color=colour)
+        plot_points(upper, at[used], mean[used], sd[used], color=colour, label=str(data["label"][number]))
+        plot_points(upper, at[~used], mean[~used], color=colour, alpha=0.3, marker="x")
+        plot_line(upper, at[used], model[used], color=colour, linewidth=1)
+        plot_points(lower, at[used], (mean - model)[used] / np.maximum(sd[used], 1e-9), color=colour)
     end = data["edge_px"] + data["halo_diameter_px"] / 2.0
     for axes in (upper, lower):
         axes.axvline(data["edge_px"], color=INK, linewidth=0.9, label="edge")
@@ -142,7 +142,7 @@ EXTENTS = {
 }
 
 
-def bloom_series(data: Data) -> Any:
+def plot_bloom_series(data: Data) -> Any:
     """Bloom diameters at three levels and streak length against the light, 95 % intervals, and the halo's diameter.
 
     Reads `label` and what rises (see `exposure`); `measured`, by quantity and label [value, low, high] of 95 %, and
@@ -160,9 +160,11 @@ def bloom_series(data: Data) -> Any:
         axes.axhspan(low, high, color=INK, alpha=0.15, linewidth=0)
         axes.axhline(value, color=INK, linestyle="--", linewidth=0.9, label=f"halo, {value:.1f} px")
     elif own := [(at, one) for at, one in zip(x, data.get("halo_diameter_px", []), strict=False) if one]:
-        dots(axes, *zip(*own, strict=True), color=INK, markersize=5, marker="D", mfc="none", label="halo, before blur")
+        plot_points(
+            axes, *zip(*own, strict=True), color=INK, markersize=5, marker="D", mfc="none", label="halo, before blur"
+        )
     if not any(shown):
-        note(axes, "No stack reaches any of the levels.")
+        write_note(axes, "No stack reaches any of the levels.")
     if not label.startswith("stack"):
         axes.set_xscale("log")
     axes.set(xlabel=label, ylabel="diameter or length (column pitches, rows; px)")
@@ -190,7 +192,7 @@ def _extent(axes: Any, data: Data, x: np.ndarray, quantity: str, foretold: Any) 
     told = data.get("measured", {}).get(quantity, {})
     points = [(at, *told[label]) for at, label in zip(x, data["label"], strict=True) if told.get(label)]
     if not told and f"{quantity}_px" in data:
-        points = [(at, d, d, d) for at, d in zip(x, array(data, f"{quantity}_px"), strict=True) if d > 0]
+        points = [(at, d, d, d) for at, d in zip(x, first_array(data, f"{quantity}_px"), strict=True) if d > 0]
     if foretold is not None and quantity in foretold and points:
         low, middle, high = (np.asarray(one, float) for one in foretold[quantity])
         at = np.asarray(foretold["overload"], float)
@@ -206,7 +208,7 @@ def _extent(axes: Any, data: Data, x: np.ndarray, quantity: str, foretold: Any) 
     return bool(points)
 
 
-def forms(data: Data) -> Any:
+def plot_spread_models(data: Data) -> Any:
     """The forms of a source's light that were tried: by how much the criterion prefers the best, the best at the top.
 
     Reads `table`, a list of rows with `form`, `parameters`, `bic_over_best` and, where it was cross-validated,
@@ -236,14 +238,14 @@ def _criteria(row: Mapping[str, Any]) -> str:
     return first if cross is None else f"{first}\nlevels held back: χ² {cross:.3g} a ring"
 
 
-def smear(data: Data) -> Any:
+def plot_smear(data: Data) -> Any:
     """Even light of the source's columns against the light that they gather: smear is the slope.
 
     Reads `light_per_row_dn`, `level_dn`, `level_sd_dn` and `label`, a list per stack.
     """
     figure, grid = panels(size=(5.6, 3.2))
     axes = grid[0, 0]
-    light, level, sd = (array(data, key) for key in ("light_per_row_dn", "level_dn", "level_sd_dn"))
+    light, level, sd = (first_array(data, key) for key in ("light_per_row_dn", "level_dn", "level_sd_dn"))
     axes.errorbar(light, level, yerr=1.96 * sd, fmt="o", color=DATA, markersize=4.5, linewidth=1, label="stack, 95 %")
     share = float((light * level / sd**2).sum() / (light**2 / sd**2).sum())
     ends = np.geomspace(light.min(), light.max(), 50)
@@ -254,7 +256,7 @@ def smear(data: Data) -> Any:
     return figure
 
 
-def halo_constancy(data: Data) -> Any:
+def plot_halo_uniformity(data: Data) -> Any:
     """Halo diameter of every level on its own, with 95 %: geometry fixes it, so it must not change with the light."""
     figure, grid = panels(size=(5.6, 3.2))
     axes = grid[0, 0]
@@ -271,7 +273,7 @@ def halo_constancy(data: Data) -> Any:
     return figure
 
 
-def constancy(data: Data) -> Any:
+def plot_series_stability(data: Data) -> Any:
     """Background of every stack over dark with 95 %, and how far the source wanders in the frames of each.
 
     Reads `label`, `background_dn`, `background_sd_dn`, and `row_px` and `col_px`, a list per stack by frame.
@@ -279,7 +281,7 @@ def constancy(data: Data) -> Any:
     figure, grid = panels(1, 2, size=(6.4, 3.0))
     level, place = grid[0]
     numbers = np.arange(len(data["label"]))
-    level.errorbar(numbers, array(data, "background_dn"), yerr=1.96 * array(data, "background_sd_dn"), fmt="o",
+    level.errorbar(numbers, first_array(data, "background_dn"), yerr=1.96 * first_array(data, "background_sd_dn"), fmt="o",
                    color=DATA, markersize=4.5, linewidth=1, label="stack, 95 %")  # fmt: skip
     level.set_xticks(numbers, [str(label) for label in data["label"]], rotation=40, ha="right")
     level.set(xlabel="stack", ylabel="background over dark (DN)")

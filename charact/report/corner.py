@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.report.numerals import MINUS, SUPERSCRIPTS
-from charact.report.style import DATA, INK, MODEL, as_svg, note, panels, styled
+from charact.report.number_format import MINUS, SUPERSCRIPTS
+from charact.report.style import DATA, INK, MODEL, as_svg, panels, report_style, write_note
 from labdata.measurement import QUANTILES, Posterior
 from labdata.quantity import QUANTITIES
 
@@ -29,10 +29,10 @@ def corner_svg(posterior: Posterior, title: str) -> str:
     """
     shown = varying(posterior)
     count = max(len(shown), 1)
-    with styled():
+    with report_style():
         figure, grid = panels(count, count, size=(1.15 + 1.25 * count, 0.85 + 1.15 * count))
         if not shown:
-            note(grid[0, 0], "No parameter varies.")
+            write_note(grid[0, 0], "No parameter varies.")
         for line in range(len(shown)):
             for column in range(len(shown)):
                 _cell(grid[line, column], posterior, shown, line, column)
@@ -84,7 +84,7 @@ def _marginal(axes: Any, values: NDArray[np.float64]) -> None:
 def _joint(axes: Any, x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
     """Regions of highest density that hold 68 and 95 % of the draws."""
     counts, x_edges, y_edges = np.histogram2d(x, y, bins=BINS, range=(_limits(x), _limits(y)))
-    density = _smoothed(counts)
+    density = _smooth_counts(counts)
     levels = _levels_holding(density, (0.95, 0.68))
     middles = (x_edges[:-1] + x_edges[1:]) / 2, (y_edges[:-1] + y_edges[1:]) / 2
     if levels[0] < levels[1] < density.max():
@@ -94,7 +94,7 @@ def _joint(axes: Any, x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
     axes.plot(np.median(x), np.median(y), "+", color=MODEL, markersize=7)
 
 
-def _smoothed(counts: NDArray[np.float64]) -> NDArray[np.float64]:
+def _smooth_counts(counts: NDArray[np.float64]) -> NDArray[np.float64]:
     """Blur a histogram by one bin, for draws are few."""
     kernel = np.array([0.05, 0.25, 0.4, 0.25, 0.05])
     for axis in (0, 1):
@@ -122,7 +122,7 @@ def _label(axes: Any, posterior: Posterior, shown: tuple[int, ...], line: int, c
         (line, axes.set_ylabel, column == 0 and line > 0),
     ):
         if wanted:
-            setter(named(posterior, shown[number]), fontsize=7)
+            setter(parameter_label(posterior, shown[number]), fontsize=7)
 
 
 def _ticks(axis: Any, draws: NDArray[np.float64]) -> None:
@@ -140,7 +140,7 @@ def _power(draws: NDArray[np.float64]) -> int:
     return 0 if -3 <= exponent <= 3 else exponent
 
 
-def named(posterior: Posterior, index: int) -> str:
+def parameter_label(posterior: Posterior, index: int) -> str:
     """Name of a parameter with its unit and the power of ten of its ticks."""
     name, unit = posterior.names[index], posterior.units[index]
     words = name.removesuffix(UNIT_SUFFIXES.get(unit, "")).replace("_", " ")

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from charact.report.style import COLOURS, INK, as_svg, panels, styled, thinned
+from charact.report.style import COLOURS, INK, as_svg, panels, report_style, subsample
 from charact.report.truth import Truth
 from labdata.measurement import Curve, Measurement, Result
 from labdata.session import Session
@@ -38,9 +38,9 @@ def mtf_svgs(session: Session | None, result: Result, truth: Truth | None = None
     for way in (way for way in DEGREES if way in (*ways, *point_ways)):
         own = [item for item, its in zip(curves, ways, strict=True) if its == way]
         single = [m for m, its in zip(points, point_ways, strict=True) if its == way]
-        with styled():
+        with report_style():
             figure, grid = panels(size=(5.6, 3.9))
-            _panel(grid[0, 0], way, own, single, truth)
+            _plot_curves(grid[0, 0], way, own, single, truth)
             drawn.append(as_svg(figure, f"MTF of all targets against {way}, with 95 % bands"))
     return tuple(drawn)
 
@@ -69,13 +69,13 @@ def _direction(session: Session | None, name: str, label: str | None) -> str:
     return VERTICAL if "vertical" in kind else _target_way(session, label or suffix)
 
 
-def _panel(
+def _plot_curves(
     axes: Any, way: str, curves: list[tuple[str, Curve]], points: list[Measurement], truth: Truth | None
 ) -> None:
     """One direction: bands, curves, points, truth."""
     top = max([0.5, *(float(curve.frequency_cy_per_px[-1]) for _, curve in curves)])
     for colour, (name, curve) in zip(COLOURS * 4, curves, strict=False):
-        _draw(axes, curve, colour, name.partition(":")[2] or curve.stack or name)
+        _plot_curve(axes, curve, colour, name.partition(":")[2] or curve.stack or name)
     drawn = {curve.stack or name.partition(":")[2] for name, curve in curves}
     # A single frequency read off a curve that is here says nothing new; bars measured theirs.
     own = [m for m in points if m.method.startswith("bars") or (m.stack or "") not in drawn]
@@ -100,11 +100,11 @@ def _arms(m: Measurement) -> Any:
     return np.maximum([[m.value - m.interval95[0]], [m.interval95[1] - m.value]], 0)
 
 
-def _draw(axes: Any, curve: Curve, colour: str, label: str) -> None:
+def _plot_curve(axes: Any, curve: Curve, colour: str, label: str) -> None:
     """One curve with its 95 % band."""
     band = curve.interval95
     low, high = (curve.value, curve.value) if band is None else band
-    frequency, value, low, high = thinned(curve.frequency_cy_per_px, curve.value, low, high, most=120)
+    frequency, value, low, high = subsample(curve.frequency_cy_per_px, curve.value, low, high, most=120)
     if band is not None:
         axes.fill_between(frequency, low, high, color=colour, alpha=0.22, linewidth=0)
     axes.plot(frequency, value, color=colour, label=label)

@@ -6,17 +6,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.report.generic import array, dots, has, line
+from charact.report.plot_helpers import first_array, has_all, plot_line, plot_points
 from charact.report.style import COLOURS, DATA, INK, MODEL, panels
 
 Data = Mapping[str, Any]
 Array = NDArray[np.float64]
 
 
-def edge_spread(data: Data) -> Any:
+def plot_edge_spread(data: Data) -> Any:
     """Edge spread near the edge with its model, and the residual over the whole width that was fitted."""
-    x, measured = array(data, "distance_px"), array(data, "value_dn")
-    modelled = has(data, "model_dn")
+    x, measured = first_array(data, "distance_px"), first_array(data, "value_dn")
+    modelled = has_all(data, "model_dn")
     figure, grid = panels(2, 1, size=(5.6, 4.4), height_ratios=(3, 1.4)) if modelled else panels()
     near = np.abs(x - _middle(x, measured)) <= _reach(x, measured)
     _profile(grid[0, 0], data, x, measured, near)
@@ -26,9 +26,9 @@ def edge_spread(data: Data) -> Any:
     return figure
 
 
-def bars(data: Data) -> Any:
+def plot_bars(data: Data) -> Any:
     """Profile across the bars with its model, and the residual."""
-    x, measured = array(data, "distance_px"), array(data, "value_dn")
+    x, measured = first_array(data, "distance_px"), first_array(data, "value_dn")
     figure, grid = panels(2, 1, size=(5.6, 4.4), height_ratios=(3, 1.4), sharex=True)
     _profile(grid[0, 0], data, x, measured, np.ones(len(x), bool))
     grid[0, 0].set(ylabel="signal (DN)")
@@ -36,20 +36,20 @@ def bars(data: Data) -> Any:
     return figure
 
 
-def agreement(data: Data) -> Any:
+def plot_mtf_differences(data: Data) -> Any:
     """Differences between targets at the bars' frequencies with their joint 95 % intervals."""
     figure, grid = panels(size=(5.6, 3.4))
     axes = grid[0, 0]
-    frequency, pairs = array(data, "frequency_cy_per_px"), np.array(data["pair"])
+    frequency, pairs = first_array(data, "frequency_cy_per_px"), np.array(data["pair"])
     for number, (colour, pair) in enumerate(zip(COLOURS, dict.fromkeys(data["pair"]), strict=False)):
         shown = pairs == pair
         axes.errorbar(
-            frequency[shown] + 0.003 * (number - 1), array(data, "difference")[shown],
-            yerr=array(data, "half_width")[shown], color=colour, linestyle="", marker="o", markersize=4, label=pair,
+            frequency[shown] + 0.003 * (number - 1), first_array(data, "difference")[shown],
+            yerr=first_array(data, "half_width")[shown], color=colour, linestyle="", marker="o", markersize=4, label=pair,
         )  # fmt: skip
     axes.axhline(0, color=INK, linewidth=0.8)
     axes.set(xlabel="spatial frequency (cy/px)", ylabel="difference of MTFs, joint 95 % (1)")
-    reach = float(np.max(np.abs(array(data, "difference")) + array(data, "half_width")))
+    reach = float(np.max(np.abs(first_array(data, "difference")) + first_array(data, "half_width")))
     axes.set_ylim(-1.1 * reach, 1.5 * reach)
     axes.legend(ncols=3, loc="upper center")
     return figure
@@ -57,8 +57,8 @@ def agreement(data: Data) -> Any:
 
 def _profile(axes: Any, data: Data, x: Array, measured: Array, shown: NDArray[np.bool_]) -> None:
     """Measured points under their model."""
-    sd = array(data, "sd_dn")[shown] if has(data, "sd_dn") else None
-    dots(
+    sd = first_array(data, "sd_dn")[shown] if has_all(data, "sd_dn") else None
+    plot_points(
         axes,
         x[shown],
         measured[shown],
@@ -67,8 +67,8 @@ def _profile(axes: Any, data: Data, x: Array, measured: Array, shown: NDArray[np
         alpha=0.7,
         label="measured" if sd is None else "measured, ± 1 sd",
     )
-    if has(data, "model_dn"):
-        line(axes, x[shown], array(data, "model_dn")[shown], color=MODEL, label="model", zorder=3)
+    if has_all(data, "model_dn"):
+        plot_line(axes, x[shown], first_array(data, "model_dn")[shown], color=MODEL, label="model", zorder=3)
     axes.legend()
 
 
@@ -76,9 +76,9 @@ def _residual(axes: Any, data: Data, x: Array, measured: Array, xlabel: str) -> 
     """Measured less model, in the same unit."""
     axes.set(xlabel=xlabel, ylabel="residual (DN)")
     axes.axhline(0, color=INK, linewidth=0.8)
-    if has(data, "model_dn"):
-        sd = array(data, "sd_dn") if has(data, "sd_dn") else None
-        dots(axes, x, measured - array(data, "model_dn"), sd, color=DATA, alpha=0.7)
+    if has_all(data, "model_dn"):
+        sd = first_array(data, "sd_dn") if has_all(data, "sd_dn") else None
+        plot_points(axes, x, measured - first_array(data, "model_dn"), sd, color=DATA, alpha=0.7)
 
 
 def _middle(x: Array, measured: Array) -> float:

@@ -24,7 +24,7 @@ NAMES = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Summary:
+class EmvaSummary:
     """The figures of the standard, or why there are none.
 
     Parameters
@@ -42,7 +42,7 @@ class Summary:
     reason: str = ""
 
 
-def emva_summary(result: Result) -> Summary | None:
+def emva_summary(result: Result) -> EmvaSummary | None:
     """Return the figures of the standard; None for a result without any gain.
 
     The standard's model is that of white noise: where neighbouring pixels share noise, as behind an intensifier, a
@@ -53,7 +53,7 @@ def emva_summary(result: Result) -> Summary | None:
         return None
     white = [m for m in result.find("system_gain") if m.value is not None and "correlated-noise" not in m.flags]
     if not white:
-        return Summary(
+        return EmvaSummary(
             reason="EMVA 1288 takes noise for white, and neighbouring pixels of this camera share theirs (as behind an "
             "intensifier): its photon transfer curve would read the gain low by the blur factor, and every figure in "
             "electrons with it. The covariance gain above takes its place."
@@ -65,7 +65,7 @@ def emva_summary(result: Result) -> Summary | None:
             left_out.append(name)
         else:
             rows.append((name, section, quantity_row(found, found.stack or "")))
-    return Summary(rows=tuple(rows), left_out=tuple(left_out))
+    return EmvaSummary(rows=tuple(rows), left_out=tuple(left_out))
 
 
 def _best(found: tuple[Measurement, ...]) -> Measurement | None:

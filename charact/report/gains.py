@@ -5,32 +5,40 @@ from typing import Any
 
 import numpy as np
 
-from charact.report.generic import array, dots, line
+from charact.report.plot_helpers import first_array, plot_line, plot_points
 from charact.report.style import COLOURS, DATA, INK, MODEL, THIRD, WARN, panels
 
 Data = Mapping[str, Any]
 
 
-def noise_against_gain(data: Data) -> Any:
+def plot_noise_against_gain(data: Data) -> Any:
     """Covariance gain with its law, noise of darks, and scintillation and read noise at a stated signal: the knee."""
     figure, grid = panels(1, 2, size=(7.2, 3.8))
     gains, noises = grid[0]
-    setting, gain = array(data, "setting"), array(data, "gain_dn")
-    law, middle = array(data, "law_setting"), array(data, "law_gain_dn")
+    setting, gain = first_array(data, "setting"), first_array(data, "gain_dn")
+    law, middle = first_array(data, "law_setting"), first_array(data, "law_gain_dn")
     low, high = np.asarray(data["law_interval95_dn"], float)
     gains.fill_between(law, low, high, color=MODEL, alpha=0.25, linewidth=0)
-    line(gains, law, middle, color=MODEL, label="law, 95 %")
-    dots(gains, setting, gain, gain * array(data, "gain_relative_sd"), color=DATA, markersize=4.5, label="each, ± 1 sd")
+    plot_line(gains, law, middle, color=MODEL, label="law, 95 %")
+    plot_points(
+        gains,
+        setting,
+        gain,
+        gain * first_array(data, "gain_relative_sd"),
+        color=DATA,
+        markersize=4.5,
+        label="each, ± 1 sd",
+    )
     joint = np.asarray(data["joint_interval95_dn"], float)
     gains.vlines(setting, joint[0], joint[1], color=INK, linewidth=2.2, alpha=0.5, label="by all settings, 95 %")
     gains.set(ylabel="covariance gain (DN)")
     scintillation = np.asarray(data["stated_noise_dn"], float)
     noises.fill_between(law, scintillation[0], scintillation[2], color=MODEL, alpha=0.25, linewidth=0)
     pe = float(data["stated_signal_pe"])
-    line(noises, law, scintillation[1], color=MODEL, label=f"light's noise at {pe:g} photoelectron/px")
+    plot_line(noises, law, scintillation[1], color=MODEL, label=f"light's noise at {pe:g} photoelectron/px")
     dark = [(s, d) for s, d in zip(setting, data["dark_noise_dn"], strict=True) if d is not None]
     if dark:
-        dots(noises, *np.array(dark).T, color=THIRD, marker="s", markersize=4.5, label="dark frames")
+        plot_points(noises, *np.array(dark).T, color=THIRD, marker="s", markersize=4.5, label="dark frames")
     _knee(noises, data)
     noises.set(ylabel="noise of a pixel (DN)")
     unit = "" if data["knob_unit"] == "1" else data["knob_unit"]
@@ -65,7 +73,7 @@ def _knee(axes: Any, data: Data) -> None:
                   markersize=6, linestyle="", label="knee, 95 %")  # fmt: skip
 
 
-def noise_by_gain(data: Data) -> Any:
+def plot_noise_by_gain(data: Data) -> Any:
     """Noise of a pixel against the signal, and signal against light where it is known: one colour for each setting."""
     lights = [light for light in data["light"] if light is not None]
     figure, grid = panels(1, 2 if lights else 1, size=(7.2 if lights else 5.0, 3.8))

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from charact.report.generic import array
+from charact.report.plot_helpers import first_array
 from charact.report.style import COLOURS, INK, panels
 
 Data = Mapping[str, Any]
@@ -17,7 +17,7 @@ AXES = {
 }
 
 
-def joint_mtf(data: Data) -> Any:
+def plot_joint_mtf(data: Data) -> Any:
     """Residuals of every number that a target told, in standard deviations, target by target."""
     figure, grid = panels(size=(5.6, 3.2))
     axes = grid[0, 0]
@@ -32,13 +32,13 @@ def joint_mtf(data: Data) -> Any:
     return figure
 
 
-def constancy(data: Data) -> Any:
+def plot_mtf_uniformity(data: Data) -> Any:
     """MTF50 of the targets against each setting that differs, with 95 % intervals and their mean."""
     keys = list(data["slopes"])
     figure, grid = panels(1, len(keys), size=(max(3.4, 2.4 * len(keys)), 3.0), sharey=True)
-    value, half = array(data, "mtf50_cy_per_px"), 1.96 * array(data, "sd_cy_per_px")
+    value, half = first_array(data, "mtf50_cy_per_px"), 1.96 * first_array(data, "sd_cy_per_px")
     for axes, key in zip(grid[0], keys, strict=True):
-        axes.errorbar(array(data, key), value, yerr=half, fmt="o", markersize=4, color=COLOURS[0], linewidth=1)
+        axes.errorbar(first_array(data, key), value, yerr=half, fmt="o", markersize=4, color=COLOURS[0], linewidth=1)
         axes.axhline(data["mean_mtf50_cy_per_px"], color=INK, linewidth=0.8)
         axes.set(xlabel=AXES[key])
     grid[0, 0].set(ylabel="MTF50 (cy/px)")

@@ -5,23 +5,25 @@ from typing import Any
 
 import numpy as np
 
-from charact.report.generic import array, dots, has, line
+from charact.report.plot_helpers import first_array, has_all, plot_line, plot_points
 from charact.report.style import COLOURS, DATA, INK, MODEL, THIRD, panels
 
 Data = Mapping[str, Any]
 
 
-def photon_transfer(data: Data) -> Any:
+def plot_photon_transfer(data: Data) -> Any:
     """Temporal variance and covariance sum above the dark's, against the signal above the dark's."""
     figure, grid = panels(size=(5.6, 3.8))
     axes = grid[0, 0]
-    signal, dark = array(data, "signal_dn"), np.zeros(len(array(data, "signal_dn")))
-    if has(data, "dark_variance_dn2") and len(data["dark_variance_dn2"]) == len(signal):
-        dark = array(data, "dark_variance_dn2")
-    fitted = array(data, "fitted").astype(bool) if has(data, "fitted") else np.ones(len(signal), bool)
-    _series(axes, signal, array(data, "variance_dn2") - dark, data.get("variance_sd_dn2"), fitted, DATA, "variance")
-    if has(data, "covariance_dn2"):
-        covariance = array(data, "covariance_dn2")
+    signal, dark = first_array(data, "signal_dn"), np.zeros(len(first_array(data, "signal_dn")))
+    if has_all(data, "dark_variance_dn2") and len(data["dark_variance_dn2"]) == len(signal):
+        dark = first_array(data, "dark_variance_dn2")
+    fitted = first_array(data, "fitted").astype(bool) if has_all(data, "fitted") else np.ones(len(signal), bool)
+    _series(
+        axes, signal, first_array(data, "variance_dn2") - dark, data.get("variance_sd_dn2"), fitted, DATA, "variance"
+    )
+    if has_all(data, "covariance_dn2"):
+        covariance = first_array(data, "covariance_dn2")
         _series(axes, signal, covariance, data.get("covariance_sd_dn2"), fitted, MODEL, "covariance sum")
     _slopes(axes, data, signal)
     axes.set(xlabel="signal above the dark (DN)", ylabel="variance above the dark (DN²)")
@@ -32,10 +34,12 @@ def photon_transfer(data: Data) -> Any:
 def _series(axes: Any, x: Any, y: Any, sd: Any, fitted: Any, colour: str, label: str) -> None:
     """Points of one kind: full where fitted, hollow where left out of the fit."""
     sd = np.zeros(len(x)) if sd is None else np.asarray(sd, float)
-    dots(axes, x[fitted], y[fitted], sd[fitted], color=colour, label=f"{label}, ± 1 sd", markersize=4.5)
+    plot_points(axes, x[fitted], y[fitted], sd[fitted], color=colour, label=f"{label}, ± 1 sd", markersize=4.5)
     if not fitted.all():
         out = ~fitted
-        dots(axes, x[out], y[out], sd[out], color=colour, mfc="none", label=f"{label}, not fitted", markersize=4.5)
+        plot_points(
+            axes, x[out], y[out], sd[out], color=colour, mfc="none", label=f"{label}, not fitted", markersize=4.5
+        )
 
 
 def _slopes(axes: Any, data: Data, signal: Any) -> None:
@@ -43,33 +47,33 @@ def _slopes(axes: Any, data: Data, signal: Any) -> None:
     reach = np.array([0.0, float(np.max(signal))])
     covariance, blur = data.get("covariance_gain_dn"), data.get("blur_factor")
     if covariance is not None:
-        line(axes, reach, covariance * reach, color=MODEL, label=f"covariance gain {covariance:.4g} DN")
+        plot_line(axes, reach, covariance * reach, color=MODEL, label=f"covariance gain {covariance:.4g} DN")
         if blur is not None:
             lag = data.get("lag_factor") or 1.0
             label = f"× blur factor {blur:.3g}" + (f" / lag factor {lag:.3g}" if lag > 1.001 else "")
-            line(axes, reach, covariance * blur / lag * reach, color=DATA, linestyle="--", label=label)
+            plot_line(axes, reach, covariance * blur / lag * reach, color=DATA, linestyle="--", label=label)
     gain = data.get("system_gain_dn_per_e")
     if gain is not None:
-        line(axes, reach, gain * reach, color=THIRD, label=f"system gain {gain:.4g} DN/e-")
+        plot_line(axes, reach, gain * reach, color=THIRD, label=f"system gain {gain:.4g} DN/e-")
 
 
-def noise_spectrum(data: Data) -> Any:
+def plot_noise_spectrum(data: Data) -> Any:
     """Noise power over signal against frequency: it meets frequency 0 at the covariance gain."""
     figure, grid = panels(size=(5.6, 3.8))
     axes = grid[0, 0]
-    radius, angle = array(data, "radius_cy_per_px"), np.abs(array(data, "angle_deg"))
-    power, sd, model = array(data, "power_dn"), array(data, "power_sd_dn"), array(data, "model_dn")
-    used = array(data, "used").astype(bool)
+    radius, angle = first_array(data, "radius_cy_per_px"), np.abs(first_array(data, "angle_deg"))
+    power, sd, model = first_array(data, "power_dn"), first_array(data, "power_sd_dn"), first_array(data, "model_dn")
+    used = first_array(data, "used").astype(bool)
     for colour, own, label in (
         (DATA, used & (angle < 30), "near horizontal frequency"),
         (THIRD, used & (angle > 60), "near vertical frequency"),
     ):
         if own.any():
-            dots(axes, radius[own], power[own], sd[own], color=colour, alpha=0.6, label=f"{label}, ± 1 sd")
+            plot_points(axes, radius[own], power[own], sd[own], color=colour, alpha=0.6, label=f"{label}, ± 1 sd")
             order = np.argsort(radius[own])
-            line(axes, radius[own][order], model[own][order], color=colour)
+            plot_line(axes, radius[own][order], model[own][order], color=colour)
     if not used.all():
-        dots(axes, radius[~used], power[~used], color=INK, alpha=0.25, markersize=1.8, label="not fitted")
+        plot_points(axes, radius[~used], power[~used], color=INK, alpha=0.25, markersize=1.8, label="not fitted")
     axes.axhline(float(data["variance_over_signal_dn"]), color=MODEL, linestyle="--", label="variance over signal")
     axes.set(
         xlabel="spatial frequency (cycles per column pitch)", ylabel="noise power over signal (DN)", ylim=(0, None)
@@ -78,18 +82,18 @@ def noise_spectrum(data: Data) -> Any:
     return figure
 
 
-def post_gain_noise(data: Data) -> Any:
+def plot_post_gain_noise(data: Data) -> Any:
     """Noise power of the light over the whole band along rows and columns, and what was fitted to it."""
     figure, grid = panels(size=(5.6, 3.8))
     axes = grid[0, 0]
-    column, row = np.abs(array(data, "column_cy_per_px")), np.abs(array(data, "row_cy_per_px"))
-    radius, power = np.hypot(column, row), array(data, "power_dn2") - array(data, "dark_dn2")
-    model = array(data, "white_dn2") + array(data, "pulses_dn2")
+    column, row = np.abs(first_array(data, "column_cy_per_px")), np.abs(first_array(data, "row_cy_per_px"))
+    radius, power = np.hypot(column, row), first_array(data, "power_dn2") - first_array(data, "dark_dn2")
+    model = first_array(data, "white_dn2") + first_array(data, "pulses_dn2")
     for colour, own, label in (
         (DATA, row < 0.27 * column, "near horizontal frequency"),
         (THIRD, column < 0.27 * row, "near vertical frequency"),
     ):
-        dots(axes, radius[own], power[own], color=colour, alpha=0.4, markersize=2.0, label=label)
+        plot_points(axes, radius[own], power[own], color=colour, alpha=0.4, markersize=2.0, label=label)
     axes.plot(
         radius, model, ".", color=MODEL, markersize=1.5, alpha=0.5, label="fitted: white floor and blurred pulses"
     )
@@ -99,23 +103,25 @@ def post_gain_noise(data: Data) -> Any:
     return figure
 
 
-def autocorrelation(data: Data) -> Any:
+def plot_autocorrelation(data: Data) -> Any:
     """Correlation of neighbouring pixels at each level, and of exposures one after the other."""
     figure, grid = panels(1, 2, size=(5.8, 3.2))
     pixels, exposures = grid[0]
-    neighbour = array(data, "neighbour_correlation")
-    dots(pixels, np.arange(1, len(neighbour) + 1), neighbour, array(data, "neighbour_sd"), color=DATA, markersize=4)
+    neighbour = first_array(data, "neighbour_correlation")
+    plot_points(
+        pixels, np.arange(1, len(neighbour) + 1), neighbour, first_array(data, "neighbour_sd"), color=DATA, markersize=4
+    )
     pixels.set(xlabel="flat stack, in order (1)", ylabel="correlation of neighbours in a row (1)")
-    lag, value = array(data, "lag_exposures"), array(data, "lag_correlation")
+    lag, value = first_array(data, "lag_exposures"), first_array(data, "lag_correlation")
     if len(lag):
-        dots(exposures, lag, value, array(data, "lag_correlation_sd"), color=THIRD, markersize=4)
+        plot_points(exposures, lag, value, first_array(data, "lag_correlation_sd"), color=THIRD, markersize=4)
     exposures.set(xlabel="exposures apart (1)", ylabel="correlation in time (1)")
     for axes in (pixels, exposures):
         axes.axhline(0, color=INK, linewidth=0.8)
     return figure
 
 
-def three_dimensional(data: Data) -> Any:
+def plot_three_dimensional_noise(data: Data) -> Any:
     """Means of frames, rows and columns about their own mean, and the spectrum of the frames' means."""
     figure, grid = panels(2, 2, size=(5.8, 4.6))
     for axes, name, what in (
@@ -123,30 +129,30 @@ def three_dimensional(data: Data) -> Any:
         (grid[1, 0], "row_mean_dn", "row"),
         (grid[1, 1], "column_mean_dn", "column"),
     ):
-        mean = array(data, name)
-        line(axes, np.arange(len(mean)), mean - mean.mean(), color=DATA)
+        mean = first_array(data, name)
+        plot_line(axes, np.arange(len(mean)), mean - mean.mean(), color=DATA)
         axes.set(xlabel=what, ylabel=f"mean of each {what}\n(DN)")
     period = data.get("exposure_period_s")
-    frequency = array(data, "frequency_cy_per_exposure") / (period or 1.0)
-    line(grid[0, 1], frequency, array(data, "power_dn2"), color=THIRD)
+    frequency = first_array(data, "frequency_cy_per_exposure") / (period or 1.0)
+    plot_line(grid[0, 1], frequency, first_array(data, "power_dn2"), color=THIRD)
     unit = "Hz" if period else "cycles per exposure"
     grid[0, 1].set(xlabel=f"temporal frequency\n({unit})", ylabel="power of the means (DN²)")
     return figure
 
 
-def predictive_frames(data: Data) -> Any:
+def plot_predictive_checks(data: Data) -> Any:
     """How far each sign of the flats lies from that of frames drawn from the posterior, in standard deviations."""
     figure, grid = panels(size=(5.8, 3.6))
     axes = grid[0, 0]
     signs = list(dict.fromkeys(data["sign"]))
-    away = (array(data, "measured") - array(data, "expected")) / array(data, "sd")
+    away = (first_array(data, "measured") - first_array(data, "expected")) / first_array(data, "sd")
     row = np.array([signs.index(sign) for sign in data["sign"]], float)
     axes.axvspan(-2.0, 2.0, color=MODEL, alpha=0.15, linewidth=0, label="95 % of frames drawn")
     stacks = list(dict.fromkeys(data["stack"]))
     for number, stack in enumerate(stacks):
         own = np.array([one == stack for one in data["stack"]])
         place = row[own] + 0.16 * (number - 0.5 * (len(stacks) - 1))
-        dots(axes, away[own], place, color=COLOURS[number % len(COLOURS)], markersize=4.5, label=stack)
+        plot_points(axes, away[own], place, color=COLOURS[number % len(COLOURS)], markersize=4.5, label=stack)
     axes.set_xscale("symlog", linthresh=3.0)
     most = float(np.abs(away).max())
     ticks = [tick for tick in (1, 3, 10, 30, 100, 300) if tick < 2.0 * most or tick <= 3]

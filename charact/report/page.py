@@ -4,14 +4,14 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from charact.report import evidence, tables
+from charact.report import figure_registry, tables
 from charact.report.corner import corner_svg, varying
 from charact.report.curves import mtf_svgs
 from charact.report.emva import emva_summary
-from charact.report.extents import completed
-from charact.report.pictures import aspect_of, representative
-from charact.report.truth import Truth, beside_truth
-from labdata.durable import write_durably
+from charact.report.extent_figure_data import add_extent_data
+from charact.report.report_images import aspect_of, representative
+from charact.report.truth import Truth, compare_with_truth
+from labdata.atomic_write import write_atomically
 from labdata.limits import OVERRIDDEN
 from labdata.measurement import Posterior, Result
 from labdata.session import Session
@@ -43,7 +43,7 @@ def write(
         A `charact.validation.Validation`, for simulated frames beside measured ones; None: the section says it is
         missing.
     truth
-        True values by quantity where they are known (a virtual bench); see `charact.report.beside_truth`.
+        True values by quantity where they are known (a virtual bench); see `charact.report.compare_with_truth`.
     pdf
         Also write a PDF beside the HTML.
 
@@ -62,7 +62,7 @@ def write(
     out = Path(out)
     html = page(session, result, validation=validation, truth=truth)
     out.parent.mkdir(parents=True, exist_ok=True)
-    write_durably(out, html.encode())
+    write_atomically(out, html.encode())
     if pdf:
         write_pdf(html, out.with_suffix(".pdf"))
     return out
@@ -72,31 +72,31 @@ def page(
     session: Session, result: Result, *, validation: "Validation | None" = None, truth: Truth | None = None
 ) -> str:
     """Return the report as HTML."""
-    figures = [evidence.figure_of(name, data) for name, data in completed(session, result).items()]
+    figures = [figure_registry.figure_of(name, data) for name, data in add_extent_data(session, result).items()]
     return _template("report.html.j2").render(
         session=session,
         made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         verdicts=tables.verdicts(result),
         headlines=tables.headlines(result),
         groups=tables.quantity_groups(result),
-        beside=beside_truth(result, truth or {}),
+        beside=compare_with_truth(result, truth or {}),
         mtf_figures=mtf_svgs(session, result, truth),
         figures={part: [f for f in figures if f.section == part] for part in ("mtf", "noise", "bloom", "other")},
         emva=emva_summary(result),
         pictures=representative(session, result.measurements),
-        validation=_validated(validation, session),
+        validation=_validation_part(validation, session),
         posteriors=posteriors(result),
         stacks=tables.stack_table(session),
         sensor_rows=tables.sensor_rows(session.sensor) if session.sensor else (),
         sensor_facts=tables.sensor_facts(session.sensor) if session.sensor else (),
         overridden=[note for note in session.notes if note.startswith(OVERRIDDEN)],
-        left_out=left_out(session),
+        left_out=session_notes(session),
         provenance=tables.provenance(result.measurements),
-        charted=tables.charted(result),
+        charted=tables.chart_rows(result),
     )
 
 
-def _validated(validation: "Validation | None", session: Session) -> Any:
+def _validation_part(validation: "Validation | None", session: Session) -> Any:
     """The section on validation, or None where there was none."""
     if validation is None:
         return None
@@ -160,6 +160,6 @@ def _health(p: Posterior) -> str:
     return ", ".join(parts) + "."
 
 
-def left_out(session: Session) -> tuple[str, ...]:
+def session_notes(session: Session) -> tuple[str, ...]:
     """What the session says of itself: wires left out, effects left out, what readers should know of the frames."""
     return tuple(dict.fromkeys(note for note in session.notes if not note.startswith(OVERRIDDEN)))

@@ -5,22 +5,35 @@ from typing import Any
 
 import numpy as np
 
-from charact.report.generic import array, line
+from charact.report.plot_helpers import first_array, plot_line
 from charact.report.style import DATA, INK, MODEL, WARN, panels
 
 Data = Mapping[str, Any]
 
 
-def pulse_heights(data: Data) -> Any:
+def plot_pulse_heights(data: Data) -> Any:
     """How often filtered pixels of darks come by their value, measured, by the fitted law and by the noise alone."""
     figure, grid = panels(1, 1, size=(5.8, 3.8))
     axes = grid[0, 0]
-    edge, measured = array(data, "edge_dn"), array(data, "density_per_dn")
+    edge, measured = first_array(data, "edge_dn"), first_array(data, "density_per_dn")
     seen = measured > 0
     middle = 0.5 * (edge[1:] + edge[:-1])
     axes.plot(middle[seen], measured[seen], ".", color=DATA, markersize=4, label="measured")
-    line(axes, array(data, "value_dn"), array(data, "law_per_dn"), color=MODEL, label="law of the pulses, fitted")
-    line(axes, array(data, "value_dn"), array(data, "noise_per_dn"), color=INK, linestyle="--", label="noise alone")
+    plot_line(
+        axes,
+        first_array(data, "value_dn"),
+        first_array(data, "law_per_dn"),
+        color=MODEL,
+        label="law of the pulses, fitted",
+    )
+    plot_line(
+        axes,
+        first_array(data, "value_dn"),
+        first_array(data, "noise_per_dn"),
+        color=INK,
+        linestyle="--",
+        label="noise alone",
+    )
     response = float(data["response_to_mean_pulse_dn"])
     axes.axvline(response, color=WARN, linewidth=0.9, linestyle=":", label="mean pulse, amid its pixel")
     # Below one value in ten of all that were counted the law says nothing that could be seen.

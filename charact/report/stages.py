@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from charact.report.generic import array
+from charact.report.plot_helpers import first_array
 from charact.report.style import COLOURS, INK, panels
 
 Data = Mapping[str, Any]
@@ -28,13 +28,13 @@ AXIS = "frequency (cycles per column pitch)"
 LINES = "solid: identified or known; dashed: as described, or only in a product; bands: 95 %"
 
 
-def stage_budget(data: Data) -> Any:
+def plot_mtf_budget(data: Data) -> Any:
     """Draw every stage's MTF with its 95 % band, their product, and the measured curves as dots with arms."""
     figure, grid = panels(2, 1, size=(5.6, 7.4), sharex=True)
     solid = {*data["identified"], *data["known"]}
     handles = {}
     for axes, (direction, title) in zip(grid[:, 0], DIRECTIONS.items(), strict=True):
-        _direction(axes, data[direction], solid)
+        _plot_direction(axes, data[direction], solid)
         axes.set_title(title, loc="left")
         handles.update(dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True)))
     _at_the_cathode(grid[0, 0], data["horizontal"])
@@ -51,44 +51,44 @@ def stage_budget(data: Data) -> Any:
     return figure
 
 
-def _direction(axes: Any, panel: Data, solid: set[str]) -> None:
+def _plot_direction(axes: Any, panel: Data, solid: set[str]) -> None:
     """One direction: identified and known stages solid, those still at what the description says dashed."""
-    frequency = array(panel, "frequency_cy_per_column")
+    frequency = first_array(panel, "frequency_cy_per_column")
     for stage, band in panel["stages"].items():
-        if np.min(array(band, "value")) < NOTHING_LOST:
+        if np.min(first_array(band, "value")) < NOTHING_LOST:
             colour = STAGES.get(stage, COLOURS[7])
-            _band(axes, frequency, band, colour)
+            _plot_band(axes, frequency, band, colour)
             style = "-" if stage in solid else (0, (4, 2))
-            axes.plot(frequency, array(band, "value"), color=colour, linestyle=style, linewidth=1.3, label=stage)
+            axes.plot(frequency, first_array(band, "value"), color=colour, linestyle=style, linewidth=1.3, label=stage)
     if "measured_after_gain" in panel:
         axes.plot(
-            frequency, array(panel["product_after_gain"], "value"), color=INK, linewidth=1.1, alpha=0.55,
+            frequency, first_array(panel["product_after_gain"], "value"), color=INK, linewidth=1.1, alpha=0.55,
             label="product after the gain",
         )  # fmt: skip
-        _dots(axes, frequency, panel["measured_after_gain"], "s", "measured after the gain, 95 %")
-    axes.plot(frequency, array(panel["product"], "value"), color=INK, linewidth=1.8, label="product of all")
-    _dots(axes, frequency, panel["measured"], "o", "measured, 95 %")
+        _plot_measured(axes, frequency, panel["measured_after_gain"], "s", "measured after the gain, 95 %")
+    axes.plot(frequency, first_array(panel["product"], "value"), color=INK, linewidth=1.8, label="product of all")
+    _plot_measured(axes, frequency, panel["measured"], "o", "measured, 95 %")
     axes.axhline(0.5, color=INK, linewidth=0.6, alpha=0.5)
     axes.set(xlim=(0, frequency[-1]), ylim=(-0.02, 1.03), ylabel="MTF (1)")
 
 
 def _at_the_cathode(axes: Any, panel: Data) -> None:
     """Say above a panel what its frequencies are at the photocathode."""
-    scale = float(array(panel, "cathode_lp_per_mm")[-1] / array(panel, "frequency_cy_per_column")[-1])
+    scale = float(first_array(panel, "cathode_lp_per_mm")[-1] / first_array(panel, "frequency_cy_per_column")[-1])
     above = axes.secondary_xaxis("top", functions=(lambda x: x * scale, lambda x: x / scale))
     above.set_xlabel("at the photocathode (lp/mm)")
 
 
-def _band(axes: Any, frequency: Any, band: Data, colour: str) -> None:
+def _plot_band(axes: Any, frequency: Any, band: Data, colour: str) -> None:
     """A faint band with fine borders, for bands lie on one another."""
-    low, high = array(band, "low95"), array(band, "high95")
+    low, high = first_array(band, "low95"), first_array(band, "high95")
     if np.max(high - low) > NARROWEST:
         axes.fill_between(frequency, low, high, facecolor=(colour, 0.1), edgecolor=(colour, 0.45), linewidth=0.5)
 
 
-def _dots(axes: Any, frequency: Any, band: Data, marker: str, label: str) -> None:
+def _plot_measured(axes: Any, frequency: Any, band: Data, marker: str, label: str) -> None:
     """Dots of a measured curve with arms of its 95 % interval."""
-    value, low, high = (array(band, name)[EACH::EACH] for name in ("value", "low95", "high95"))
+    value, low, high = (first_array(band, name)[EACH::EACH] for name in ("value", "low95", "high95"))
     arms = np.maximum([value - low, high - value], 0.0)
     axes.errorbar(
         frequency[EACH::EACH], value, yerr=arms, fmt=marker, markersize=3.6, elinewidth=0.9, color=INK,
@@ -96,17 +96,22 @@ def _dots(axes: Any, frequency: Any, band: Data, marker: str, label: str) -> Non
     )  # fmt: skip
 
 
-def bar_groups(data: Data) -> Any:
+def plot_bar_groups(data: Data) -> Any:
     """Draw the curve through several groups of bars with its 95 % band, and what each group read."""
     figure, grid = panels(size=(5.6, 3.6))
     axes = grid[0, 0]
-    frequency = array(data, "curve_cy_per_px")
+    frequency = first_array(data, "curve_cy_per_px")
     axes.fill_between(
-        frequency, array(data, "curve_low95"), array(data, "curve_high95"), color=COLOURS[0], alpha=0.22, linewidth=0
+        frequency,
+        first_array(data, "curve_low95"),
+        first_array(data, "curve_high95"),
+        color=COLOURS[0],
+        alpha=0.22,
+        linewidth=0,
     )
-    axes.plot(frequency, array(data, "curve"), color=COLOURS[0], label="one curve through the groups, 95 %")
+    axes.plot(frequency, first_array(data, "curve"), color=COLOURS[0], label="one curve through the groups, 95 %")
     axes.errorbar(
-        array(data, "frequency_cy_per_px"), array(data, "mtf"), yerr=1.96 * array(data, "sd"), fmt="s", markersize=4,
+        first_array(data, "frequency_cy_per_px"), first_array(data, "mtf"), yerr=1.96 * first_array(data, "sd"), fmt="s", markersize=4,
         elinewidth=1, capsize=2.5, color=INK, label="groups of bars, 95 %",
     )  # fmt: skip
     axes.axhline(0.5, color=INK, linewidth=0.6, alpha=0.5)

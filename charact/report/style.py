@@ -49,7 +49,7 @@ SETTINGS: dict[str, Any] = {
 
 
 @contextmanager
-def styled() -> Iterator[None]:
+def report_style() -> Iterator[None]:
     """Draw in the report's style, whatever the reader's own settings are."""
     from matplotlib import style
 
@@ -58,7 +58,7 @@ def styled() -> Iterator[None]:
 
 
 @contextmanager
-def on_paper() -> Iterator[None]:
+def white_style() -> Iterator[None]:
     """Draw in the report's style on white, for a file of its own."""
     from matplotlib import style
 
@@ -112,7 +112,7 @@ def _lean(svg: str) -> str:
     return re.sub(r"(<g/>)|(<g></g>)", "", svg)
 
 
-def thinned(*columns: ArrayLike, most: int = 300) -> tuple[NDArray[np.float64], ...]:
+def subsample(*columns: ArrayLike, most: int = 300) -> tuple[NDArray[np.float64], ...]:
     """Return arrays of equal length with at most so many points, evenly chosen: a figure need not hold more."""
     arrays = [np.asarray(column, float) for column in columns]
     length = min(len(array) for array in arrays)
@@ -120,7 +120,7 @@ def thinned(*columns: ArrayLike, most: int = 300) -> tuple[NDArray[np.float64], 
     return tuple(array[keep] for array in arrays)
 
 
-def note(axes: Any, sentence: str) -> None:
+def write_note(axes: Any, sentence: str) -> None:
     """Write a sentence across an empty panel."""
     axes.text(0.5, 0.5, sentence, ha="center", va="center", transform=axes.transAxes, wrap=True)
     axes.grid(False)

@@ -11,7 +11,14 @@ from typing import Any
 from charact import __version__
 from charact.method.registry import chart_table
 from charact.method.stopwatch import time_text
-from charact.report.numerals import interval_text, plain, plus_minus, rounded, titled, value_text
+from charact.report.number_format import (
+    interval_text,
+    plus_minus,
+    quantity_title,
+    round_to_spread,
+    short_text,
+    value_text,
+)
 from labdata.conditions import Conditions
 from labdata.flags import FLAGS
 from labdata.measurement import Measurement, Result
@@ -73,7 +80,7 @@ class QuantityGroup:
 def quantity_row(m: Measurement, where: str = "") -> QuantityRow:
     """Return the row of a measurement, and where in its stack it applies."""
     return QuantityRow(
-        title=titled(m),
+        title=quantity_title(m),
         name=m.quantity,
         value=value_text(m),
         plus_minus=plus_minus(m),
@@ -125,12 +132,12 @@ def _group(stack: str, method: str, own: list[Measurement]) -> QuantityGroup:
     return QuantityGroup(
         title=" · ".join((stack, method, *(text for key, text in common.items() if key != "stack"))),
         rows=tuple(quantity_row(m, text) for m, text in zip(own, rest, strict=True)),
-        flags=tuple((flag, FLAGS[flag], _concerned(own, [m for m in own if flag in m.flags])) for flag in flags),
-        notes=tuple((note, _concerned(own, [m for m in own if note in m.notes])) for note in notes),
+        flags=tuple((flag, FLAGS[flag], _scope_text(own, [m for m in own if flag in m.flags])) for flag in flags),
+        notes=tuple((note, _scope_text(own, [m for m in own if note in m.notes])) for note in notes),
     )
 
 
-def _concerned(own: list[Measurement], those: list[Measurement]) -> str:
+def _scope_text(own: list[Measurement], those: list[Measurement]) -> str:
     """Names of the quantities and stacks that something is said of; "" where it is said of all that carry a number."""
     if len(those) >= sum(m.value is not None for m in own) > 1:
         return ""
@@ -194,16 +201,18 @@ def stack_table(session: Session) -> dict[str, Any]:
 def _target_parts(target: Any) -> list[str]:
     units = {"bars": "bars", "frequency_cy_per_px": "cy/px", "angle_deg": "°", "pinhole_px": "px pinhole"}
     parts = [
-        f"{plain(getattr(target, name))} {unit}" for name, unit in units.items() if getattr(target, name) is not None
+        f"{short_text(getattr(target, name))} {unit}"
+        for name, unit in units.items()
+        if getattr(target, name) is not None
     ]
-    return parts if target.contrast is None else [*parts, f"contrast {plain(target.contrast)}"]
+    return parts if target.contrast is None else [*parts, f"contrast {short_text(target.contrast)}"]
 
 
 def _condition(got: Conditions, asked: Conditions | None, name: str) -> str:
     """What was read back, and what had been asked where it differs."""
     value, wanted = getattr(got, name), None if asked is None else getattr(asked, name)
-    text = plain(value)
-    return text if wanted is None or wanted == value else f"{text} (asked {plain(wanted)})"
+    text = short_text(value)
+    return text if wanted is None or wanted == value else f"{text} (asked {short_text(wanted)})"
 
 
 def sensor_rows(sensor: Sensor) -> list[dict[str, str]]:
@@ -213,12 +222,16 @@ def sensor_rows(sensor: Sensor) -> list[dict[str, str]]:
 
 def _parameter_row(path: str, p: Parameter) -> dict[str, str]:
     spread = None if p.low is None or p.high is None else (p.high - p.low) / 4
-    bounds = "exact" if p.low is None or p.high is None else f"{rounded(p.low, spread)} … {rounded(p.high, spread)}"
+    bounds = (
+        "exact"
+        if p.low is None or p.high is None
+        else f"{round_to_spread(p.low, spread)} … {round_to_spread(p.high, spread)}"
+    )
     stage, _, name = path.partition(".")
     return {
         "stage": stage.replace("_", " "),
         "name": name.replace("_", " "),
-        "value": rounded(p.value, spread),
+        "value": round_to_spread(p.value, spread),
         "bounds": bounds,
         "standing": p.standing,
         "source": p.source,
@@ -233,11 +246,11 @@ def sensor_facts(sensor: Sensor) -> list[tuple[str, str]]:
         for item in fields(part) if hasattr(part, "__dataclass_fields__") and stage.name != "draws" else ():
             value = getattr(part, item.name)
             if isinstance(value, (str, int, bool)):
-                facts.append((f"{stage.name} {item.name}".replace("_", " "), plain(value)))
+                facts.append((f"{stage.name} {item.name}".replace("_", " "), short_text(value)))
     return facts
 
 
-def charted(result: Result) -> list[dict[str, str]]:
+def chart_rows(result: Result) -> list[dict[str, str]]:
     """Measured error and time of every method, for each quantity of the result that was ever charted.
 
     These are the rows by which `auto` chose; a method that measured something here is marked.
@@ -251,8 +264,8 @@ def charted(result: Result) -> list[dict[str, str]]:
             "used": "yes" if row["method"] in used else "no",
             "error": f"{row['error_percent']:.2g} %",
             "seconds": time_text(row["seconds"]),
-            "cases": plain(row.get("cases")),
-            "silent": plain(row.get("silent")),
+            "cases": short_text(row.get("cases")),
+            "silent": short_text(row.get("silent")),
         }
         for quantity in quantities
         for row in chart_table(quantity)
@@ -264,7 +277,7 @@ def provenance(measurements: Iterable[Measurement]) -> dict[str, Any]:
     kept = [(m.method, m.provenance) for m in measurements if m.provenance is not None]
     settings: dict[str, dict[str, str]] = {}
     for method, record in kept:
-        settings.setdefault(method, {}).update({key: plain(value) for key, value in record.settings.items()})
+        settings.setdefault(method, {}).update({key: short_text(value) for key, value in record.settings.items()})
     inputs = {path: digest for _, record in kept for path, digest in record.inputs.items()}
     seeds = sorted({record.seed for _, record in kept if record.seed is not None})
     return {

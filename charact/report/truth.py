@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from charact.report.numerals import plus_minus, rounded, spread_of, titled
+from charact.report.number_format import plus_minus, quantity_title, round_to_spread, spread_of
 from labdata.measurement import Measurement, Result
 
 # Half the width of a 95 % interval in standard errors.
@@ -16,7 +16,7 @@ Truth = Mapping[str, float | Callable[..., Any]]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Beside:
+class TruthComparison:
     """One measured number beside its truth.
 
     Parameters
@@ -37,20 +37,20 @@ class Beside:
     @property
     def title(self) -> str:
         """The quantity in words, and where it was measured."""
-        return titled(self.measurement)
+        return quantity_title(self.measurement)
 
     @property
     def truth_text(self) -> str:
         """The truth with the digits of the measurement."""
-        return rounded(self.truth, spread_of(self.measurement))
+        return round_to_spread(self.truth, spread_of(self.measurement))
 
     @property
-    def measured_text(self) -> str:
+    def value_text(self) -> str:
         """The value with the arms of its 95 % interval."""
         return plus_minus(self.measurement)
 
 
-def beside_truth(result: Result, truth: Truth) -> tuple[Beside, ...]:
+def compare_with_truth(result: Result, truth: Truth) -> tuple[TruthComparison, ...]:
     """Return every measured number whose truth is known, beside it.
 
     Parameters
@@ -62,7 +62,7 @@ def beside_truth(result: Result, truth: Truth) -> tuple[Beside, ...]:
         measurement's frequency (cycles per pixel) and direction (degrees), for the MTF at one frequency.
     """
     found = [(m, truth[m.quantity]) for m in result.measurements if m.value is not None and m.quantity in truth]
-    return tuple(_beside(m, _at(known, m)) for m, known in found)
+    return tuple(_comparison(m, _at(known, m)) for m, known in found)
 
 
 def _at(known: float | Callable[..., Any], measurement: Measurement) -> float:
@@ -71,10 +71,10 @@ def _at(known: float | Callable[..., Any], measurement: Measurement) -> float:
     return float(known)
 
 
-def _beside(measurement: Measurement, truth: float) -> Beside:
+def _comparison(measurement: Measurement, truth: float) -> TruthComparison:
     value, interval = float(measurement.value or 0.0), measurement.interval95
     low, high = interval if interval is not None else (value, value)
     sd = ((high - value) if truth > value else (value - low)) / HALF_95
     off = value - truth
     z = off / sd if sd > 0 else float(np.copysign(np.inf, off)) if off else 0.0
-    return Beside(measurement=measurement, truth=truth, z=z)
+    return TruthComparison(measurement=measurement, truth=truth, z=z)

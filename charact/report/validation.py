@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from charact.report.evidence import Figure
-from charact.report.generic import has
-from charact.report.numerals import plain
-from charact.report.pictures import Picture, as_jpeg
-from charact.report.style import DATA, INK, MODEL, WARN, as_svg, panels, styled, thinned
-from charact.validation import Control, Pair, Statistic, Validation
+from charact.report.figure_registry import Figure
+from charact.report.number_format import short_text
+from charact.report.plot_helpers import has_all
+from charact.report.report_images import ReportImage, as_jpeg
+from charact.report.style import DATA, INK, MODEL, WARN, as_svg, panels, report_style, subsample
+from charact.validation import FramePair, Statistic, Validation, ValidationControl
 
 CONTROL_WORDS = {"null": "must pass", "negative": "must fail"}
 
@@ -47,7 +47,7 @@ class Section:
     status: str
     headline: str
     summary: str
-    pairs: tuple[tuple[Picture, Picture], ...]
+    pairs: tuple[tuple[ReportImage, ReportImage], ...]
     figures: tuple[Figure, ...]
     columns: tuple[str, ...]
     rows: tuple[StatisticRow, ...]
@@ -97,21 +97,21 @@ def _columns(validation: Validation) -> tuple[str, ...]:
     return ("Statistic", "Distance (1 is usual)", "p-value (1)", "Fails below (1)", *controls, "Verdict")
 
 
-def _row(one: Statistic, controls: tuple[Control, ...]) -> StatisticRow:
+def _row(one: Statistic, controls: tuple[ValidationControl, ...]) -> StatisticRow:
     """A statistic with its p-value in each control; a dash where the control does not hold it."""
     told = []
     for control in controls:
         same = [other for other in control.statistics if other.name == one.name]
-        told.append(f"{plain(same[0].p_value)} ({'passes' if same[0].passed else 'fails'})" if same else "—")
-    cells = (one.title, f"{one.distance:.3g}", plain(one.p_value), plain(one.level), *told)
+        told.append(f"{short_text(same[0].p_value)} ({'passes' if same[0].passed else 'fails'})" if same else "—")
+    cells = (one.title, f"{one.distance:.3g}", short_text(one.p_value), short_text(one.level), *told)
     return StatisticRow(cells=cells, status="ok" if one.passed else "refused")
 
 
-def _pictures(pair: Pair, aspect: float) -> tuple[Picture, Picture]:
+def _pictures(pair: FramePair, aspect: float) -> tuple[ReportImage, ReportImage]:
     """Both frames under one stretch."""
     caption = f"Black {pair.low_dn:.4g} DN, white {pair.high_dn:.4g} DN."
     measured, simulated = (
-        Picture(
+        ReportImage(
             title=f"{word}: {pair.label} ({pair.kind})",
             caption=caption,
             data=as_jpeg(frame, (0.0, 255.0)),
@@ -127,16 +127,16 @@ def _pictures(pair: Pair, aspect: float) -> tuple[Picture, Picture]:
 def _overlay(name: str, data: Mapping[str, Any]) -> Figure:
     """Measured curve over the simulated one with its 95 % band."""
     title = str(data.get("title", name))
-    with styled():
+    with report_style():
         figure, grid = panels(size=(5.6, 3.6))
         axes = grid[0, 0]
         named = isinstance(data["x"][0], str)
         x = np.arange(len(data["x"]), dtype=float) if named else np.asarray(data["x"], float)
-        x_simulated = np.asarray(data["x_simulated"], float) if has(data, "x_simulated") else x
-        axes.fill_between(*thinned(x_simulated, data["low95"], data["high95"]), color=MODEL, alpha=0.25, linewidth=0)
-        axes.plot(*thinned(x_simulated, data["simulated"]), color=MODEL, label="simulated, band 95 %")
+        x_simulated = np.asarray(data["x_simulated"], float) if has_all(data, "x_simulated") else x
+        axes.fill_between(*subsample(x_simulated, data["low95"], data["high95"]), color=MODEL, alpha=0.25, linewidth=0)
+        axes.plot(*subsample(x_simulated, data["simulated"]), color=MODEL, label="simulated, band 95 %")
         style = "o" if len(x) < 30 else "-"
-        axes.plot(*thinned(x, data["measured"]), style, color=DATA, markersize=4, label="measured")
+        axes.plot(*subsample(x, data["measured"]), style, color=DATA, markersize=4, label="measured")
         if named:
             axes.set_xticks(x, [str(label) for label in data["x"]], rotation=30, ha="right")
         axes.set(xlabel=_with_unit(data.get("x_title", "")), ylabel=_with_unit(data.get("y_title", title)))
@@ -156,7 +156,7 @@ def _pulls(validation: Validation) -> tuple[Figure, ...]:
     if not named:
         return ()
     count = sum(len(one.measured) for one in named)
-    with styled():
+    with report_style():
         figure, grid = panels(size=(5.6, 1.1 + 0.17 * count))
         axes = grid[0, 0]
         axes.axvspan(-1, 1, color=MODEL, alpha=0.18, linewidth=0, label="95 % of the simulation")

@@ -4,10 +4,10 @@ from pathlib import Path
 from typing import Any
 
 from charact.study.calibration import Calibration
-from charact.study.draw import COLOURS, _pyplot, _save
+from charact.study.study_figures import COLOURS, _pyplot, _save
 
 
-def draw_calibration(result: Calibration, path: Path) -> Path:
+def plot_calibration(result: Calibration, path: Path) -> Path:
     """Draw a panel for each parameter, at most four in a line; bars outside the 95 % band are red.
 
     Parameters

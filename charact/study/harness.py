@@ -63,7 +63,7 @@ class Case:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Row:
+class CaseResult:
     """What one method made of one case.
 
     Parameters
@@ -107,8 +107,8 @@ def _endless(value: Any) -> bool:
     return isinstance(value, float) and not np.isfinite(value)
 
 
-def judged(measurement: Measurement, truth: float | None) -> dict[str, Any]:
-    """Compare a measurement with the truth: error, cover and silent failure, as fields of a `Row`.
+def judge_measurement(measurement: Measurement, truth: float | None) -> dict[str, Any]:
+    """Compare a measurement with the truth: error, cover and silent failure, as fields of a `CaseResult`.
 
     Notes
     -----
@@ -129,7 +129,7 @@ def judged(measurement: Measurement, truth: float | None) -> dict[str, Any]:
     }
 
 
-class Stopwatch:
+class CaseTimer:
     """Time that an idle machine would have taken: the smaller of wall time and of the process's processor time."""
 
     def __init__(self) -> None:
@@ -140,7 +140,7 @@ class Stopwatch:
         return min(time.perf_counter() - self._wall, time.process_time() - self._processor)
 
 
-def attempt(method: Method, case: Case, context: Context, *, material: Any = None) -> Row:
+def attempt(method: Method, case: Case, context: Context, *, material: Any = None) -> CaseResult:
     """Give one case to one method and judge what comes back.
 
     Parameters
@@ -155,28 +155,30 @@ def attempt(method: Method, case: Case, context: Context, *, material: Any = Non
     base = {key: getattr(case, key) for key in ("kind", "axis", "position", "unit", "in_scope", "seed", "truth")}
     material = case.drawn() if material is None else material
     context = replace(context, **{"seed": case.seed, **case.context})
-    clock = Stopwatch()
+    clock = CaseTimer()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             result = method.function(material, **case.arguments, context=context)
     except BadInput as error:
         seconds = clock.seconds()
-        return Row(method=method.name, case=case.name, **base, status="refused", reason=str(error), seconds=seconds)
+        return CaseResult(
+            method=method.name, case=case.name, **base, status="refused", reason=str(error), seconds=seconds
+        )
     except Exception as error:  # the study must outlive the method it breaks
         seconds, reason = clock.seconds(), f"{type(error).__name__}: {error}"
-        return Row(method=method.name, case=case.name, **base, status="crashed", reason=reason, seconds=seconds)
+        return CaseResult(method=method.name, case=case.name, **base, status="crashed", reason=reason, seconds=seconds)
     seconds = clock.seconds()
     found = result.find(case.quantity)
     if not found:
         reason = f"the result holds no {case.quantity}"
-        return Row(method=method.name, case=case.name, **base, status="refused", reason=reason, seconds=seconds)
+        return CaseResult(method=method.name, case=case.name, **base, status="refused", reason=reason, seconds=seconds)
     return _row(method, case, base, found[0], seconds)
 
 
-def _row(method: Method, case: Case, base: dict[str, Any], found: Measurement, seconds: float) -> Row:
+def _row(method: Method, case: Case, base: dict[str, Any], found: Measurement, seconds: float) -> CaseResult:
     low, high = found.interval95 or (None, None)
-    return Row(
+    return CaseResult(
         method=method.name,
         case=case.name,
         **base,
@@ -187,13 +189,13 @@ def _row(method: Method, case: Case, base: dict[str, Any], found: Measurement, s
         flags=found.flags,
         reason=found.reason,
         seconds=seconds,
-        **judged(found, case.truth),
+        **judge_measurement(found, case.truth),
     )
 
 
 def run(
     methods: Iterable[Method], cases: Sequence[Case], *, context: Context, progress: Progress = lambda text, share: None
-) -> tuple[Row, ...]:
+) -> tuple[CaseResult, ...]:
     """Put every method to every case of its kind, one after the other so that the times can be compared.
 
     Parameters
@@ -206,7 +208,7 @@ def run(
         Called with a sentence and the share done.
     """
     methods = tuple(methods)
-    rows: list[Row] = []
+    rows: list[CaseResult] = []
     for number, case in enumerate(cases):
         progress(case.name, number / len(cases))
         material = case.drawn()
@@ -216,7 +218,7 @@ def run(
 
 
 @dataclass(frozen=True, kw_only=True)
-class Summary:
+class MethodSummary:
     """How one method did over many cases.
 
     Parameters
@@ -274,7 +276,7 @@ def percentile_limit(errors: NDArray[np.floating], *, share: float = 0.95, confi
     return float(ordered[min(int(np.searchsorted(fewer, confidence)), ordered.size - 1)])
 
 
-def summary(rows: Iterable[Row], method: str) -> Summary:
+def summary(rows: Iterable[CaseResult], method: str) -> MethodSummary:
     """Summarise the rows of one method."""
     own = [row for row in rows if row.method == method]
     if not own:
@@ -284,7 +286,7 @@ def summary(rows: Iterable[Row], method: str) -> Summary:
     count = {status: sum(row.status == status for row in own) for status in ("ok", "suspect", "refused", "crashed")}
     sure = [row for row in own if row.status == "ok"]
     missed = sum(not row.covers for row in sure)
-    return Summary(
+    return MethodSummary(
         method=method,
         error_percent=float(np.percentile(errors, 95)) if errors.size else 0.0,
         error_limit_percent=percentile_limit(errors) if errors.size else 0.0,

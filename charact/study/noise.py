@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def correlated(white: NDArray[np.floating], sigma_px: float) -> NDArray[np.floating]:
+def correlate_noise(white: NDArray[np.floating], sigma_px: float) -> NDArray[np.floating]:
     """Blur white noise (frame, row, col) with a Gaussian of unit sum of squares.
 
     Parameters

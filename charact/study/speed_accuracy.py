@@ -7,8 +7,8 @@ from typing import Any
 
 import charact
 from charact.method import Context, Method
-from charact.study.harness import Progress, Row, Summary, run, summary
-from charact.study.quantities import methods_of, studies_of
+from charact.study.harness import CaseResult, MethodSummary, Progress, run, summary
+from charact.study.study_registry import methods_of, studies_of
 
 TABLES = Path(__file__).resolve().parents[1] / "method" / "tables"
 
@@ -34,8 +34,8 @@ class Chart:
     quantity: str
     seed: int
     quick: bool
-    summaries: tuple[Summary, ...]
-    rows: tuple[Row, ...]
+    summaries: tuple[MethodSummary, ...]
+    rows: tuple[CaseResult, ...]
     files: tuple[Path, ...] = ()
 
     @property
@@ -114,11 +114,11 @@ def chart(
         write_json(TABLES / f"{quantity}.json", result.table)
     if out is None:
         return result
-    from charact.study.draw import draw_chart
+    from charact.study.study_figures import plot_chart
 
     data = {**result.table, "rows": [row.as_json() for row in rows]}
     written = write_json(Path(out) / f"chart-{quantity}.json", data)
-    files = (written, draw_chart(result, Path(out) / f"chart-{quantity}.svg"))
+    files = (written, plot_chart(result, Path(out) / f"chart-{quantity}.svg"))
     return Chart(**{**vars(result), "files": files})
 
 

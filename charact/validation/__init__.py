@@ -1,6 +1,14 @@
 """Simulated beside measured frames: the fitted sensor alone must reproduce the session, by statistics that can fail."""
 
 from charact.validation.side_by_side import validate
-from charact.validation.verdict import Control, Pair, Statistic, Validation, as_json, load, save
+from charact.validation.validation_result import (
+    FramePair,
+    Statistic,
+    Validation,
+    ValidationControl,
+    as_json,
+    load,
+    save,
+)
 
-__all__ = ["Control", "Pair", "Statistic", "Validation", "as_json", "load", "save", "validate"]
+__all__ = ["FramePair", "Statistic", "Validation", "ValidationControl", "as_json", "load", "save", "validate"]

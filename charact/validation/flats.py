@@ -21,7 +21,7 @@ LAG_NAMES = ("h1", "h2", "h3", "v1", "v2", "v3", "v4")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Tiles:
+class TileStatistics:
     """Sums over tiles of a stack's frame-to-frame changes.
 
     Parameters
@@ -35,9 +35,11 @@ class Tiles:
     mean: Array
     autocovariance: Array
 
-    def without(self, tile: int) -> "Tiles":
+    def without(self, tile: int) -> "TileStatistics":
         """Return all tiles but one."""
-        return Tiles(mean=np.delete(self.mean, tile), autocovariance=np.delete(self.autocovariance, tile, axis=0))
+        return TileStatistics(
+            mean=np.delete(self.mean, tile), autocovariance=np.delete(self.autocovariance, tile, axis=0)
+        )
 
     @property
     def variance(self) -> float:
@@ -54,7 +56,7 @@ class Tiles:
         return float(self.autocovariance[:, REACH + lag[0], REACH + lag[1]].mean()) / self.variance
 
 
-def tiles_of(frames: NDArray) -> Tiles:
+def tiles_of(frames: NDArray) -> TileStatistics:
     """Return the sums over TILES x TILES tiles of frames (frame, row, col); at least two frames."""
     change = frames.astype(np.float32)
     change -= change.mean(axis=0)
@@ -63,35 +65,35 @@ def tiles_of(frames: NDArray) -> Tiles:
     corners = [(height * r, width * c) for r in range(TILES) for c in range(TILES)]
     cut = [np.s_[:, row : row + height, col : col + width] for row, col in corners]
     scale = count / (count - 1.0)
-    return Tiles(
+    return TileStatistics(
         mean=np.array([float(frames[place].mean()) for place in cut]),
         autocovariance=np.array([scale * _autocovariance(change[place]) for place in cut]),
     )
 
 
-def noise_features(lit: list[Tiles], dark: Tiles) -> Features:
+def noise_features(lit: list[TileStatistics], dark: TileStatistics) -> Features:
     """Return ln(variance/signal) and ln(covariance sum/signal) of every flat."""
 
-    def numbers(lit: list[Tiles], dark: Tiles) -> list[float]:
+    def numbers(lit: list[TileStatistics], dark: TileStatistics) -> list[float]:
         signal = [float(one.mean.mean() - dark.mean.mean()) for one in lit]
         pairs = zip(lit, signal, strict=True)
         return [np.log(max(part, 1e-9) / s) for one, s in pairs for part in _above(one, dark)]
 
     out = [numbers([one.without(tile) for one in lit], dark.without(tile)) for tile in range(TILES**2)]
-    return _jackknifed(np.array(numbers(lit, dark)), np.array(out))
+    return _jackknife(np.array(numbers(lit, dark)), np.array(out))
 
 
-def correlation_features(flat: Tiles) -> Features:
+def correlation_features(flat: TileStatistics) -> Features:
     """Return the correlations of a flat at LAGS."""
     out = [[flat.without(tile).correlation(lag) for lag in LAGS] for tile in range(TILES**2)]
-    return _jackknifed(np.array([flat.correlation(lag) for lag in LAGS]), np.array(out))
+    return _jackknife(np.array([flat.correlation(lag) for lag in LAGS]), np.array(out))
 
 
-def _above(lit: Tiles, dark: Tiles) -> tuple[float, float]:
+def _above(lit: TileStatistics, dark: TileStatistics) -> tuple[float, float]:
     return lit.variance - dark.variance, lit.covariance_sum - dark.covariance_sum
 
 
-def _jackknifed(value: Array, left_out: Array) -> Features:
+def _jackknife(value: Array, left_out: Array) -> Features:
     """Return features with the covariance of leaving one of n parts out: (n - 1)/n sum (t_i - mean)(t_i - mean)^T."""
     count = len(left_out)
     away = left_out - left_out.mean(axis=0)

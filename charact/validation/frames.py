@@ -25,7 +25,7 @@ MOST_CLIPPED_SHARE = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
-class Shot:
+class MatchedFrames:
     """One stack that is laid side by side.
 
     Parameters
@@ -50,7 +50,7 @@ class Shot:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Chosen:
+class MatchedStacks:
     """The stacks that a validation uses.
 
     Parameters
@@ -65,15 +65,15 @@ class Chosen:
         What was left out, and why.
     """
 
-    dark: Shot
-    flats: tuple[Shot, ...]
-    edge: Shot | None
-    others: tuple[Shot, ...]
+    dark: MatchedFrames
+    flats: tuple[MatchedFrames, ...]
+    edge: MatchedFrames | None
+    others: tuple[MatchedFrames, ...]
     measured: dict[str, NDArray]
     notes: tuple[str, ...]
 
 
-def choose(session: Session) -> Chosen:
+def choose(session: Session) -> MatchedStacks:
     """Choose a dark, up to three flats over the straight part of the range, an edge and pictures of the rest.
 
     Raises
@@ -97,7 +97,7 @@ def choose(session: Session) -> Chosen:
     shown = bars[:1] + points[-1:]
     for shot, entry in edges[:1] + shown:
         measured[shot.label] = _cut(shot, entry.read())
-    return Chosen(
+    return MatchedStacks(
         dark=dark[0],
         flats=tuple(flats),
         edge=edges[0][0] if edges else None,
@@ -107,7 +107,7 @@ def choose(session: Session) -> Chosen:
     )
 
 
-def simulated(sensor: Sensor, shots: tuple[Shot, ...], *, seed: int) -> dict[str, NDArray]:
+def simulate_frames(sensor: Sensor, shots: tuple[MatchedFrames, ...], *, seed: int) -> dict[str, NDArray]:
     """Return frames of a sensor under the shots' conditions by label, shape (frame, row, col), DN.
 
     The chip is as small as the cut, and its fixed patterns follow from the sensor's name.
@@ -125,7 +125,7 @@ def simulated(sensor: Sensor, shots: tuple[Shot, ...], *, seed: int) -> dict[str
     return out
 
 
-def _shots(session: Session, kind: Kind) -> list[tuple[Shot, StackEntry]]:
+def _shots(session: Session, kind: Kind) -> list[tuple[MatchedFrames, StackEntry]]:
     """Return the stacks of a kind that have frames enough, as shots."""
     out = []
     for entry in session.of_kind(kind):
@@ -135,12 +135,12 @@ def _shots(session: Session, kind: Kind) -> list[tuple[Shot, StackEntry]]:
         frames, rows, columns = stack.shape
         if frames < FEWEST_FRAMES:
             continue
-        height, width = _wanted(entry)
+        height, width = _cut_shape(entry)
         shape = (min(height, rows - rows % 2), min(width, columns))
         most = EDGE_FRAMES if kind == "edge" else FRAMES
         out.append(
             (
-                Shot(
+                MatchedFrames(
                     label=entry.label,
                     kind=entry.kind,
                     conditions=entry.conditions,
@@ -155,7 +155,7 @@ def _shots(session: Session, kind: Kind) -> list[tuple[Shot, StackEntry]]:
     return out
 
 
-def _wanted(entry: StackEntry) -> tuple[int, int]:
+def _cut_shape(entry: StackEntry) -> tuple[int, int]:
     """Return the rows and columns of a cut."""
     if entry.kind != "edge":
         return SHAPE
@@ -171,11 +171,11 @@ def _corner(target: Target, whole: tuple[int, int], shape: tuple[int, int]) -> t
     return top - top % 2, left
 
 
-def _cut(shot: Shot, stack: FrameStack) -> NDArray:
+def _cut(shot: MatchedFrames, stack: FrameStack) -> NDArray:
     return np.array(stack.region(*shot.corner, *shot.shape).data[: shot.frames])
 
 
-def _flats(session: Session, measured: dict[str, NDArray]) -> tuple[list[Shot], list[str]]:
+def _flats(session: Session, measured: dict[str, NDArray]) -> tuple[list[MatchedFrames], list[str]]:
     """Return flats of low, middle and high level, and keep their frames."""
     sensor = session.sensor
     if sensor is None:

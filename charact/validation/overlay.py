@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.validation import flats, sharpness
-from charact.validation.frames import Chosen
-from charact.validation.portrait import Portrait
-from charact.validation.verdict import Pair
+from charact.validation import flats, mtf_features
+from charact.validation.frame_features import FrameFeatures
+from charact.validation.frames import MatchedStacks
+from charact.validation.validation_result import FramePair
 
 Array = NDArray[np.float64]
 
@@ -17,7 +17,9 @@ BINS = 40
 STRETCH = (0.002, 0.998)
 
 
-def overlays(measured: Portrait, simulated: list[Portrait], chosen: Chosen) -> dict[str, dict[str, Any]]:
+def overlays(
+    measured: FrameFeatures, simulated: list[FrameFeatures], chosen: MatchedStacks
+) -> dict[str, dict[str, Any]]:
     """Return the overlays by name, JSON-ready."""
     out = {
         "photon-transfer": _transfer("variance_dn2", "Temporal variance, DN²", measured, simulated),
@@ -37,14 +39,14 @@ def overlays(measured: Portrait, simulated: list[Portrait], chosen: Chosen) -> d
             "title": "MTF of the edge, both by the same method",
             "x_title": "frequency, cy/px",
             "y_title": "MTF",
-            "x": sharpness.FREQUENCY_CY_PER_PX.tolist(),
+            "x": mtf_features.FREQUENCY_CY_PER_PX.tolist(),
             **_band(measured.mtf.value, np.array(curves)),
             "measured_sd": np.sqrt(np.diag(measured.mtf.covariance)).tolist(),
         }
     return out
 
 
-def pairs(chosen: Chosen, simulated: dict[str, NDArray]) -> tuple[Pair, ...]:
+def pairs(chosen: MatchedStacks, simulated: dict[str, NDArray]) -> tuple[FramePair, ...]:
     """Return the first frame of each stack, measured and simulated, under one stretch."""
     shots = (chosen.flats[-1], *((chosen.edge,) if chosen.edge else ()), *chosen.others)
     out = []
@@ -54,7 +56,7 @@ def pairs(chosen: Chosen, simulated: dict[str, NDArray]) -> tuple[Pair, ...]:
         high = max(high, low + 1.0)
         shown = [np.rint(255 * np.clip((one - low) / (high - low), 0, 1)).astype(np.uint8) for one in both]
         out.append(
-            Pair(
+            FramePair(
                 kind=shot.kind,
                 label=shot.label,
                 measured=shown[0],
@@ -77,7 +79,7 @@ def _band(measured: Array, simulated: Array) -> dict[str, list[float]]:
     }
 
 
-def _transfer(field: str, title: str, measured: Portrait, simulated: list[Portrait]) -> dict[str, Any]:
+def _transfer(field: str, title: str, measured: FrameFeatures, simulated: list[FrameFeatures]) -> dict[str, Any]:
     return {
         "title": title,
         "x_title": "signal, DN",
@@ -88,7 +90,7 @@ def _transfer(field: str, title: str, measured: Portrait, simulated: list[Portra
     }
 
 
-def _histogram(measured: Portrait, simulated: list[Portrait], chosen: Chosen) -> dict[str, Any]:
+def _histogram(measured: FrameFeatures, simulated: list[FrameFeatures], chosen: MatchedStacks) -> dict[str, Any]:
     top = float(np.abs(measured.grey_dn).max())
     edges = np.linspace(-top, top, BINS + 1)
 

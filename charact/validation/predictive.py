@@ -75,7 +75,7 @@ def compare(
     section 4.2).
     """
     values = np.array([one.value for one in simulated])
-    within, freedom = _pooled([*simulated, measured])
+    within, freedom = _pool_covariance([*simulated, measured])
     chi_squared, covariance = _distance(measured.value, values, within)
     whole = _root(within + _above(np.cov(values.T), within))
     normal = rng.standard_normal((replicates, len(values) + 1, values.shape[1])) @ whole.T
@@ -101,7 +101,7 @@ def _distance(one: Array, many: Array, within: Array) -> tuple[Array, Array]:
     return np.einsum("...i,...i->...", gap, np.linalg.solve(covariance, gap[..., None])[..., 0]), covariance
 
 
-def _pooled(sets: list[Features]) -> tuple[Array, int]:
+def _pool_covariance(sets: list[Features]) -> tuple[Array, int]:
     """Return the sampling covariance pooled over sets, and its degrees of freedom."""
     freedom = sum(one.freedom for one in sets)
     total = np.sum([one.freedom * one.covariance for one in sets], axis=0)

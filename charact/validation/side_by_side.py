@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.method.stopwatch import Stopwatch
-from charact.validation.frames import Chosen, choose, simulated
+from charact.validation.frame_features import FrameFeatures, portrait_of, statistics
+from charact.validation.frames import MatchedStacks, choose, simulate_frames
 from charact.validation.overlay import overlays, pairs
-from charact.validation.portrait import Portrait, portrait_of, statistics
-from charact.validation.verdict import Control, Statistic, Validation
+from charact.validation.validation_result import Statistic, Validation, ValidationControl
 from labdata.errors import BadInput
 from labdata.sensor import Sensor
 from labdata.session import Session
@@ -82,8 +82,8 @@ def validate(
         seconds=watch.seconds(),
         statistics=run.statistics(measured, many),
         controls=(
-            Control(name="null", title=NULL, statistics=run.statistics(null, many)),
-            Control(name="negative", title=NEGATIVE, statistics=run.statistics(negative, many)),
+            ValidationControl(name="null", title=NULL, statistics=run.statistics(null, many)),
+            ValidationControl(name="negative", title=NEGATIVE, statistics=run.statistics(negative, many)),
         ),
         overlays=overlays(measured, many, chosen),
         pairs=pairs(chosen, first),
@@ -94,7 +94,7 @@ def validate(
 class _Run:
     """The random numbers of one validation, in the order in which they are used."""
 
-    def __init__(self, session: Session, sensor: Sensor, chosen: Chosen, seed: int) -> None:
+    def __init__(self, session: Session, sensor: Sensor, chosen: MatchedStacks, seed: int) -> None:
         self._sensor, self._chosen = sensor, chosen
         self._rng = np.random.default_rng([seed, 7])
         full = float(2 ** (session.bit_depth or sensor.video.bit_depth) - 1)
@@ -112,12 +112,12 @@ class _Run:
         chosen = self._chosen
         shots = (chosen.dark, *chosen.flats, *((chosen.edge,) if chosen.edge else ()))
         shown = tuple(replace(shot, frames=1) for shot in chosen.others) if others else ()
-        return simulated(sensor, (*shots, *shown), seed=int(self._rng.integers(2**31)))
+        return simulate_frames(sensor, (*shots, *shown), seed=int(self._rng.integers(2**31)))
 
-    def portrait(self, frames: dict[str, NDArray]) -> Portrait:
+    def portrait(self, frames: dict[str, NDArray]) -> FrameFeatures:
         """Return the numbers of frames."""
         return portrait_of(frames, self._chosen, context=self._context, rng=self._rng)
 
-    def statistics(self, one: Portrait, many: list[Portrait]) -> tuple[Statistic, ...]:
+    def statistics(self, one: FrameFeatures, many: list[FrameFeatures]) -> tuple[Statistic, ...]:
         """Return the statistics of one portrait against many."""
         return statistics(one, many, self._chosen, rng=self._rng)

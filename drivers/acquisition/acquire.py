@@ -10,20 +10,20 @@ from drivers.acquisition.plan_check import check_plan, picture_of, same_but_wire
 from drivers.acquisition.run import Run, make_safe_after
 from drivers.acquisition.run_control import RunControl
 from drivers.interface import Bench, Camera, Operator
+from labdata.atomic_write import write_atomically
 from labdata.background import BackgroundWriter
-from labdata.border import from_toml, to_toml
 from labdata.calibrated_gain import gain_table_of, in_volts
 from labdata.capture import PIXEL_BITS, CameraSettings
-from labdata.durable import write_durably
 from labdata.errors import BadInput
 from labdata.event_log import EventLog
 from labdata.limits import limits_in_force
 from labdata.plan import Judge, Plan
 from labdata.sensor import Sensor
-from labdata.sensors import load_sensor, save_sensor, shipped
+from labdata.sensors import load_sensor, save_sensor, sensor_names
+from labdata.serialiser import from_toml, to_toml
 from labdata.session import MANIFEST, Session, open_session
 from labdata.store import SessionWriter
-from labdata.store.storage import Storage
+from labdata.store.storage_thread import Storage
 
 PLAN = "plan.toml"
 LOG = "log.jsonl"
@@ -101,7 +101,7 @@ def acquire(
         check_plan(plan, folder, sensor)
         _require_judge(plan, judge)
         _keep_plan(plan, folder, resume=resume)
-        log = opened.enter_context(_logged(folder / LOG, plan=plan.name, resume=resume, say=asked.say))
+        log = opened.enter_context(_run_log(folder / LOG, plan=plan.name, resume=resume, say=asked.say))
         eye = opened.enter_context(camera)
         settings = eye.configure(picture_of(plan, sensor))
         log("camera opened", camera=eye.identifier, **vars(settings))
@@ -173,7 +173,7 @@ def _keep_plan(plan: Plan, folder: Path, *, resume: bool) -> None:
         if kept.exists() or (folder / MANIFEST).exists():
             raise BadInput(f"a run must begin in a folder without a session, or be resumed, got {folder}")
         folder.mkdir(parents=True, exist_ok=True)
-        write_durably(kept, to_toml(plan).encode())
+        write_atomically(kept, to_toml(plan).encode())
         return
     if not kept.exists():
         raise BadInput(f"a resumed run must have been begun before, got no {PLAN} in {folder}")
@@ -207,7 +207,7 @@ def _session_writer(plan: Plan, folder: Path, sensor: Sensor | None, settings: C
 
 def _sensor_name(plan: Plan, folder: Path, sensor: Sensor | None) -> str | None:
     """Return how the session names its sensor: a shipped one by name, any other by a copy inside the session."""
-    if sensor is None or plan.sensor in shipped():
+    if sensor is None or plan.sensor in sensor_names():
         return plan.sensor
     save_sensor(sensor, folder / "sensor.toml")
     return "sensor.toml"
@@ -220,7 +220,7 @@ def _require_judge(plan: Plan, judge: Judge | None) -> None:
 
 
 @contextmanager
-def _logged(path: Path, *, plan: str, resume: bool, say: Callable[[str], None]) -> Iterator[EventLog]:
+def _run_log(path: Path, *, plan: str, resume: bool, say: Callable[[str], None]) -> Iterator[EventLog]:
     """Open the session's log; its last line says how the run ended, if anybody lived to write it."""
     log = EventLog(path)
     log("run begins", plan=plan, resume=resume)

@@ -10,7 +10,7 @@ from labdata.gating import out_of_step
 from labdata.limits import LimitsInForce, limits_in_force
 from labdata.plan import Plan, Step
 from labdata.sensor import Sensor
-from labdata.tube_dose import Dose, dose_of, sum_of
+from labdata.tube_dose import Dose, dose_of, total_dose
 
 CHANGE_S = 0.3
 """Time on the wires to set gate, camera and light of a step, s."""
@@ -59,7 +59,7 @@ class Forecast:
     @property
     def dose(self) -> Dose:
         """What the tube would go through in all."""
-        return sum_of(one.dose for one in self.steps)
+        return total_dose(one.dose for one in self.steps)
 
     @property
     def hottest(self) -> StepForecast:
@@ -102,7 +102,7 @@ def _step(plan: Plan, step: Step, before: Step | None, sensor: Sensor | None, li
     duty = min(1.0, (asked.gate_ns or 0.0) * 1e-9 * plan.gating.most_hz(field_hz(sensor)))
     anode = limits.load.anode_na_per_cm2(lux, volts, duty)
     dose = dose_of(
-        delivered_na_per_cm2=limits.load.delivered_na_per_cm2(lux, volts, duty),
+        delivered_na_per_cm2=limits.load.screen_na_per_cm2(lux, volts, duty),
         lit_s=lit_s,
         at_gain_s=(moving_s + lit_s) if volts else 0.0,
         point=point,

@@ -10,7 +10,7 @@ from drivers.bench.state import Command, InterlockRefused, OpenGate, RaiseGain, 
 from labdata.capture import PIXEL_BITS, CameraSettings
 from labdata.errors import BadInput
 from labdata.gating import Gating
-from labdata.lamp import Lamp
+from labdata.lamp_calibration import LampCalibration
 from labdata.limits import LimitsInForce, limits_in_force
 from labdata.plan import Plan, Step
 from labdata.sensor import Sensor
@@ -105,7 +105,7 @@ def _check_step(step: Step, sensor: Sensor | None) -> None:
         )
 
 
-def _check_light(step: Step, lamp: Lamp | None) -> None:
+def _check_light(step: Step, lamp: LampCalibration | None) -> None:
     """Refuse a light that the lamp cannot make; a person at the bench is believed to find a way."""
     for lux in {step.conditions.illuminance_lux, step.brightest.conditions.illuminance_lux}:
         if lamp is not None and lux:

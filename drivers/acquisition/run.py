@@ -23,7 +23,7 @@ from labdata.plan import Judge, Plan, Step, Watcher
 from labdata.sensor import Sensor
 from labdata.session import open_session
 from labdata.store import SessionWriter
-from labdata.store.storage import Storage, StoredStack
+from labdata.store.storage_thread import Storage, StoredStack
 
 LOOK_S = 0.1
 DISK_S = 1.2
@@ -111,7 +111,7 @@ class Run:
         self._pace.step_begins()
         self._tell(step, 0)
         self.log("step begins", step=step.label)
-        anew, watcher = self._put_aside(step), self._watcher(step)
+        anew, watcher = self._set_aside(step), self._watcher(step)
         there = 0 if anew else self._partial.get(step.label, 0)
         before = self._look_back(step, watcher) if there else None
         conditions = self._set(step, clock)
@@ -133,12 +133,12 @@ class Run:
         )
         return watcher.saturated()
 
-    def _put_aside(self, step: Step) -> str | None:
+    def _set_aside(self, step: Step) -> str | None:
         """Put the frames of an earlier run aside that may not show what their stack says, and say so."""
         why = self._doubtful.get(step.label)
         if why is None:
             return None
-        return f"taken anew, the frames before are in {self.storage.put_aside(step.label).name}: {why}"
+        return f"taken anew, the frames before are in {self.storage.set_aside(step.label).name}: {why}"
 
     def _watcher(self, step: Step) -> Watcher:
         return _Unwatched() if self.judge is None else self.judge.watch(step, self.full_scale_dn)
@@ -183,9 +183,9 @@ class Run:
     def _look(self) -> None:
         """Look after the bench and the disk, and show that the run lives."""
         self.bench.check()
-        if self.storage.stalled_s > DISK_S:
+        if self.storage.stall_s > DISK_S:
             raise BadInput(
-                f"the disk must take a frame within {DISK_S:g} s, got {self.storage.stalled_s:.1f} s without one; "
+                f"the disk must take a frame within {DISK_S:g} s, got {self.storage.stall_s:.1f} s without one; "
                 "find what holds it up, then resume"
             )
 
@@ -207,7 +207,7 @@ class Run:
         asked = step.conditions
         gate_ns = asked.gate_ns or 0.0
         self.bench.set_conditions(replace(asked, gate_ns=max(round(PROBE_SHARE * gate_ns), min(gate_ns, PROBE_NS))))
-        self.bench.frame_seen(self._one_frame(step.allowed_saturation))
+        self.bench.frame_seen(self._one_frame(step.max_saturated_fraction))
 
     def _one_frame(self, allowed: float) -> FrameLevels:
         capture = self.camera.capture(frames=1, discard=DISCARDED_FRAMES, while_waiting=self._look)
@@ -238,7 +238,7 @@ class Run:
         if taken >= step.frames or enough:
             self._shut(step, stack, clock)
             return (), enough
-        allowed = step.allowed_saturation
+        allowed = step.max_saturated_fraction
         with ExitStack() as running:
             with clock.wire():
                 capture = running.enter_context(

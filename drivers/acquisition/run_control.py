@@ -53,7 +53,7 @@ class RunControl:
         if threading.current_thread() is not threading.main_thread():
             yield
             return
-        handlers = {signal.SIGINT: self._interrupted, signal.SIGUSR1: self._paused}
+        handlers = {signal.SIGINT: self._on_interrupt, signal.SIGUSR1: self._on_pause}
         handlers |= dict.fromkeys(URGENT, _end)
         before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
         reading, writing = socket.socketpair()
@@ -115,7 +115,7 @@ class RunControl:
         if self.stop:
             raise KeyboardInterrupt
 
-    def _interrupted(self, number: int, frame: FrameType | None) -> None:
+    def _on_interrupt(self, number: int, frame: FrameType | None) -> None:
         if self._leaving:
             return
         if self.stop or not self._running:
@@ -123,7 +123,7 @@ class RunControl:
         self.stop = True
         self.say(STOPPING)
 
-    def _paused(self, number: int, frame: FrameType | None) -> None:
+    def _on_pause(self, number: int, frame: FrameType | None) -> None:
         self.pause = not self.pause
         if self.pause:
             self.say(PAUSING)

@@ -6,8 +6,8 @@ from typing import Any
 
 from drivers.errors import BenchError
 from labdata.conditions import Conditions
+from labdata.instrument_config import Role
 from labdata.meters import Meters
-from labdata.wires import Role
 
 Reading = tuple[Conditions, tuple[str, ...]]
 """What was read, and one sentence for each meter that did not answer."""

@@ -27,7 +27,7 @@ from drivers.instruments.voltage_limits import FALL_S
 from drivers.interface import FrameLevels, Operator
 from drivers.serial_lines.port import InheritedPort
 from labdata.event_log import EventLog
-from labdata.wires import Role
+from labdata.instrument_config import Role
 
 SERVER_SILENCE_S = SILENCE_S + BEAT_S
 """Silence of the server after which it is killed, s."""
@@ -167,7 +167,7 @@ class BenchClient:
 
     def safe(self) -> None:
         """Make the tube safe now; a BenchError where that is not verified. Work may go on if nothing has failed."""
-        self._made_safe().require_whole()
+        self._make_safe().require_whole()
 
     def safe_at_once(self) -> None:
         """Order the safe state and wait for nothing: for whoever gets a signal while the run may hang."""
@@ -248,7 +248,7 @@ class BenchClient:
 
     # Leaving
 
-    def _made_safe(self) -> SafeStateReport:
+    def _make_safe(self) -> SafeStateReport:
         try:
             report = self._request(Request(number=next(self._numbers), command="safe"), SAFE_S)
         except BenchServerLost:

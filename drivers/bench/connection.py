@@ -9,7 +9,7 @@ from typing import Any
 from drivers.bench.safe_state import SafeStateReport
 from drivers.errors import BenchError
 from labdata.errors import BadInput
-from labdata.wires import Role
+from labdata.instrument_config import Role
 
 BEAT_S = 0.1
 """Time between two signs of life, s."""

@@ -6,7 +6,7 @@ from drivers.bench.state import TubeState
 from labdata.background import BackgroundWriter
 from labdata.dose_ledger import DoseLedger
 from labdata.limits import LimitsInForce
-from labdata.tube_dose import Dose, dose_of, sum_of
+from labdata.tube_dose import Dose, dose_of, total_dose
 
 LONGEST_S = 10.0
 """A dose is written down at least so often while the gate is open, s: what a crash can lose."""
@@ -44,7 +44,7 @@ class DoseMeter:
         if passed_s > 0.0 and math.isfinite(state.mcp_v) and math.isfinite(state.light_lux) and state.mcp_v > 0.0:
             self._pending.append(self._dose(state, passed_s))
             self._pending_s += passed_s
-        if self._pending and (self._pending_s >= LONGEST_S or (state.shut and self._charged())):
+        if self._pending and (self._pending_s >= LONGEST_S or (state.shut and self._has_charge())):
             self._write()
 
     def flush(self, timeout_s: float) -> bool:
@@ -62,7 +62,7 @@ class DoseMeter:
 
     def _write(self) -> None:
         if self._pending:
-            self._writer.put(sum_of(self._pending))
+            self._writer.put(total_dose(self._pending))
         self._pending, self._pending_s = [], 0.0
 
     def _append(self, dose: Dose | None) -> None:
@@ -70,18 +70,18 @@ class DoseMeter:
         self._unwritten += [] if dose is None else [dose]
         if not self._unwritten:
             return
-        self._ledger.append(sum_of(self._unwritten), session=self._session)
+        self._ledger.append(total_dose(self._unwritten), session=self._session)
         self._unwritten.clear()
 
     def _dose(self, state: TubeState, seconds: float) -> Dose:
         load = self._limits.load
         return dose_of(
-            delivered_na_per_cm2=load.delivered_na_per_cm2(state.light_lux, state.mcp_v, state.duty),
+            delivered_na_per_cm2=load.screen_na_per_cm2(state.light_lux, state.mcp_v, state.duty),
             lit_s=seconds,
             at_gain_s=seconds,
             point=state.point,
             log_sd=load.log_sd(state.mcp_v),
         )
 
-    def _charged(self) -> bool:
+    def _has_charge(self) -> bool:
         return any(one.charge_c_per_cm2 > 0.0 for one in self._pending)

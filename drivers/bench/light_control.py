@@ -14,8 +14,8 @@ from drivers.errors import BenchStopped
 from drivers.serial_lines.line import InstrumentLine
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
+from labdata.instrument_config import Role
 from labdata.target import Target
-from labdata.wires import Role
 
 METER_ZERO = 1e-3
 """A meter that reads less than this share of the largest light allowed reads its own zero once the light is blocked."""
@@ -74,7 +74,7 @@ class LightControl(ABC):
         """Put the lamp out, if there is one, which needs no leave; read back."""
         if self._setup.lamp is not None:
             with self._using("light-source"):
-                self._put_out()
+                self._turn_lamp_off()
 
     def shine(self, illuminance_lux: float, *, point: bool, target: Target, filter_density: float | None) -> Conditions:
         """Turn the filter in the dark, then light the lamp; return the light that the current read back makes.
@@ -93,7 +93,7 @@ class LightControl(ABC):
         self._is_stopped = False
         with self._using("light-source", "filter-wheel"):
             setting = self._setup.lamp.setting(illuminance_lux, filter_density)
-            self._put_out()
+            self._turn_lamp_off()
             self._turn_filter(setting.position)
             self.check()  # a wheel takes its time
             ordered_lux = setting.read.illuminance_lux or 0.0
@@ -130,7 +130,7 @@ class LightControl(ABC):
             raise BadInput(f"the filter wheel must have a position for each filter, got {positions} for {filters}")
         self._take_filter(wheel.driver.position())
 
-    def _put_out(self) -> None:
+    def _turn_lamp_off(self) -> None:
         source = self.stations["light-source"]
         source.watched = False
         source.driver.darken()

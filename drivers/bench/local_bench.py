@@ -12,7 +12,7 @@ from drivers.errors import BenchError
 from drivers.interface import Operator
 from drivers.serial_lines.line import InstrumentLine
 from labdata.event_log import EventLog
-from labdata.wires import Role
+from labdata.instrument_config import Role
 
 
 class LocalBench(TubeBench):

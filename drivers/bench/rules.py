@@ -137,12 +137,12 @@ def _filter_known(state: TubeState, command: Command, limits: LimitsInForce, now
         return f"the filter must be read before there is light, got none read before {command.illuminance_lux:g} lux"
 
 
-def _guarded(state: TubeState, command: Command, limits: LimitsInForce, now_s: float) -> str | None:
+def _heartbeat_due(state: TubeState, command: Command, limits: LimitsInForce, now_s: float) -> str | None:
     if _heats(command) and not now_s - state.heard_s <= SILENCE_S:
         return f"the bench must have shown life within {SILENCE_S:g} s, got {now_s - state.heard_s:.3g} s of silence"
 
 
-def _unharmed(state: TubeState, command: Command, limits: LimitsInForce, now_s: float) -> str | None:
+def _no_failure(state: TubeState, command: Command, limits: LimitsInForce, now_s: float) -> str | None:
     if _heats(command) and state.fault is not None:
         return f"the bench must be opened anew after a failure, got: {state.fault}"
 
@@ -165,8 +165,8 @@ RULES = (
     Rule(name="filter turns in the dark", breach=_filter_turns_dark),
     Rule(name="filter is known before light", breach=_filter_known),
     Rule(name="light at this gain", breach=_light_at_gain),
-    Rule(name="guarded", breach=_guarded),
-    Rule(name="nothing after a failure", breach=_unharmed),
+    Rule(name="guarded", breach=_heartbeat_due),
+    Rule(name="nothing after a failure", breach=_no_failure),
 )
 """Every rule that may refuse a command."""
 
@@ -177,7 +177,7 @@ def _silent(state: TubeState, limits: LimitsInForce, now_s: float) -> str | None
         return f"the bench must show life every {SILENCE_S:g} s, got {now_s - state.heard_s:.3g} s of silence"
 
 
-def _overloaded(state: TubeState, limits: LimitsInForce, now_s: float) -> str | None:
+def _overload(state: TubeState, limits: LimitsInForce, now_s: float) -> str | None:
     limit = METER_TOLERANCE * limits.largest_anode_na_per_cm2(point=state.point)
     asked = state.anode_na_per_cm2(limits)
     if not asked <= limit:
@@ -190,7 +190,7 @@ def _too_bright(state: TubeState, limits: LimitsInForce, now_s: float) -> str | 
         return f"the light must read at most {limit:g} lux before an open gate, got {state.light_lux:g}"
 
 
-def _saturated(state: TubeState, limits: LimitsInForce, now_s: float) -> str | None:
+def _saturation(state: TubeState, limits: LimitsInForce, now_s: float) -> str | None:
     if not state.excess_saturation <= MAX_EXCESS_SATURATION:
         return (
             f"at most {MAX_EXCESS_SATURATION:.0%} of a frame's pixels may be saturated beyond what its step allows, "
@@ -200,9 +200,9 @@ def _saturated(state: TubeState, limits: LimitsInForce, now_s: float) -> str | N
 
 REACTIONS = (
     Reaction(name="silence makes safe", reason=_silent),
-    Reaction(name="too much current makes safe", reason=_overloaded),
+    Reaction(name="too much current makes safe", reason=_overload),
     Reaction(name="too bright a light makes safe", reason=_too_bright),
-    Reaction(name="a saturated frame makes safe", reason=_saturated),
+    Reaction(name="a saturated frame makes safe", reason=_saturation),
 )
 """Every rule that makes the tube safe by itself."""
 

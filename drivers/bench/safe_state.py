@@ -13,7 +13,7 @@ from drivers.instruments.gate_limits import Gate
 from drivers.instruments.light_source import LightSource
 from drivers.instruments.models import model_of
 from drivers.instruments.voltage_limits import DISCHARGED_V, FALL_S, Supply
-from labdata.wires import Reached, Role, Wires
+from labdata.instrument_config import InstrumentConfig, InstrumentConnection, Role
 
 DANGEROUS: tuple[Role, ...] = ("gate", "supply", "light-source")
 """What must be made safe."""
@@ -204,7 +204,7 @@ class _Task:
             return
         began_s = time.monotonic()
         with self._instrument.line.safing():
-            while not self.secured() and time.monotonic() < began_s + self.patience_s:
+            while not self.secure() and time.monotonic() < began_s + self.patience_s:
                 time.sleep(FOLLOW_S)
                 if self._disconnected:
                     self._reopen()
@@ -216,7 +216,7 @@ class _Task:
         """Time after which nothing is to be hoped for, s."""
         return REOPEN_S if self._disconnected else DEAF_S
 
-    def secured(self) -> bool:
+    def secure(self) -> bool:
         """Send every order and verify; return whether that is done."""
         self.order()
         step, method = self._verify
@@ -262,17 +262,17 @@ class _Falling(_Task):
     def patience_s(self) -> float:
         return FALL_S if self._answers else super().patience_s
 
-    def secured(self) -> bool:
+    def secure(self) -> bool:
         if not (self._answers and self.ordered):
             self.order()
-        self._answers, reading = self.attempt(self._instrument.reading, self._instrument.measured_v)
+        self._answers, reading = self.attempt(self._instrument.reading, self._instrument.read_voltage_v)
         if isinstance(reading, float):
             self.residual_v = reading
         self.verified = self._answers and self.residual_v is not None and self.residual_v <= DISCHARGED_V
         return self.verified
 
 
-def make_bench_safe(wires: Wires, record: Record) -> SafeStateReport:
+def make_bench_safe(wires: InstrumentConfig, record: Record) -> SafeStateReport:
     """Make the tube of a bench safe with nothing but its serial ports, though another program may hold them.
 
     Parameters
@@ -287,7 +287,9 @@ def make_bench_safe(wires: Wires, record: Record) -> SafeStateReport:
     SafeStateReport
         What was achieved; an instrument whose port cannot be opened within 15 s is named in it.
     """
-    there: dict[Role, Reached] = {one.role: one for one in wires.instruments if one.role in DANGEROUS and one.port}
+    there: dict[Role, InstrumentConnection] = {
+        one.role: one for one in wires.instruments if one.role in DANGEROUS and one.port
+    }
     drivers: dict[Role, Any] = {}
     failures: dict[Role, str] = {}
     give_up_s = time.monotonic() + REOPEN_S
@@ -317,7 +319,7 @@ def make_bench_safe(wires: Wires, record: Record) -> SafeStateReport:
     return replace(report, failures=(*missing, *report.failures))
 
 
-def _driver_on_port(one: Reached, record: Record) -> Any:
+def _driver_on_port(one: InstrumentConnection, record: Record) -> Any:
     """Return a driver on a serial port, shared with the program that holds it where one does."""
     model = model_of(one)
     try:

@@ -31,7 +31,7 @@ from drivers.instruments.models import model_of
 from drivers.serial_lines.line import InstrumentLine
 from labdata.errors import BadInput
 from labdata.event_log import EventLog
-from labdata.wires import Role
+from labdata.instrument_config import Role
 
 TICK_S = 0.02
 METER_EVERY_S = 1.0
@@ -207,7 +207,7 @@ class BenchServer:
         self._client.send(Ports(roles=roles), tuple(lines[role].fileno() for role in roles))
         stations = stations_on(lines, self._setup.wires)
         if missing is not None:
-            self._bench = TubeBench(self._setup, stations, record=self._log, on_failure=self._failed)
+            self._bench = TubeBench(self._setup, stations, record=self._log, on_failure=self._report_failure)
             self._bench.fail(missing)
             raise missing
         return stations
@@ -215,7 +215,7 @@ class BenchServer:
     def open_bench(self, stations: Mapping[Role, Station]) -> None:
         """Open the bench on its instruments; each is looked at by a thread of its own from then on."""
         self._bench = bench = TubeBench(
-            self._setup, stations, record=self._log, on_failure=self._failed, clock=self._clock
+            self._setup, stations, record=self._log, on_failure=self._report_failure, clock=self._clock
         )
         bench.heard()
         bench.open()
@@ -240,7 +240,7 @@ class BenchServer:
             self._bench.fail(failed)
             self._client.send(Reply(number=request.number, error=failed))
 
-    def _failed(self, error: BenchError) -> None:
+    def _report_failure(self, error: BenchError) -> None:
         """Have the safe action run, after the client knows."""
         self._client.send(Fault(error=error))
         self.to_make_safe.put(SafeOrder(reason=str(error)))

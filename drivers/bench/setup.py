@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 from labdata.dose_ledger import DoseLedger
 from labdata.errors import BadInput
 from labdata.gating import Gating
-from labdata.lamp import Lamp
+from labdata.instrument_config import PORT_KEYS, InstrumentConfig, Role
+from labdata.lamp_calibration import LampCalibration
 from labdata.limits import Limits, LimitsInForce, limits_in_force
 from labdata.meters import Meters
-from labdata.wires import PORT_KEYS, Role, Wires
 
 if TYPE_CHECKING:
     from drivers.bench.client import BenchClient
@@ -48,10 +48,10 @@ class BenchSetup:
         Name of the session, for readers of the ledger.
     """
 
-    wires: Wires
+    wires: InstrumentConfig
     limits: LimitsInForce
     log: Path
-    lamp: Lamp | None = None
+    lamp: LampCalibration | None = None
     meters: Meters = field(default_factory=Meters)
     field_hz: float = FIELD_RATE_HZ
     gating: Gating = field(default_factory=Gating)
@@ -64,7 +64,7 @@ class BenchSetup:
 
 
 def open_bench(
-    wires: Wires,
+    wires: InstrumentConfig,
     limits: Limits | LimitsInForce,
     *,
     log: str | Path,

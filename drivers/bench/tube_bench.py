@@ -34,7 +34,7 @@ from drivers.instruments.voltage_limits import DISCHARGED_V
 from drivers.interface import FrameLevels
 from drivers.serial_lines.line import InstrumentLine
 from labdata.conditions import Conditions
-from labdata.wires import Role, Wires
+from labdata.instrument_config import InstrumentConfig, Role
 
 METER_AGREES = 1.25
 """Light that a meter reads this much brighter than it was set is brighter, not a matter of calibration."""
@@ -68,7 +68,7 @@ class NotDark(BenchError):
     """
 
 
-def stations_on(lines: Mapping[Role, InstrumentLine], wires: Wires) -> dict[Role, Station]:
+def stations_on(lines: Mapping[Role, InstrumentLine], wires: InstrumentConfig) -> dict[Role, Station]:
     """Return the instruments of a bench on their lines, those without a line left out."""
     return {
         one.role: Station(lines[one.role], model_of(one).driver(lines[one.role]))
@@ -123,7 +123,7 @@ class TubeBench(LightControl):
             supply.prepare(limit_v=self.interlock.limits.mcp_v)
             self._gate.watched = self._supply.watched = True
             self.shut_gate()
-            self._read_gain(supply.measured_v())
+            self._read_gain(supply.read_voltage_v())
             self._prepare_lamp()
         drivers: dict[Role, Any] = {role: station.driver for role, station in self.stations.items()}
         self._meters = AuxiliaryMeters(drivers, self._setup.meters)
@@ -173,7 +173,7 @@ class TubeBench(LightControl):
     def _gain_move(self, volts: float) -> RaiseGain | LowerGain | None:
         """Return what a voltage asks of the supply; None where it is off or there already."""
         supply = self._supply.driver
-        present_v = supply.measured_v() if supply.is_on else 0.0
+        present_v = supply.read_voltage_v() if supply.is_on else 0.0
         if not volts or math.isclose(volts, present_v, abs_tol=SAME_V):
             return None
         if volts < present_v:
@@ -202,7 +202,7 @@ class TubeBench(LightControl):
             self.interlock.tell(SafeOrdered())
             return self._read_gain(supply.off())
         if move is None:
-            return self._read_gain(supply.measured_v())
+            return self._read_gain(supply.read_voltage_v())
         self.check()
         self._permit(move)
         if isinstance(move, LowerGain):
@@ -254,7 +254,7 @@ class TubeBench(LightControl):
         self.check()
         with self._using("light-meter", "thermometer"):
             read, silent = self._meters.read()
-        self._heed(read.metered_lux)
+        self._raise_light(read.metered_lux)
         self.check()
         return read, silent
 
@@ -271,9 +271,9 @@ class TubeBench(LightControl):
             return
         finally:
             station.procedure.release()
-        self._heed(lux)
+        self._raise_light(lux)
 
-    def _heed(self, metered_lux: float | None) -> None:
+    def _raise_light(self, metered_lux: float | None) -> None:
         """Let the interlock know of more light than it thinks there is; what is next to nothing is the meter's zero."""
         zero_lux = METER_ZERO * self.interlock.limits.illuminance_lux
         if metered_lux is not None and metered_lux > max(zero_lux, METER_AGREES * self.interlock.state.light_lux):

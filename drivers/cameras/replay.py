@@ -13,7 +13,7 @@ from drivers.cameras.frame_assembly import POLL_S, FrameCapture
 from drivers.errors import CameraError
 from labdata.capture import CameraSettings, Frame, LostFrames
 from labdata.errors import BadInput
-from labdata.opened import OpenStack, open_stack
+from labdata.lazy_stack import LazyStack, open_lazy_stack
 from labdata.session import Session, StackEntry, open_session
 
 RATE_WITHOUT_STAMPS_HZ = 30.0
@@ -83,7 +83,7 @@ class ReplayCamera:
         BadInput
             If another setting is requested than was recorded.
         """
-        recorded = self._settings(self._next(), open_stack(self._next()))
+        recorded = self._settings(self._next(), open_lazy_stack(self._next()))
         for item in fields(settings):
             asked, is_value = getattr(settings, item.name), getattr(recorded, item.name)
             if asked not in (None, ()) and not _same(asked, is_value):
@@ -95,7 +95,7 @@ class ReplayCamera:
     ) -> "ReplayCapture":
         """Return a capture of `frames` recorded frames after `discard` that are passed over."""
         entry = self._next()
-        stack = open_stack(entry)
+        stack = open_lazy_stack(entry)
         capture = ReplayCapture(
             stack,
             self._stamps(entry, stack),
@@ -124,7 +124,7 @@ class ReplayCamera:
             raise CameraError(f"the {self.identifier} has ended: all {self._played} stacks were played")
         return self._session.stacks[self._played]
 
-    def _settings(self, entry: StackEntry, stack: OpenStack) -> CameraSettings:
+    def _settings(self, entry: StackEntry, stack: LazyStack) -> CameraSettings:
         _, rows, columns = stack.shape
         if stack.dtype not in (np.uint8, np.uint16):
             raise BadInput(f"a replayed stack must hold pixels of 8 or 16 bits, got {stack.dtype} in {entry.label!r}")
@@ -144,7 +144,7 @@ class ReplayCamera:
             notes=(f"frames are a {self.identifier}",),
         )
 
-    def _stamps(self, entry: StackEntry, stack: OpenStack) -> list[tuple[int, float]]:
+    def _stamps(self, entry: StackEntry, stack: LazyStack) -> list[tuple[int, float]]:
         """Return number and time stamp of each frame; a recording without them is numbered anew, and said to be."""
         numbers, times_s = stack.frame_number, stack.time_s
         if not len(numbers):
@@ -161,7 +161,7 @@ class ReplayCapture(FrameCapture):
 
     def __init__(
         self,
-        stack: OpenStack,
+        stack: LazyStack,
         stamps: list[tuple[int, float]],
         recorded: tuple[LostFrames, ...],
         *,

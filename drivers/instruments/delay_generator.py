@@ -82,7 +82,7 @@ class DelayGenerator(Gate):
     def _refuse_errors(self, command: str) -> None:
         if code := self.line.query_int("LERR?"):
             meaning = ERRORS.get(code, "an error it does not explain")
-            raise self.line.rejected_error(f"accept {command!r}", f"error {code}: {meaning}", code=code)
+            raise self.line.rejection(f"accept {command!r}", f"error {code}: {meaning}", code=code)
 
 
 MODEL = InstrumentModel(

@@ -74,7 +74,7 @@ class Dg535(Gate):
     def _refuse_errors(self, command: str) -> None:
         if status := self.line.query_int("ES"):
             meanings = ", ".join(meaning for bit, meaning in enumerate(ERRORS) if status >> bit & 1)
-            raise self.line.rejected_error(
+            raise self.line.rejection(
                 f"accept {command!r}", f"error status {status}: {meanings or 'unexplained'}", code=status
             )
 

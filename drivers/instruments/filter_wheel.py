@@ -58,7 +58,7 @@ class FilterWheel(Instrument):
         """Ask where the wheel stands; if somebody has turned it since the first look, that is InstrumentRejected."""
         now = self.position()
         if self._seen not in (None, now):
-            raise self.line.rejected_error(f"stay at {self._seen}", f"{now}: somebody turned it")
+            raise self.line.rejection(f"stay at {self._seen}", f"{now}: somebody turned it")
         self._seen = now
 
     @property
@@ -77,7 +77,7 @@ class FilterWheel(Instrument):
             raise BadInput(f"the filter must be one of 1 to {count}, got {position}")
         self.line.write(f"pos={position}")
         if (reached := self.position()) != position:
-            raise self.line.rejected_error(f"turn to {position}", f"{reached}")
+            raise self.line.rejection(f"turn to {position}", f"{reached}")
         self._seen = reached
         return reached
 

@@ -53,7 +53,7 @@ class Gate(Instrument):
             self.line.query_int(self.source_question)
         for question, (setting, answer) in self._kept.items():
             if (now := self.line.ask(question)) != answer:
-                raise self.line.rejected_error(
+                raise self.line.rejection(
                     f"keep its {setting} at {answer[:LONGEST_QUOTE]}",
                     f"{now[:40]}: somebody changed it at the panel, or it lost its settings",
                 )
@@ -141,11 +141,11 @@ class Gate(Instrument):
     def _require_triggers(self, rate_hz: float, *, is_external: bool) -> None:
         status, now_s = self.line.query_int(self.status_question), time.monotonic()
         if status & self.lost_bit:
-            raise self.line.rejected_error("use every trigger", f"some lost at {rate_hz:g} Hz")
+            raise self.line.rejection("use every trigger", f"some lost at {rate_hz:g} Hz")
         if status & self.triggered_bit:
             self._triggered_s = now_s
         elif is_external and now_s - self._triggered_s >= MISSED_TRIGGERS / rate_hz:
-            raise self.line.rejected_error(f"be triggered {rate_hz:g} times a second", "no trigger")
+            raise self.line.rejection(f"be triggered {rate_hz:g} times a second", "no trigger")
 
     def _set(self, *commands: str) -> None:
         for command in commands:
@@ -163,9 +163,9 @@ class Gate(Instrument):
         answer = self.line.ask(question)
         after, _, seconds = answer.partition(",")
         if after != str(reference):
-            raise self.line.rejected_error(f"keep edge {edge} behind edge {reference}", repr(answer))
+            raise self.line.rejection(f"keep edge {edge} behind edge {reference}", repr(answer))
         read_ns = self.line.parse_float(seconds, question) * 1e9
         if abs(read_ns - delay_ns) > self.step_ns:
-            raise self.line.rejected_error(f"keep a {setting} of {delay_ns:g} ns", f"{read_ns:g} ns back")
+            raise self.line.rejection(f"keep a {setting} of {delay_ns:g} ns", f"{read_ns:g} ns back")
         kept[question] = setting, answer
         return read_ns

@@ -35,9 +35,9 @@ class HighVoltage(Supply):
         self._set(f"VSET {self.lowest_v:.0f}")
         self._set(f"VLIM {limit_v:.0f}")
         if (kept_v := self.line.query_float("VLIM?")) > limit_v:
-            raise self.line.rejected_error(f"keep a limit of {limit_v:g} V", f"{kept_v:g} V back")
+            raise self.line.rejection(f"keep a limit of {limit_v:g} V", f"{kept_v:g} V back")
 
-    def measured_v(self) -> float:
+    def read_voltage_v(self) -> float:
         return self.line.query_float("VOUT?")
 
     def check_on(self) -> None:
@@ -51,7 +51,7 @@ class HighVoltage(Supply):
 
     def _require_off(self) -> None:
         if self._status() & HV_ON:
-            raise self.line.rejected_error("stay off", "high voltage on: somebody switched it on at the panel")
+            raise self.line.rejection("stay off", "high voltage on: somebody switched it on at the panel")
 
     def _order_off(self) -> None:
         self._set(OFF_COMMAND)
@@ -73,23 +73,23 @@ class HighVoltage(Supply):
             check()
             self.check_on()
             self._set(f"VSET {level_v:.10g}")
-        return self._settled_v(goal_v, check)
+        return self._settle(goal_v, check)
 
     def _lower(self, goal_v: float, check: Callable[[], None]) -> float:
         self._set(f"VSET {goal_v:.10g}")
         deadline_s = time.monotonic() + FALL_S
-        while self.measured_v() > goal_v + SETTLED_V and time.monotonic() < deadline_s:
+        while self.read_voltage_v() > goal_v + SETTLED_V and time.monotonic() < deadline_s:
             check()
             time.sleep(SETTLE_S)
-        return self._settled_v(goal_v, check)
+        return self._settle(goal_v, check)
 
-    def _settled_v(self, goal_v: float, check: Callable[[], None]) -> float:
+    def _settle(self, goal_v: float, check: Callable[[], None]) -> float:
         """Output once two readings agree; a driver's usual patience."""
-        before_v = now_v = self.measured_v()
+        before_v = now_v = self.read_voltage_v()
         for reading in range(SETTLE_READINGS):
             time.sleep(SETTLE_S + 0.5 * SETTLE_S * reading)
             check()
-            now_v = self.measured_v()
+            now_v = self.read_voltage_v()
             if abs(now_v - before_v) < SETTLED_V:
                 break
             before_v = now_v
@@ -102,7 +102,7 @@ class HighVoltage(Supply):
         self.line.write(command)
         if code := self.line.query_int("*ESR?") & (EXECUTION_ERROR | COMMAND_ERROR):
             meaning = "not possible in its present state or range" if code & EXECUTION_ERROR else "not understood"
-            raise self.line.rejected_error(f"accept {command!r}", f"event status {code}: {meaning}", code=code)
+            raise self.line.rejection(f"accept {command!r}", f"event status {code}: {meaning}", code=code)
 
     def _status(self) -> int:
         return self.line.query_int("*STB?")

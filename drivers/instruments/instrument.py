@@ -8,7 +8,7 @@ from typing import Any
 
 from drivers.serial_lines.line import InstrumentLine
 from drivers.serial_lines.port import Port, SerialPort
-from labdata.wires import Role
+from labdata.instrument_config import Role
 
 
 class Instrument(ABC):

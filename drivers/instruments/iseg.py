@@ -90,7 +90,7 @@ class Iseg(Supply):
         identity = self._identity(KNOWN.question, KNOWN.form, "an iseg supply of the legacy command set")
         self.highest_v = float(identity.split(";")[2].removesuffix("V"))
         if not self.line.query_int("T1") & POSITIVE:
-            raise self.line.rejected_error("be of positive polarity", "a negative one: turn its polarity switch")
+            raise self.line.rejection("be of positive polarity", "a negative one: turn its polarity switch")
         return identity
 
     def prepare(self, *, limit_v: float) -> None:
@@ -105,12 +105,12 @@ class Iseg(Supply):
         allowed_v = math.ceil(limit_v / position_v - 1e-9) * position_v
         kept_v = self.highest_v * self.line.query_int("M1") / 100.0
         if kept_v > allowed_v + 0.5:
-            raise self.line.rejected_error(
+            raise self.line.rejection(
                 f"limit itself to {allowed_v:g} V for a limit of {limit_v:g} V",
                 f"{kept_v:g} V: turn its rotary switch down",
             )
 
-    def measured_v(self) -> float:
+    def read_voltage_v(self) -> float:
         return self._volts("U1")
 
     def check_on(self) -> None:
@@ -125,7 +125,7 @@ class Iseg(Supply):
 
     def _require_off(self) -> None:
         if (state := self._state()) in ("L2H", "MAN"):
-            raise self.line.rejected_error("stay off", f"{state}: somebody switched it on at the panel")
+            raise self.line.rejection("stay off", f"{state}: somebody switched it on at the panel")
 
     def _order_off(self) -> None:
         for command in self.off_commands[:2]:
@@ -136,9 +136,9 @@ class Iseg(Supply):
         """Raise to the lowest voltage; a unit that is switched off or to manual at its panel is InstrumentRejected."""
         status = self.line.query_int("T1")
         if status & SWITCH_OFF:
-            raise self.line.rejected_error("be switched on at its panel", "its switch off")
+            raise self.line.rejection("be switched on at its panel", "its switch off")
         if status & MANUAL:
-            raise self.line.rejected_error("be under remote control", "its switch at manual")
+            raise self.line.rejection("be under remote control", "its switch at manual")
         self._go(self.lowest_v, FASTEST_V_PER_S)
 
     def _raise(self, goal_v: float, rate_v_per_s: float, check: Callable[[], None]) -> float:
@@ -151,10 +151,10 @@ class Iseg(Supply):
         return self._ramp(goal_v, FASTEST_V_PER_S, check)
 
     def _ramp(self, goal_v: float, rate_v_per_s: int, check: Callable[[], None]) -> float:
-        now_v = self.measured_v()
+        now_v = self.read_voltage_v()
         deadline_s = time.monotonic() + 1.2 * abs(goal_v - now_v) / rate_v_per_s + SETTLE_S
         self._go(goal_v, rate_v_per_s)
-        while abs((now_v := self.measured_v()) - goal_v) > SETTLED_V:
+        while abs((now_v := self.read_voltage_v()) - goal_v) > SETTLED_V:
             check()
             self.check_on()
             if time.monotonic() > deadline_s:
@@ -166,7 +166,7 @@ class Iseg(Supply):
         self.line.write(f"V1={rate_v_per_s}")
         self.line.write(f"D1={goal_v:.0f}")
         if abs((kept_v := self._volts("D1")) - goal_v) > self.step_v / 2:
-            raise self.line.rejected_error(f"keep a set value of {goal_v:g} V", f"{kept_v:g} V back")
+            raise self.line.rejection(f"keep a set value of {goal_v:g} V", f"{kept_v:g} V back")
         self._state("G1")
 
     def _state(self, question: str = "S1") -> str:

@@ -32,7 +32,7 @@ class LightSource(Instrument):
         status = self.line.query_int("r?")
         for bit, meaning in FAULTS.items():
             if status & bit:
-                raise self.line.rejected_error("light its diode", meaning, code=status)
+                raise self.line.rejection("light its diode", meaning, code=status)
 
     def prepare(self, *, limit_a: float) -> None:
         """Go dark, and make the driver itself refuse more than a current, A."""
@@ -40,7 +40,7 @@ class LightSource(Instrument):
         self._set(f"m {CONSTANT_CURRENT}")
         self._set(f"l {_milliamperes(limit_a)}")
         if (kept_ma := self.line.query_float("l?")) > 1e3 * limit_a + 0.5:
-            raise self.line.rejected_error(f"keep a limit of {1e3 * limit_a:g} mA", f"{kept_ma:g} mA back")
+            raise self.line.rejection(f"keep a limit of {1e3 * limit_a:g} mA", f"{kept_ma:g} mA back")
 
     def darken(self) -> None:
         """Take the light out; read back."""
@@ -70,7 +70,7 @@ class LightSource(Instrument):
         self.line.write(command)
         code, meaning = self._error()
         if code:
-            raise self.line.rejected_error(f"accept {command!r}", f"error {code}: {meaning}", code=code)
+            raise self.line.rejection(f"accept {command!r}", f"error {code}: {meaning}", code=code)
 
     def _error(self) -> tuple[int, str]:
         """The last error, which asking takes away."""

@@ -24,7 +24,7 @@ from drivers.instruments.instrument import InstrumentModel
 from drivers.serial_lines.line import InstrumentLine
 from drivers.serial_lines.port import Port
 from labdata.errors import BadInput
-from labdata.wires import Reached, Role, Wires
+from labdata.instrument_config import InstrumentConfig, InstrumentConnection, Role
 
 GROUP = "charact.instruments"
 SHIPPED: tuple[InstrumentModel, ...] = tuple(
@@ -57,12 +57,12 @@ def model(name: str, role: Role) -> InstrumentModel:
     return found
 
 
-def model_of(reached: Reached) -> InstrumentModel:
+def model_of(reached: InstrumentConnection) -> InstrumentModel:
     """Return the model of an instrument of the bench; one that is unknown, or has another role, is BadInput."""
     return model(reached.model, reached.role)
 
 
-def lines_on(ports: Mapping[Role, Port], wires: Wires) -> dict[Role, InstrumentLine]:
+def lines_on(ports: Mapping[Role, Port], wires: InstrumentConfig) -> dict[Role, InstrumentLine]:
     """Return lines to the instruments of a bench whose ports are open already, by their role."""
     return {one.role: model_of(one).line(ports[one.role], one.address) for one in wires.instruments}
 

@@ -44,7 +44,7 @@ class PowerMeter(Instrument):
         if match is None:
             raise self.line.reply_error("answer SYST:ERR? with a code and its meaning", repr(answer))
         if code := int(match[1]):
-            raise self.line.rejected_error(f"accept {command!r}", f"error {code}: {match[2]}", code=code)
+            raise self.line.rejection(f"accept {command!r}", f"error {code}: {match[2]}", code=code)
 
 
 MODEL = InstrumentModel(

@@ -60,19 +60,19 @@ class Supply(Instrument):
         """
         if self.is_on:
             self._require_untripped()
-            if self._reached_v is not None and abs((now_v := self.measured_v()) - self._reached_v) > HELD_V:
+            if self._reached_v is not None and abs((now_v := self.read_voltage_v()) - self._reached_v) > HELD_V:
                 self.check_on()
-                raise self.line.rejected_error(
+                raise self.line.rejection(
                     f"put out {self._reached_v:g} V as set", f"{now_v:g} V: somebody changed it at the panel"
                 )
         elif self._fallen_to_v is None:
-            self.measured_v()
+            self.read_voltage_v()
         else:
             self._require_off()
-            now_v = self.measured_v()
+            now_v = self.read_voltage_v()
             self._fallen_to_v = min(self._fallen_to_v, now_v)
             if now_v > self._fallen_to_v + HELD_V:
-                raise self.line.rejected_error(
+                raise self.line.rejection(
                     f"stay off, at {self._fallen_to_v:g} V or less",
                     f"{now_v:g} V: somebody switched it on at the panel",
                 )
@@ -91,7 +91,7 @@ class Supply(Instrument):
         """Switch off, and make the supply itself refuse more than a limit, V; an old trip is InstrumentTripped."""
 
     def order_off(self) -> None:
-        """Order the high voltage off; the charge takes seconds to leave, see `measured_v`."""
+        """Order the high voltage off; the charge takes seconds to leave, see `read_voltage_v`."""
         self.is_on, self._reached_v, self._fallen_to_v = False, None, math.inf
         self._order_off()
 
@@ -99,11 +99,9 @@ class Supply(Instrument):
         """Order off, wait until the output is discharged, and return it, V."""
         self.order_off()
         deadline_s = time.monotonic() + FALL_S
-        while (volts := self.measured_v()) > DISCHARGED_V:
+        while (volts := self.read_voltage_v()) > DISCHARGED_V:
             if time.monotonic() > deadline_s:
-                raise self.line.rejected_error(
-                    f"fall below {DISCHARGED_V:g} V within {FALL_S:g} s of off", f"{volts:g} V"
-                )
+                raise self.line.rejection(f"fall below {DISCHARGED_V:g} V within {FALL_S:g} s of off", f"{volts:g} V")
             time.sleep(POLL_S)
         return volts
 
@@ -134,7 +132,7 @@ class Supply(Instrument):
         return self._move(goal_v, lambda: self._lower(goal_v, check))
 
     @abstractmethod
-    def measured_v(self) -> float:
+    def read_voltage_v(self) -> float:
         """Voltage at the output, V."""
 
     @abstractmethod
@@ -176,4 +174,4 @@ class Supply(Instrument):
         return InstrumentTripped.of(self.line.name, "stay on", f"a trip {how}")
 
     def _wrong_output(self, goal_v: float, got: str) -> InstrumentRejected:
-        return self.line.rejected_error(f"put out {goal_v:g} V as set", got)
+        return self.line.rejection(f"put out {goal_v:g} V as set", got)

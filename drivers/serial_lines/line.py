@@ -115,14 +115,14 @@ class InstrumentLine(ABC):
         """Ask for a setting and return the answer; one that is not as it was set is InstrumentRejected."""
         answer = self.ask(question)
         if abs((read := self.parse_float(answer, question)) - value) > within:
-            raise self.rejected_error(f"answer {question} with {value:g} as set", f"{read:g}")
+            raise self.rejection(f"answer {question} with {value:g} as set", f"{read:g}")
         return answer
 
     def reply_error(self, rule: str, got: str) -> InstrumentReplyError:
         """Return the error of an answer that is not of the form its question asks for."""
         return InstrumentReplyError.of(self.name, rule, got[:LONGEST_QUOTE])
 
-    def rejected_error(self, rule: str, got: str, *, code: int | None = None) -> InstrumentRejected:
+    def rejection(self, rule: str, got: str, *, code: int | None = None) -> InstrumentRejected:
         """Return the error of an instrument that did not obey."""
         return InstrumentRejected.of(self.name, rule, got[:LONGEST_QUOTE], code=code)
 
@@ -277,12 +277,12 @@ class EchoCheckedLine(InstrumentLine):
     def write(self, command: str) -> None:
         """Send a setting, which has no answer beyond its echo; one that comes is InstrumentRejected."""
         if answer := self.ask(command):
-            raise self.rejected_error(f"accept {command!r} in silence", repr(answer))
+            raise self.rejection(f"accept {command!r} in silence", repr(answer))
 
     def ask(self, question: str) -> str:
         answer = super().ask(question)
         if meaning := self._refusal(answer):
-            raise self.rejected_error(f"accept {question!r}", meaning)
+            raise self.rejection(f"accept {question!r}", meaning)
         return answer
 
     @abstractmethod

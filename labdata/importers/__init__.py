@@ -11,12 +11,12 @@ import numpy as np
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 from labdata.importers.axes import frames_of
-from labdata.importers.byte_order import swapped_note
+from labdata.importers.byte_order import byte_order_note
 from labdata.importers.full_scale import with_full_scale
 from labdata.importers.recorded import Recorded
 from labdata.regular_file import require_regular
 
-__all__ = ["KINDS", "known_kinds", "module_of", "read_frames"]
+__all__ = ["KINDS", "list_kinds", "module_of", "read_frames"]
 
 # Module of this package whose function `read(path)` reads a file -> the endings of its files.
 KINDS: dict[str, tuple[str, ...]] = {
@@ -32,7 +32,7 @@ KINDS: dict[str, tuple[str, ...]] = {
 }
 
 
-def known_kinds() -> str:
+def list_kinds() -> str:
     """The kinds of file that can be read, in words."""
     return ", ".join(ending for endings in KINDS.values() for ending in endings) + " or a Zarr array"
 
@@ -86,7 +86,7 @@ def _stack(found: Recorded | FrameStack, plane: str | None, axis: str | None, na
     data = found.data.astype(found.data.dtype.newbyteorder("="), copy=False)
     stack = frames_of(data, found.names, plane=plane, axis=axis, name=name, pattern=found.pattern)
     black_dn = _black_dn(found, stack.plane)
-    swapped = swapped_note(stack.data)
+    swapped = byte_order_note(stack.data)
     return replace(
         stack,
         black_level_dn=stack.black_level_dn if black_dn is None else black_dn,
@@ -99,7 +99,7 @@ def _black_dn(found: Recorded, plane: str) -> float | None:
     """Return the black level of the plane that was taken."""
     if len(found.black_dn) < 2 or found.pattern is None:
         return found.black_dn[0] if found.black_dn else None
-    from labdata.importers.planes import planes_of
+    from labdata.importers.colour_planes import planes_of
 
     row, col = planes_of(np.arange(4).reshape(2, 2), found.pattern)[plane]
     return found.black_dn[2 * row + col]
@@ -121,7 +121,7 @@ def reader_of(path: Path) -> Callable[[Path], Recorded | FrameStack]:
         raise BadInput(f"frames must be a file or a Zarr array, got the folder {path}")
     elif (module := module_of(path)) is None:
         raise BadInput(
-            f"a file of frames must be one of {known_kinds()}, got {path.name!r}: save it as TIFF or FITS with the "
+            f"a file of frames must be one of {list_kinds()}, got {path.name!r}: save it as TIFF or FITS with the "
             f"camera's own software or ImageJ (File > Save As > Tiff), video with ffmpeg -i {path.name} -c:v ffv1 x.avi"
         )
     return import_module(f"labdata.importers.{module}").read

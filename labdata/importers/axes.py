@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
-from labdata.importers import planes
+from labdata.importers import colour_planes
 from labdata.importers.decompression_limit import require_picture
 from labdata.importers.masked import without_gaps
 from labdata.importers.thresholds import LEAST_COLOUR_SIDE_PX, MOST_OBLONG
@@ -38,7 +38,7 @@ def meaning(word: str) -> str:
     return MEANINGS.get(word.strip().lower(), word.strip().lower())
 
 
-def named(labels: Sequence[str | None], shape: Sequence[int]) -> tuple[str, ...]:
+def axes_of_labels(labels: Sequence[str | None], shape: Sequence[int]) -> tuple[str, ...]:
     """Return what the axes of a labelled array count; rows and columns are the last two where no label says else."""
     if not any(labels):
         return names_of_shape(shape)
@@ -96,10 +96,10 @@ def frames_of(
     if data.ndim < 2:
         raise BadInput(f"an array of frames must have rows and columns, got the shape {data.shape} in {name}")
     names = [UNNAMED if what in KNOWN and what in names[:at] else what for at, what in enumerate(names)]
-    names = _renamed(names, data.shape, axis, name)
+    names = _with_frame_axis(names, data.shape, axis, name)
     if ROW not in names or COL not in names:
         raise BadInput(
-            f"an array of frames must have rows and columns, got the axes {_listed(names, data.shape)} in {name}"
+            f"an array of frames must have rows and columns, got the axes {_describe_axes(names, data.shape)} in {name}"
         )
     others = [at for at, what in enumerate(names) if data.shape[at] > 1 and what not in KNOWN]
     if len(others) == 1 and data.shape[others[0]] in (3, 4) and plane in ("r", "g", "b", "luminance"):
@@ -107,7 +107,7 @@ def frames_of(
     index: list[int | slice] = [
         slice(None) if size > 1 or what in (ROW, COL) else 0 for size, what in zip(data.shape, names, strict=True)
     ]
-    for at, number in zip(others, _picked(data.shape, names, others, plane, name), strict=True):
+    for at, number in zip(others, _plane_index(data.shape, names, others, plane, name), strict=True):
         index[at] = number
     left = [what for what, at in zip(names, index, strict=True) if isinstance(at, slice)]
     data = data[tuple(index)].transpose([left.index(what) for what in KNOWN if what in left])
@@ -115,14 +115,18 @@ def frames_of(
     require_picture(data.shape[1], data.shape[2], name)
     data, origin, notes = without_gaps(data, name)
     if COLOUR in left and data.shape[-1] >= 3:
-        stack = planes.chosen(data, plane, name)
+        stack = colour_planes.select_plane(data, plane, name)
     else:
         data = data[..., 0] if COLOUR in left else data
-        stack = FrameStack(data=data, plane=f"plane {plane}") if others else planes.mono(data, plane, name, pattern)
+        stack = (
+            FrameStack(data=data, plane=f"plane {plane}")
+            if others
+            else colour_planes.require_monochrome(data, plane, name, pattern)
+        )
     return replace(stack, origin=origin, notes=(*notes, *stack.notes))
 
 
-def _renamed(names: list[str], shape: Sequence[int], axis: str | None, name: str) -> list[str]:
+def _with_frame_axis(names: list[str], shape: Sequence[int], axis: str | None, name: str) -> list[str]:
     """Return the names with the axis asked for as the one of frames."""
     if axis is None:
         return names
@@ -130,7 +134,7 @@ def _renamed(names: list[str], shape: Sequence[int], axis: str | None, name: str
         return [FRAME, *names[1:]] if names[0] == UNNAMED and FRAME not in names else names
     at = _index(names, axis)
     if at is None or len(names) < 3:
-        raise BadInput(f"--axis must be one of the axes of {name}, {_listed(names, shape)}, got {axis!r}")
+        raise BadInput(f"--axis must be one of the axes of {name}, {_describe_axes(names, shape)}, got {axis!r}")
     names = [UNNAMED if what == FRAME else what for what in names]
     names[at] = FRAME
     rest = [where for where, what in enumerate(names) if what not in (FRAME, COLOUR)]
@@ -146,7 +150,7 @@ def _index(names: list[str], axis: str) -> int | None:
     return names.index(meaning(axis)) if meaning(axis) in names else None
 
 
-def _picked(shape: Sequence[int], names: list[str], others: list[int], plane: str | None, name: str) -> list[int]:
+def _plane_index(shape: Sequence[int], names: list[str], others: list[int], plane: str | None, name: str) -> list[int]:
     """Return the index of the plane on every axis that counts no frames; refuse where none was chosen."""
     chosen = [] if plane is None else plane.split(",")
     if not others:
@@ -159,13 +163,13 @@ def _picked(shape: Sequence[int], names: list[str], others: list[int], plane: st
     colours = " (or r, g, b, luminance if they are colours)" if shape[first] in (3, 4) and len(others) == 1 else ""
     frames = "" if FRAME in names else f"--axis {first} takes axis {first} for frames, "
     raise BadInput(
-        f"an axis must be known to count frames, got the axes {_listed(names, shape)} in {name}: "
+        f"an axis must be known to count frames, got the axes {_describe_axes(names, shape)} in {name}: "
         f"{frames}--plane {','.join('0' for _ in others)} takes one plane, counted from 0{colours}"
         + ("" if plane is None else f"; got --plane {plane}")
     )
 
 
-def _listed(names: Sequence[str], shape: Sequence[int]) -> str:
+def _describe_axes(names: Sequence[str], shape: Sequence[int]) -> str:
     """Return the axes in words: (0 unnamed 16, 1 row 512, 2 col 640)."""
     return (
         "("

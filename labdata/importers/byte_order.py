@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def swapped_note(data: NDArray) -> tuple[str, ...]:
+def byte_order_note(data: NDArray) -> tuple[str, ...]:
     """Return a note if the bytes of 16-bit pixels look swapped, else nothing.
 
     Notes

@@ -5,19 +5,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from labdata.border import from_mapping, to_mapping, to_toml
+from labdata.atomic_write import write_atomically
 from labdata.conditions import Conditions
-from labdata.durable import write_durably
 from labdata.errors import BadInput
-from labdata.form import SessionForm, StackForm, stack_form
+from labdata.file_records import SessionFile, StackRecord, stack_record
 from labdata.regular_file import require_regular
+from labdata.serialiser import from_mapping, to_mapping, to_toml
 from labdata.session import MANIFEST, Kind, Session, session_of
 
 KINDS: dict[str, Kind] = {"b": "flat", "d": "dark"}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Level:
+class DescriptorBlock:
     """One block of the descriptor: an exposure, bright or dark, and its images.
 
     Parameters
@@ -58,7 +58,7 @@ class Descriptor:
     bit_depth: int
     columns: int
     rows: int
-    levels: tuple[Level, ...]
+    levels: tuple[DescriptorBlock, ...]
 
 
 def import_emva1288(file: str | Path, out: str | Path) -> Session:
@@ -80,7 +80,7 @@ def import_emva1288(file: str | Path, out: str | Path) -> Session:
     descriptor = read_descriptor(file)
     _check_size(descriptor, file)
     stacks = tuple(_stack(number, level, file, out) for number, level in enumerate(descriptor.levels))
-    form = SessionForm(
+    form = SessionFile(
         name=f"EMVA 1288 series {file.resolve().parent.name}",
         bit_depth=descriptor.bit_depth,
         interlaced=False,
@@ -90,15 +90,15 @@ def import_emva1288(file: str | Path, out: str | Path) -> Session:
     return write_session(form, out)
 
 
-def write_session(form: SessionForm, out: Path) -> Session:
+def write_session(form: SessionFile, out: Path) -> Session:
     """Return a new session, its manifest written once it has been checked."""
     if (out / MANIFEST).exists():
         raise BadInput(f"a new session needs a folder without one, got {out}")
-    form = from_mapping(to_mapping(form), SessionForm, where=MANIFEST)
+    form = from_mapping(to_mapping(form), SessionFile, where=MANIFEST)
     try:
         out.mkdir(parents=True, exist_ok=True)
         session = session_of(out, form)
-        write_durably(out / MANIFEST, to_toml(form).encode())
+        write_atomically(out / MANIFEST, to_toml(form).encode())
     except OSError as error:
         raise BadInput(f"a session must be a folder that can be written, got {out}: {error.strerror}") from None
     return session
@@ -147,17 +147,17 @@ def _descriptor(lines: Sequence[tuple[int, list[str]]], file: Path) -> Descripto
     return Descriptor(version=version, bit_depth=size[0], columns=size[1], rows=size[2], levels=tuple(levels))
 
 
-def _level(key: str, values: Sequence[str]) -> Level:
+def _level(key: str, values: Sequence[str]) -> DescriptorBlock:
     photons = float(values[1]) if key == "b" else None
-    return Level(kind=KINDS[key], exposure_ns=float(values[0]), photons_per_px=photons, images=())
+    return DescriptorBlock(kind=KINDS[key], exposure_ns=float(values[0]), photons_per_px=photons, images=())
 
 
-def _with_image(level: Level, image: str) -> Level:
+def _with_image(level: DescriptorBlock, image: str) -> DescriptorBlock:
     # Descriptors are written on Windows too.
     name = image.replace("\\", "/")
     if not name or "\0" in name:
         raise ValueError
-    return Level(
+    return DescriptorBlock(
         kind=level.kind,
         exposure_ns=level.exposure_ns,
         photons_per_px=level.photons_per_px,
@@ -178,14 +178,14 @@ def _check_size(descriptor: Descriptor, file: Path) -> None:
             )
 
 
-def _stack(number: int, level: Level, file: Path, out: Path) -> StackForm:
+def _stack(number: int, level: DescriptorBlock, file: Path, out: Path) -> StackRecord:
     if len(level.images) < 2:
         raise BadInput(
             f"every exposure of an EMVA 1288 descriptor must have two images or more, "
             f"got {len(level.images)} at {level.exposure_ns:g} ns in {file.name}"
         )
     spatial = "-spatial" if len(level.images) > 2 else ""
-    return stack_form(
+    return stack_record(
         Conditions(exposure_s=level.exposure_ns * 1e-9, photons_per_px=level.photons_per_px),
         label=f"{level.kind}-{number:03d}{spatial}",
         kind=level.kind,

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from labdata.errors import BadInput
-from labdata.importers.axes import named
+from labdata.importers.axes import axes_of_labels
 from labdata.importers.decompression_limit import require_room
 from labdata.importers.recorded import Recorded
 from labdata.regular_file import require_regular
@@ -29,7 +29,7 @@ def read(path: Path) -> Recorded:
                 require_regular(path.parent / other, f"a file to which {path.name} refers")
             require_room(path, pixels=largest.size, pixel_bytes=largest.dtype.itemsize)
             labels = [dimension.label for dimension in largest.dims]
-            names = named(labels, largest.shape)
+            names = axes_of_labels(labels, largest.shape)
             others = [array.name for array in arrays if array.name != largest.name]
             notes = (f"the largest of {len(arrays)} arrays was read, {largest.name}",) if others else ()
             return Recorded(data=np.asarray(largest[()]), names=names, notes=notes)

@@ -33,7 +33,7 @@ def without_gaps(data: NDArray, name: str) -> tuple[NDArray, tuple[int, int], tu
         gaps |= ~np.isfinite(block).all(axis=(0, *range(3, data.ndim)))
     if not gaps.any():
         return data, (0, 0), ()
-    top, bottom, left, right = _inside(_joined_to_border(gaps))
+    top, bottom, left, right = _inside(_gaps_at_border(gaps))
     rows, cols = data.shape[1:3]
     notes = []
     if bottom - top < rows or right - left < cols:
@@ -50,12 +50,12 @@ def without_gaps(data: NDArray, name: str) -> tuple[NDArray, tuple[int, int], tu
             f"NaN or infinite of {data.size}"
         )
     if count:
-        data = _filled(data, gaps)
+        data = _fill_gaps(data, gaps)
         notes.append(f"{count} pixels inside the picture are not finite and were filled from their neighbours")
     return data, (top, left), tuple(notes)
 
 
-def _joined_to_border(gaps: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _gaps_at_border(gaps: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return those gaps that hang together with one at the picture's border along more than a single pixel."""
     from scipy.ndimage import label
 
@@ -80,7 +80,7 @@ def _inside(gaps: NDArray[np.bool_]) -> tuple[int, int, int, int]:
     return top, bottom, left, right
 
 
-def _filled(data: NDArray, gaps: NDArray[np.bool_]) -> NDArray:
+def _fill_gaps(data: NDArray, gaps: NDArray[np.bool_]) -> NDArray:
     """Return a copy with the gaps set to the median of the finite pixels of the smallest window around each."""
     data = np.array(data)
     rows, cols = gaps.shape

@@ -30,14 +30,14 @@ def read(path: Path) -> Recorded:
         raise BadInput(f"a {path.suffix} file must be a {kind} picture, got something else in {path}")
     if kind == "PNG":
         _check_png(content, path)
-    data = _decoded(content, kind, path)
+    data = _decode(content, kind, path)
     if data is None or data.ndim not in (2, 3):
         raise BadInput(f"a {kind} file must be whole and readable, got {path}")
     names = (ROW, COL) if data.ndim == 2 else (ROW, COL, COLOUR)
     return Recorded(data=data, names=names, notes=(lossy_note("JPEG"),) if kind == "JPEG" else ())
 
 
-def _decoded(content: bytes, kind: str, path: Path) -> NDArray | None:
+def _decode(content: bytes, kind: str, path: Path) -> NDArray | None:
     """Return the pixels, red first; None of a file that is cut or damaged.
 
     Pillow finds the ends of JPEG and BMP that OpenCV fills in silence; OpenCV keeps 16 bits of colour.

@@ -25,7 +25,7 @@ def read(path: Path) -> Recorded:
     silent, logger.disabled = logger.disabled, True  # it logs what we turn into a sentence
     try:
         with tifffile.TiffFile(path) as file:
-            return _recorded(file, path)
+            return _read_series(file, path)
     except (BadInput, MemoryError):
         raise
     except tifffile.TiffFileError:
@@ -36,7 +36,7 @@ def read(path: Path) -> Recorded:
         logger.disabled = silent
 
 
-def _recorded(file, path: Path) -> Recorded:
+def _read_series(file, path: Path) -> Recorded:
     _check_whole(file, path)
     _check_possible(file, path)
     series, notes = _largest(file, path)

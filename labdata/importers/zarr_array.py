@@ -6,7 +6,7 @@ import numpy as np
 
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
-from labdata.importers.axes import named
+from labdata.importers.axes import axes_of_labels
 from labdata.importers.decompression_limit import require_room
 from labdata.importers.recorded import Recorded
 from labdata.regular_file import require_regular_parts
@@ -25,7 +25,7 @@ def read(path: Path) -> Recorded | FrameStack:
         array = zarr.open_array(path, mode="r")
         require_room(path, pixels=array.size, pixel_bytes=array.dtype.itemsize)
         labels = getattr(array.metadata, "dimension_names", None) or ()
-        return Recorded(data=np.asarray(array[...]), names=named(labels, array.shape))
+        return Recorded(data=np.asarray(array[...]), names=axes_of_labels(labels, array.shape))
     except (BadInput, MemoryError):
         raise
     except Exception:

@@ -4,12 +4,12 @@ import os
 from importlib import resources
 from pathlib import Path
 
-from labdata.border import from_toml
 from labdata.errors import BadInput
 from labdata.sensor import Phosphor
+from labdata.serialiser import from_toml
 
 
-def shipped_phosphors() -> tuple[str, ...]:
+def phosphor_names() -> tuple[str, ...]:
     """Names of the phosphors that come with the package."""
     files = resources.files("labdata.phosphors").iterdir()
     return tuple(sorted(file.name.removesuffix(".toml") for file in files if file.name.endswith(".toml")))
@@ -29,12 +29,12 @@ def load_phosphor(name_or_path: str | Path) -> Phosphor:
         If there is no such phosphor, or it breaks a rule.
     """
     name = str(name_or_path).lower()
-    if name in shipped_phosphors():
+    if name in phosphor_names():
         with resources.as_file(resources.files("labdata.phosphors") / f"{name}.toml") as path:
             return from_toml(path, Phosphor)
     if not os.path.isfile(name_or_path):
         raise BadInput(
-            f"a phosphor must be one of {', '.join(shipped_phosphors())} or the path of a TOML file, "
+            f"a phosphor must be one of {', '.join(phosphor_names())} or the path of a TOML file, "
             f"got {str(name_or_path)!r}"
         )
     return from_toml(Path(name_or_path), Phosphor)

@@ -5,14 +5,14 @@ import tomllib
 from importlib import resources
 from pathlib import Path
 
-from labdata.border import from_toml, to_toml
-from labdata.durable import write_durably
+from labdata.atomic_write import write_atomically
 from labdata.errors import BadInput
 from labdata.sensor import Sensor
+from labdata.serialiser import from_toml, to_toml
 from labdata.solid_state import SolidStateCamera
 
 
-def shipped() -> tuple[str, ...]:
+def sensor_names() -> tuple[str, ...]:
     """Names of the camera descriptions that come with the package."""
     files = resources.files("labdata.sensors").iterdir()
     return tuple(sorted(file.name.removesuffix(".toml") for file in files if file.name.endswith(".toml")))
@@ -44,13 +44,13 @@ def load_camera(name_or_path: str | Path, relative_to: str | Path | None = None)
 
     Parameters and errors as for `load_sensor`.
     """
-    if str(name_or_path) in shipped():
+    if str(name_or_path) in sensor_names():
         with resources.as_file(resources.files("labdata.sensors") / f"{name_or_path}.toml") as path:
             return from_toml(path, _type_of(path))
     path = Path(relative_to or ".") / Path(name_or_path).expanduser()
     if not os.path.isfile(path):  # where a name is no path at all, is_file would raise
         raise BadInput(
-            f"a sensor must be one of {', '.join(shipped())} or the path of a TOML file, got {str(name_or_path)!r}"
+            f"a sensor must be one of {', '.join(sensor_names())} or the path of a TOML file, got {str(name_or_path)!r}"
         )
     return from_toml(path, _type_of(path))
 
@@ -66,4 +66,4 @@ def _type_of(path: Path) -> type[Sensor] | type[SolidStateCamera]:
 
 def save_sensor(camera: Sensor | SolidStateCamera, path: str | Path) -> None:
     """Write a camera description, whole or not at all."""
-    write_durably(path, to_toml(camera).encode())
+    write_atomically(path, to_toml(camera).encode())

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from labdata.atomic_write import ends_mid_line, sync_folder, write_atomically, write_whole
 from labdata.background import BackgroundWriter
 from labdata.capture import Frame
-from labdata.durable import ends_mid_line, sync_folder, write_durably, write_whole
 from labdata.errors import BadInput
 from labdata.store.journal import JOURNAL, NUMBERS, Acknowledged, is_ours, read_journal, sha256
 from labdata.store.layout import METADATA, chunk, frame_bytes, metadata, read_metadata
@@ -53,7 +53,7 @@ class ArrayWriter:
         self._require_same()
         journal = read_journal(path)
         self._frames, self._end = len(journal.frames), journal.end
-        self.notes = self._put_aside(journal.array_frames)
+        self.notes = self._set_aside(journal.array_frames)
         """What was found and put aside at the start, one sentence each."""
         self._journal = open(path / JOURNAL, "ab+", buffering=0)  # noqa: SIM115 - open as long as the writer
         self._journal_bytes = self._journal.seek(0, os.SEEK_END)
@@ -145,7 +145,7 @@ class ArrayWriter:
 
     def _describe(self, frames: int) -> None:
         # Forces the list of names to the disk too, those of the chunks included.
-        write_durably(self.path / METADATA, metadata(frames, self._shape, self._dtype))
+        write_atomically(self.path / METADATA, metadata(frames, self._shape, self._dtype))
 
     def _acknowledge(self, entries: Sequence[Acknowledged]) -> None:
         journal = self._journal.fileno()
@@ -158,7 +158,7 @@ class ArrayWriter:
         self._journal_bytes += len(lines)
         self._mid_line = False
 
-    def _put_aside(self, array_frames: int) -> tuple[str, ...]:
+    def _set_aside(self, array_frames: int) -> tuple[str, ...]:
         """Rename the chunks that the array counts behind the end of its journal, and have it count them no more."""
         behind = range(self._end, array_frames)
         if not behind:
@@ -184,8 +184,8 @@ class ArrayWriter:
         if self.path.exists():
             raise BadInput(f"the store cannot write over what it did not make, got {self.path}")
         partial.mkdir(parents=True)
-        write_durably(partial / METADATA, metadata(0, self._shape, self._dtype))
-        write_durably(partial / JOURNAL, b"")
+        write_atomically(partial / METADATA, metadata(0, self._shape, self._dtype))
+        write_atomically(partial / JOURNAL, b"")
         os.rename(partial, self.path)
         sync_folder(self.path.parent)
 

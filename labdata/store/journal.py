@@ -108,12 +108,12 @@ class Journal:
         """One sentence where lines are damaged or missing; none otherwise."""
         if not self.damaged_lines and not self.lost_frames:
             return ()
-        lines = f": {_named('line', self.damaged_lines)} damaged" if self.damaged_lines else ""
+        lines = f": {_subject('line', self.damaged_lines)} damaged" if self.damaged_lines else ""
         there = {frame.index for frame in self.frames}
         missing = [place for place in range(self.end) if place not in there]
         if (behind := max(self.end, self.array_frames) - self.end) > 0:
             missing += range(self.end, self.end + min(behind, MAX_NAMED + 1))
-        frames = f"; {_named('frame', missing, self.lost_frames)} not read" if missing else ""
+        frames = f"; {_subject('frame', missing, self.lost_frames)} not read" if missing else ""
         return (
             f"{self.path / JOURNAL} must have a whole line for each of the {max(self.end, self.array_frames)} frames "
             f"of its array, got {len(self.frames)}{lines}{frames}",
@@ -162,7 +162,7 @@ def read_journal(path: str | Path) -> Journal:
         frames |= {frame.index: frame for frame in found}
         if place < len(lines) and (len(found) != 1 or not RECORD.fullmatch(line)):
             damaged[place] = line
-    for frame in _restored(damaged, frames, path):
+    for frame in _restore_frames(damaged, frames, path):
         frames[frame.index] = frame
     return Journal(
         path=path,
@@ -224,7 +224,7 @@ def _has_chunk(path: Path, frame: Acknowledged) -> bool:
         return False
 
 
-def _restored(damaged: Mapping[int, bytes], there: Container[int], path: Path) -> Iterator[Acknowledged]:
+def _restore_frames(damaged: Mapping[int, bytes], there: Container[int], path: Path) -> Iterator[Acknowledged]:
     """Yield the frames that are not there and whose damaged lines one byte explains, in one way only."""
     if len(damaged) > MAX_RESTORED_LINES:
         return
@@ -262,7 +262,7 @@ def _one_byte_from(text: bytes) -> Iterator[bytes]:
             yield before + byte + after
 
 
-def _named(word: str, numbers: Sequence[int], total: int = 0) -> str:
+def _subject(word: str, numbers: Sequence[int], total: int = 0) -> str:
     """Name lines or frames, the first few by number, as the subject of a sentence with its verb."""
     total = max(total, len(numbers))
     named = ", ".join(map(str, numbers[:MAX_NAMED])) + (f" and {total - MAX_NAMED} more" if total > MAX_NAMED else "")

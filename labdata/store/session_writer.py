@@ -7,11 +7,11 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-from labdata.border import from_toml, to_toml
+from labdata.atomic_write import write_atomically
 from labdata.conditions import Conditions
-from labdata.durable import write_durably
 from labdata.errors import BadInput
-from labdata.form import SessionForm, StackForm, stack_form
+from labdata.file_records import SessionFile, StackRecord, stack_record
+from labdata.serialiser import from_toml, to_toml
 from labdata.session import MANIFEST, Kind, Session, open_session
 from labdata.store.array_writer import ArrayWriter
 from labdata.store.journal import is_ours, read_journal
@@ -25,9 +25,9 @@ LOCK = ".lock"
 class SessionWriter:
     """A session while it is taken; make it with `create` or `resume` and use it with `with`."""
 
-    def __init__(self, folder: Path, form: SessionForm) -> None:
+    def __init__(self, folder: Path, form: SessionFile) -> None:
         self.folder = folder
-        self._lock = _locked(folder)
+        self._lock = _lock_session(folder)
         self._form = form
         self._manifest = ManifestWriter(folder)
 
@@ -65,7 +65,7 @@ class SessionWriter:
         if folder.exists() and not folder.is_dir():
             raise BadInput(f"a session must be a folder, got the file {folder}")
         (folder / FRAMES).mkdir(parents=True, exist_ok=True)
-        form = SessionForm(name=name, sensor=sensor, bit_depth=bit_depth, interlaced=interlaced, notes=notes)
+        form = SessionFile(name=name, sensor=sensor, bit_depth=bit_depth, interlaced=interlaced, notes=notes)
         writer = cls(folder, form)
         writer._save(form)
         return writer
@@ -74,7 +74,7 @@ class SessionWriter:
     def resume(cls, folder: str | Path) -> "SessionWriter":
         """Go on with a session that was broken off."""
         folder = Path(folder)
-        return cls(folder, from_toml(folder / MANIFEST, SessionForm))
+        return cls(folder, from_toml(folder / MANIFEST, SessionFile))
 
     def __enter__(self) -> "SessionWriter":
         return self
@@ -127,7 +127,7 @@ class SessionWriter:
             If the stack is complete already, or was begun otherwise.
         """
         path = self._path(label)
-        entry = stack_form(
+        entry = stack_record(
             conditions,
             label=label,
             kind=kind,
@@ -138,9 +138,9 @@ class SessionWriter:
         )
         known = {one.label: one for one in self._form.stack}.get(label)
         if known is not None:
-            entry = _continued(known, entry)
+            entry = _resume_entry(known, entry)
         if is_ours(path):
-            entry = self._cleared(path, entry, begun=known is not None)
+            entry = self._clear_folder(path, entry, begun=known is not None)
         array = ArrayWriter(path, shape, dtype)
         return StackWriter(array, replace(entry, notes=(*entry.notes, *array.notes)), self._enter)
 
@@ -149,7 +149,7 @@ class SessionWriter:
         """Labels of the stacks whose frames may not show what they say, with why."""
         return {entry.label: entry.doubt for entry in self._form.stack if entry.doubt is not None}
 
-    def put_aside(self, label: str) -> Path:
+    def set_aside(self, label: str) -> Path:
         """Take a stack that was broken off out of the session, so that it can be taken anew; its frames are kept.
 
         Returns
@@ -175,7 +175,7 @@ class SessionWriter:
         """Let another process write to the session."""
         self._lock.close()
 
-    def _cleared(self, path: Path, entry: StackForm, *, begun: bool) -> StackForm:
+    def _clear_folder(self, path: Path, entry: StackRecord, *, begun: bool) -> StackRecord:
         """Make room where an array holds nothing to go on with, and note in the stack's entry what was put aside.
 
         A kill between the first frames and the manifest leaves frames that belong to no stack; a damaged journal may
@@ -198,11 +198,11 @@ class SessionWriter:
             raise BadInput(f"only a stack that was broken off can leave its session, got the complete {label!r}")
         self._save(replace(self._form, stack=tuple(one for one in self._form.stack if one.label != label)))
 
-    def _enter(self, entry: StackForm) -> None:
+    def _enter(self, entry: StackRecord) -> None:
         stacks = {one.label: one for one in self._form.stack}
         self._save(replace(self._form, stack=tuple({**stacks, entry.label: entry}.values())))
 
-    def _save(self, form: SessionForm) -> None:
+    def _save(self, form: SessionFile) -> None:
         self._manifest.save(form)
         self._form = form
 
@@ -219,7 +219,7 @@ def _aside(path: Path) -> Path:
     )
 
 
-def _continued(known: StackForm, entry: StackForm) -> StackForm:
+def _resume_entry(known: StackRecord, entry: StackRecord) -> StackRecord:
     """Return the entry of a stack that is gone on with: as it was begun, if it was begun the same."""
     if known.finished is not False:
         raise BadInput(f"a complete stack cannot be begun again, got {known.label!r}")
@@ -228,7 +228,7 @@ def _continued(known: StackForm, entry: StackForm) -> StackForm:
     return known
 
 
-def _locked(folder: Path) -> Any:
+def _lock_session(folder: Path) -> Any:
     """Return the open lock file of a session; another process that holds it is a BadInput."""
     file = open(folder / LOCK, "w")  # noqa: SIM115 - it stays open as long as the writer
     try:
@@ -250,14 +250,14 @@ class ManifestWriter:
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / MANIFEST
-        self._written: dict[StackForm, str] = {}
+        self._written: dict[StackRecord, str] = {}
 
-    def save(self, form: SessionForm) -> None:
+    def save(self, form: SessionFile) -> None:
         """Save the manifest; when this returns it survives a kill and a power cut."""
         # A sweep of hundreds of stacks is saved at every one of them: those that did not change are not worded anew.
         texts = {entry: self._written.get(entry) or _stack_text(entry) for entry in form.stack}
         header = to_toml(replace(form, stack=()))
-        write_durably(self._path, "\n".join((header, *texts.values())).encode())
+        write_atomically(self._path, "\n".join((header, *texts.values())).encode())
         self._written = texts
 
 
@@ -265,13 +265,13 @@ class ManifestWriter:
 class _OneStack:
     """The part of a session file that is one stack's."""
 
-    stack: tuple[StackForm, ...]
+    stack: tuple[StackRecord, ...]
 
 
-def _stack_text(entry: StackForm) -> str:
+def _stack_text(entry: StackRecord) -> str:
     text = to_toml(_OneStack((entry, _LONG)))
     return text[: text.rindex("[[stack]]")]
 
 
 # TOML's writer puts short tables on one line, which cannot be joined with others; beside a long one it does not.
-_LONG = StackForm(label="x" * 200, kind="dark", frames="")
+_LONG = StackRecord(label="x" * 200, kind="dark", frames="")

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from labdata.capture import Frame, LostFrames
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from labdata.form import StackForm, stack_form
+from labdata.file_records import StackRecord, stack_record
 from labdata.store.array_writer import ArrayWriter
 from labdata.store.journal import Acknowledged
 
@@ -21,7 +21,7 @@ class StackWriter:
     Leaving the `with` without `finish` leaves the stack readable and marked as broken off.
     """
 
-    def __init__(self, array: ArrayWriter, entry: StackForm, enter: Callable[[StackForm], None]) -> None:
+    def __init__(self, array: ArrayWriter, entry: StackRecord, enter: Callable[[StackRecord], None]) -> None:
         self._array = array
         self._entry = entry
         self._enter = enter
@@ -84,7 +84,7 @@ class StackWriter:
         """
         if not len(self._array):
             raise BadInput(f"a finished stack must hold at least one frame, got none in {self.label!r}")
-        entry = self._entry if conditions is None else stack_form(conditions, **_other_keys(self._entry))
+        entry = self._entry if conditions is None else stack_record(conditions, **_other_keys(self._entry))
         self._entry = _with_losses(replace(entry, finished=None, notes=(*entry.notes, *notes)), losses)
         self._enter(self._entry)
         self.close()
@@ -106,11 +106,11 @@ class StackWriter:
         self._array.close()
 
 
-def _with_losses(entry: StackForm, losses: tuple[LostFrames, ...]) -> StackForm:
+def _with_losses(entry: StackRecord, losses: tuple[LostFrames, ...]) -> StackRecord:
     """Return the entry of a stack with further losses told and counted."""
     count = (entry.lost_frames or 0) + sum(map(len, losses))
     return replace(entry, lost=(*entry.lost, *losses), lost_frames=count or None)
 
 
-def _other_keys(entry: StackForm) -> dict[str, Any]:
-    return {name: getattr(entry, name) for name in StackForm.__annotations__}
+def _other_keys(entry: StackRecord) -> dict[str, Any]:
+    return {name: getattr(entry, name) for name in StackRecord.__annotations__}

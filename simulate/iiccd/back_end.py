@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata.errors import BadInput
-from simulate.iiccd.light import Light
+from simulate.iiccd.stage_image import StageImage
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,16 +58,16 @@ class DigitalBackEnd:
         """Highest code, DN."""
         return 2**self.bit_depth - 1
 
-    def mean(self, light: Light) -> Light:
+    def mean(self, light: StageImage) -> StageImage:
         """Return the level, DN, neither rounded nor clipped at the ends of the scale."""
         signal = light.values * np.float32(self.conversion_gain_dn_per_e * self.gain)
         return light.with_values(
-            curved(signal, self.gamma, self.full_scale_dn - self.black_level_dn) + np.float32(self.black_level_dn)
+            apply_gamma(signal, self.gamma, self.full_scale_dn - self.black_level_dn) + np.float32(self.black_level_dn)
         )
 
-    def draw(self, light: Light, rng: np.random.Generator) -> Light:
+    def draw(self, light: StageImage, rng: np.random.Generator) -> StageImage:
         """Return whole DN between 0 and full scale, uint8 or uint16."""
-        return light.with_values(codes(self.mean(light).values, self.bit_depth))
+        return light.with_values(digitise(self.mean(light).values, self.bit_depth))
 
 
 def refuse_impossible_digitiser(bit_depth: int, gamma: float) -> None:
@@ -78,7 +78,7 @@ def refuse_impossible_digitiser(bit_depth: int, gamma: float) -> None:
         raise BadInput(f"gamma must be positive, got {gamma:g}")
 
 
-def curved(signal: NDArray[np.float32], gamma: float, span_dn: float) -> NDArray[np.float32]:
+def apply_gamma(signal: NDArray[np.float32], gamma: float, span_dn: float) -> NDArray[np.float32]:
     """Return y = x^gamma of a signal above black, relative to the span between black and full scale."""
     if gamma == 1.0:
         return signal
@@ -86,7 +86,7 @@ def curved(signal: NDArray[np.float32], gamma: float, span_dn: float) -> NDArray
     return span * np.sign(signal) * np.abs(signal / span) ** np.float32(gamma)
 
 
-def codes(level_dn: NDArray[np.float32], bit_depth: int) -> NDArray[np.unsignedinteger]:
+def digitise(level_dn: NDArray[np.float32], bit_depth: int) -> NDArray[np.unsignedinteger]:
     """Return whole DN between 0 and full scale, uint8 up to eight bits and uint16 beyond."""
     whole = np.rint(level_dn)
     np.clip(whole, 0, 2**bit_depth - 1, out=whole)

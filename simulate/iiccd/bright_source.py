@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labdata.errors import BadInput
-from simulate.iiccd.transfer import Flight
+from simulate.iiccd.transfer import GapSpread
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,7 +54,7 @@ class BrightSourceProtection:
         """Return rho, how far off the axis photoelectrons land, um."""
         return 2e3 * self.gap_mm * float(np.sqrt(self.lateral_energy_ev / voltage_v))
 
-    def blur(self, cathode_lux: float) -> Flight | None:
+    def blur(self, cathode_lux: float) -> GapSpread | None:
         """Return the blur beyond that of the full voltage; None without light."""
         growth = self.flight_um(self.voltage_v(cathode_lux)) ** 2 - self.flight_um(self.gap_v) ** 2
-        return Flight(radius_um=float(np.sqrt(growth))) if growth > 0.0 else None
+        return GapSpread(radius_um=float(np.sqrt(growth))) if growth > 0.0 else None

@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata.conditions import Conditions
-from simulate.iiccd import photons
-from simulate.iiccd.automatic import AutomaticState
+from simulate.iiccd import tube_photometry
+from simulate.iiccd.automatic_controls import AutomaticState
 from simulate.iiccd.chain import Chain, Stage
-from simulate.iiccd.described import DescribedCamera
-from simulate.iiccd.light import Light
-from simulate.iiccd.pixels import Collection, Scan
+from simulate.iiccd.pixels import Collection, FieldReadout
+from simulate.iiccd.stage_image import StageImage
+from simulate.iiccd.stages_from_description import DescribedCamera
 
 
 @dataclass(frozen=True)
@@ -44,13 +44,13 @@ class IntensifiedCamera(DescribedCamera):
             self._taper(),
             Collection(row_pairs=self.interlaced),
             self.afterglow(conditions),
-            Scan(interlaced=self.interlaced),
+            FieldReadout(interlaced=self.interlaced),
             self._ccd(conditions),
             self.video(conditions),
         )
         return Chain(stages)
 
-    def freed(self, photons_per_s: Light, conditions: Conditions) -> Light:
+    def freed(self, photons_per_s: StageImage, conditions: Conditions) -> StageImage:
         """Return the photoelectrons that light frees from the cathode, expected per cell and exposure.
 
         Parameters
@@ -62,19 +62,19 @@ class IntensifiedCamera(DescribedCamera):
         """
         return replace(self.photocathode(conditions), ebi_per_s_cm2=0.0).mean(photons_per_s)
 
-    def detected(self, photons_per_s: Light, conditions: Conditions) -> Light:
+    def mcp_input(self, photons_per_s: StageImage, conditions: Conditions) -> StageImage:
         """Return the expected photoelectrons at the plate, per cell and exposure, of photons on the photocathode.
 
         Arguments as for `freed`; dark photoelectrons are added.
         """
-        return self.received(self.freed(photons_per_s, conditions), conditions)
+        return self.to_mcp_input(self.freed(photons_per_s, conditions), conditions)
 
-    def cathode_lux(self, photoelectrons: Light) -> float:
+    def cathode_lux(self, photoelectrons: StageImage) -> float:
         """Illuminance of 2856 K light, averaged over cathode and time, that frees these per cell and exposure, lux."""
         per_s_cm2 = photoelectrons.values.mean(dtype=float) / self.scene_cells.cell_area_cm2 / self.field_s
-        return per_s_cm2 / (photons.photoelectrons_per_lumen_s(self.sensor) * 1e-4)
+        return per_s_cm2 / (tube_photometry.photoelectrons_per_lumen_s(self.sensor) * 1e-4)
 
-    def received(self, photoelectrons: Light, conditions: Conditions) -> Light:
+    def to_mcp_input(self, photoelectrons: StageImage, conditions: Conditions) -> StageImage:
         """Return the expected photoelectrons at the plate of those that light frees from the cathode in one exposure.
 
         Parameters
@@ -91,7 +91,7 @@ class IntensifiedCamera(DescribedCamera):
         return behind.mean(photoelectrons.with_values(photoelectrons.values + dark))
 
     def automatic_states(
-        self, at_plate: Light, conditions: Conditions, state: AutomaticState | None = None
+        self, at_plate: StageImage, conditions: Conditions, state: AutomaticState | None = None
     ) -> Iterator[AutomaticState]:
         """Yield where the automatic controls stand in frames 0, 1, ... of a steady scene; never ends.
 
@@ -124,7 +124,7 @@ class IntensifiedCamera(DescribedCamera):
                 factor = gain.next(state.gain, above)
             state = AutomaticState(brightness=brightness, gain=factor)
 
-    def automatic_state_of(self, at_plate: Light, conditions: Conditions) -> Callable[[int], AutomaticState]:
+    def automatic_state_of(self, at_plate: StageImage, conditions: Conditions) -> Callable[[int], AutomaticState]:
         """Return where the automatic controls stand in a frame of a steady scene, by its number."""
         if not (conditions.automatic_gain or conditions.brightness_control):
             return lambda frame: AutomaticState()
@@ -139,7 +139,7 @@ class IntensifiedCamera(DescribedCamera):
         return state_of
 
     def mean_frame(
-        self, at_plate: Light, conditions: Conditions, state: AutomaticState | None = None
+        self, at_plate: StageImage, conditions: Conditions, state: AutomaticState | None = None
     ) -> NDArray[np.float32]:
         """Return the noiseless frame of a steady scene, shape (row, col), DN.
 
@@ -157,16 +157,16 @@ class IntensifiedCamera(DescribedCamera):
         return self.readout(conditions, state).mean(steady).values[0]
 
     def frames(
-        self, at_plate: Light, conditions: Conditions, *, seed: int, first_frame: int = 0
+        self, at_plate: StageImage, conditions: Conditions, *, seed: int, first_frame: int = 0
     ) -> Iterator[NDArray[np.unsignedinteger]]:
-        """Yield the frames of a steady scene; see `simulate.iiccd.tiers.frames`, whose default tier this is.
+        """Yield the frames of a steady scene; see `simulate.iiccd.sampler_choice.generate_frames`, whose default tier this is.
 
         A frame depends on the seed and its own number alone. Automatic controls that were on start untouched in frame 0
         and settle from there.
         """
-        from simulate.iiccd import tiers
+        from simulate.iiccd import sampler_choice
 
-        return tiers.frames(self, at_plate, conditions, seed=seed, first_frame=first_frame)
+        return sampler_choice.generate_frames(self, at_plate, conditions, seed=seed, first_frame=first_frame)
 
     def screen(self, conditions: Conditions, state: AutomaticState | None = None) -> Chain:
         """Return the chain from the plate to the pixels, with the brightness control where it stands."""

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from labdata.errors import BadInput
 from simulate.iiccd import pattern
-from simulate.iiccd.light import Light
-from simulate.iiccd.overflow import overflowed
+from simulate.iiccd.column_blooming import apply_column_blooming
+from simulate.iiccd.stage_image import StageImage
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,21 +60,21 @@ class Ccd:
         if not self.full_well_e > 0.0:
             raise BadInput(f"full_well_e must be positive, got {self.full_well_e:g}")
 
-    def mean(self, light: Light) -> Light:
+    def mean(self, light: StageImage) -> StageImage:
         """Return the charge without noise, e-; wells clip the mean, not the average of clipped draws."""
-        charge = self.generated(light.values)
+        charge = self.mean_charge(light.values)
         if self.dsnu_e > 0.0 and self.dark_e > 0.0:
             charge = charge + (self.dark(charge.shape[-2:]) - np.float32(self.dark_e))
         held = self.held(charge)
         return light.with_values(held if self.clamped else held + np.float32(self.dark_e))
 
-    def draw(self, light: Light, rng: np.random.Generator) -> Light:
+    def draw(self, light: StageImage, rng: np.random.Generator) -> StageImage:
         """Return the charge read, e-: Poisson charge of light and dark, then overflow, then read noise."""
-        from simulate.iiccd import draws
+        from simulate.iiccd import pulse_sampling
 
-        expected = self.generated(light.values)
+        expected = self.mean_charge(light.values)
         expected += self.dark(expected.shape[-2:])
-        held = self.held(draws.poisson_charge(rng, expected))
+        held = self.held(pulse_sampling.poisson_charge(rng, expected))
         if self.read_noise_e > 0.0:
             held = held + np.float32(self.read_noise_e) * rng.standard_normal(held.shape, dtype=np.float32)
         return light.with_values(held - np.float32(self.dark_e) if self.clamped else held)
@@ -82,14 +82,14 @@ class Ccd:
     def dark(self, shape: tuple[int, int]) -> NDArray[np.float32] | np.float32:
         """Return the mean dark charge of each pixel, e-; one number where all are alike."""
         if self.dsnu_e > 0.0 and self.dark_e > 0.0:
-            return pattern.dark_signal(shape, self.dark_e, self.dsnu_e, self.specimen)
+            return pattern.dark_signal_map(shape, self.dark_e, self.dsnu_e, self.specimen)
         return np.float32(self.dark_e)
 
-    def generated(self, photons: NDArray) -> NDArray[np.float32]:
+    def mean_charge(self, photons: NDArray) -> NDArray[np.float32]:
         """Return the mean charge of the light, e-, with smear; where an image ripples below zero there is no charge."""
         charge = np.maximum(photons, 0.0).astype(np.float32) * np.float32(self.quantum_efficiency)
         if self.prnu > 0.0:
-            charge *= pattern.pixel_response(charge.shape[-2:], self.prnu, self.specimen)
+            charge *= pattern.prnu_map(charge.shape[-2:], self.prnu, self.specimen)
         if self.smear_fraction > 0.0:
             tenth = charge.shape[-2] / 10.0
             charge += np.float32(self.smear_fraction / tenth) * charge.sum(axis=-2, keepdims=True)
@@ -103,5 +103,7 @@ class Ccd:
         step = 2 if self.interlaced else 1
         for image in held.reshape(-1, *held.shape[-2:]):
             for parity in range(step):
-                image[parity::step] = overflowed(image[parity::step], self.full_well_e, self.antibloom_ratio)[0]
+                image[parity::step] = apply_column_blooming(
+                    image[parity::step], self.full_well_e, self.antibloom_ratio
+                )[0]
         return held

@@ -8,7 +8,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from labdata.errors import BadInput
-from simulate.iiccd.light import Light
+from simulate.iiccd.stage_image import StageImage
 
 
 @runtime_checkable
@@ -30,11 +30,11 @@ class Stage(Protocol):
         """The quantity it emits."""
         ...
 
-    def mean(self, light: Any) -> Light:
+    def mean(self, light: Any) -> StageImage:
         """What comes out on average; takes light, or the scene's radiance where it is a lens."""
         ...
 
-    def draw(self, light: Any, rng: np.random.Generator) -> Light:
+    def draw(self, light: Any, rng: np.random.Generator) -> StageImage:
         """What comes out this time."""
         ...
 
@@ -80,13 +80,13 @@ class Chain:
         """Return the chain with one stage left out; refused where its neighbours then do not fit."""
         return Chain(tuple(stage for stage in self.stages if stage.name != name))
 
-    def mean(self, light: Any) -> Light:
+    def mean(self, light: Any) -> StageImage:
         """Return what comes out without any noise."""
         for stage in self.stages:
             light = stage.mean(light)
         return light
 
-    def draw(self, light: Any, rng: np.random.Generator) -> Light:
+    def draw(self, light: Any, rng: np.random.Generator) -> StageImage:
         """Return what comes out this time.
 
         Every stage draws from a generator that follows from `rng` and its own name: to change, add or remove one
@@ -96,7 +96,7 @@ class Chain:
             light = after
         return light
 
-    def steps(self, light: Any, rng: np.random.Generator) -> Iterator[Light]:
+    def steps(self, light: Any, rng: np.random.Generator) -> Iterator[StageImage]:
         """Yield what comes out this time after each stage; the random numbers are those of `draw`."""
         entropy = int(rng.integers(2**63))
         for stage in self.stages:

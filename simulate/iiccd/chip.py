@@ -6,7 +6,7 @@ from functools import cached_property
 
 from labdata.sensor import Sensor
 from labdata.solid_state import SolidStateCamera
-from simulate.iiccd.grid import Grid, padded_grid
+from simulate.iiccd.grid import Grid, grid_with_margin
 
 # The picture of a target is needed this far beyond the frame: the halo reaches 23 pixels.
 SCENE_MARGIN_PX = 40
@@ -15,7 +15,7 @@ DRAW_MARGIN_PX = 10
 DARK_REFERENCE_C = 25.0
 
 
-class ChipCamera(ABC):
+class SensorGeometryCamera(ABC):
     """A camera with a chip, with a tube before it or without."""
 
     @property
@@ -56,7 +56,7 @@ class ChipCamera(ABC):
     def _grid(self, per_pixel: int, margin: int) -> Grid:
         ccd, (rows, columns) = self.described.ccd, self.shape
         # Field integration sums rows r and r + 1, so the chip has one row more than the frame.
-        return padded_grid(
+        return grid_with_margin(
             rows + (1 if self.interlaced else 0),
             columns,
             per_pixel=per_pixel,

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from simulate.iiccd import pattern, warp
-from simulate.iiccd.light import Light
+from simulate.iiccd.stage_image import StageImage
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,21 +44,21 @@ class FibreGeometry:
     takes: str = "photoelectrons at the plate"
     emits: str = "photoelectrons at the plate"
 
-    def mean(self, light: Light) -> Light:
+    def mean(self, light: StageImage) -> StageImage:
         """Return the expected photoelectrons where their pulses will be seen, shape (row, col)."""
         grid = light.grid
         if grid is None or (self.distortion_fraction == 0.0 and self.shear_um == 0.0):
             return light
-        x, y = np.broadcast_arrays(*warp.places(grid))
+        x, y = np.broadcast_arrays(*warp.cell_centres(grid))
         if self.shear_um > 0.0:
             pitch_mm, rms_mm = (um * 1e-3 * self.demagnification for um in (self.pattern_pitch_um, self.shear_um))
             shift_x, shift_y = pattern.multifibre_offsets(grid, pitch_mm, rms_mm, self.specimen)
             x, y = x - shift_x, y - shift_y
         radial = warp.Radial(fraction=self.distortion_fraction, corner_mm=warp.corner_mm(grid))
         from_x, from_y, area = radial.source(x, y)
-        moved = warp.fetched(light.values, grid, from_x, from_y, order=3)
+        moved = warp.resample_image(light.values, grid, from_x, from_y, order=3)
         return light.with_values(moved * area.astype(np.float32))
 
-    def draw(self, light: Light, rng: np.random.Generator) -> Light:
+    def draw(self, light: StageImage, rng: np.random.Generator) -> StageImage:
         """Return the mean; the plate draws."""
         return self.mean(light)

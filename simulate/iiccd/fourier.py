@@ -5,7 +5,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 
-def forward(image: NDArray) -> NDArray[Any]:
+def rfft_image(image: NDArray) -> NDArray[Any]:
     """Return the transform of real images (..., row, col), its last axis half as long plus one."""
     from scipy import fft
 
@@ -13,7 +13,7 @@ def forward(image: NDArray) -> NDArray[Any]:
     return transform
 
 
-def inverse(transform: NDArray, shape: tuple[int, int]) -> NDArray[Any]:
+def irfft_image(transform: NDArray, shape: tuple[int, int]) -> NDArray[Any]:
     """Return the real images (..., row, col) of the given shape that have a transform."""
     from scipy import fft
 

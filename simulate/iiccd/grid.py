@@ -57,7 +57,9 @@ class Grid:
         return slice(row, row + self.shape[0]), slice(col, col + self.shape[1])
 
 
-def padded_grid(rows: int, columns: int, *, per_pixel: int, margin: int, pitch_x_mm: float, pitch_y_mm: float) -> Grid:
+def grid_with_margin(
+    rows: int, columns: int, *, per_pixel: int, margin: int, pitch_x_mm: float, pitch_y_mm: float
+) -> Grid:
     """Return a grid with at least `margin` pixels on every side and a shape that transforms fast."""
     shape = (fast_length((rows + 2 * margin) * per_pixel), fast_length((columns + 2 * margin) * per_pixel))
     return Grid(

@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from labdata.errors import BadInput
 from labdata.sensor import Optics as OpticsDescription
-from simulate.iiccd import fourier, photons, placing, warp
+from simulate.iiccd import fourier, image_placement, tube_photometry, warp
 from simulate.iiccd.grid import Grid
-from simulate.iiccd.light import Light
-from simulate.iiccd.optics import veiled
+from simulate.iiccd.optics import add_veiling_glare
+from simulate.iiccd.stage_image import StageImage
 from simulate.iiccd.transfer import Defocus, Lens
 from simulate.radiance.cube import RadianceCube
 
@@ -48,7 +48,7 @@ class RadiometricLens:
     grid
         Cells on which the photons arrive.
     row_pairs
-        Whether a frame's row sums two rows of the chip: where the picture lies, see `placing.spread`.
+        Whether a frame's row sums two rows of the chip: where the picture lies, see `image_placement.spread`.
 
     Notes
     -----
@@ -145,7 +145,7 @@ class RadiometricLens:
             return lens
         return lens * Defocus(shift_um=off_um, f_number=self.f_number).transfer(frequency_per_mm, nowhere)
 
-    def mean(self, light: RadianceCube) -> Light:
+    def mean(self, light: RadianceCube) -> StageImage:
         """Return photons per s and cell, all blurs of the lens computed.
 
         Raises
@@ -160,22 +160,26 @@ class RadiometricLens:
         shares, shapes = few_transfers(transfers, weight)
         radiance = light.radiance.astype(np.float32, copy=False)
         images = self._arriving(list(np.tensordot((shares * weight).astype(np.float32), radiance, axes=1)))
-        images[0] = veiled(images[0], self.veiling_glare_fraction)
+        images[0] = add_veiling_glare(images[0], self.veiling_glare_fraction)
         fx, fy = self.grid.frequencies()
         radius = np.hypot(fx, fy)
         total = sum(
-            fourier.forward(image) * np.interp(radius, frequency, shape).astype(np.float32)
+            fourier.rfft_image(image) * np.interp(radius, frequency, shape).astype(np.float32)
             for image, shape in zip(images, shapes, strict=True)
         )
-        return Light(values=fourier.inverse(np.asarray(total), self.grid.shape).astype(np.float32), grid=self.grid)
+        return StageImage(
+            values=fourier.irfft_image(np.asarray(total), self.grid.shape).astype(np.float32), grid=self.grid
+        )
 
-    def draw(self, light: RadianceCube, rng: np.random.Generator) -> Light:
+    def draw(self, light: RadianceCube, rng: np.random.Generator) -> StageImage:
         """Return the mean: light has no noise of its own before it is detected."""
         return self.mean(light)
 
     def _photons_per_radiance(self, light: RadianceCube) -> NDArray[np.float64]:
         relative = np.asarray(self.detector_efficiency) / max(self.detector_efficiency)
-        per_m2 = photons.detected_per_radiance(light.wavelength_nm, self.detector_nm, relative, averaged=light.averaged)
+        per_m2 = tube_photometry.detection_weights(
+            light.wavelength_nm, self.detector_nm, relative, averaged=light.averaged
+        )
         return per_m2 * self.gathering_sr * self.grid.cell_area_cm2 * 1e-4
 
     def _highest_frequency(self) -> float:
@@ -184,15 +188,15 @@ class RadiometricLens:
 
     def _arriving(self, images: list[NDArray[np.float32]]) -> list[NDArray[np.float32]]:
         """Sharp images on the cells with the lens's geometry and falloff; they are given per cell area."""
-        on_cells = [placing.spread(image, self.grid, row_pairs=self.row_pairs) for image in images]
-        x, y = (axis.astype(np.float32) for axis in warp.places(self.grid))
+        on_cells = [image_placement.place_on_cells(image, self.grid, row_pairs=self.row_pairs) for image in images]
+        x, y = (axis.astype(np.float32) for axis in warp.cell_centres(self.grid))
         bright = self.falloff(np.hypot(x, y))
         if self.distortion_fraction == 0.0:
             return [np.asarray(image * bright, np.float32) for image in on_cells]
         radial = warp.Radial(fraction=self.distortion_fraction, corner_mm=warp.corner_mm(self.grid))
         from_x, from_y, area = radial.source(x, y)
         bright = (bright * area).astype(np.float32)
-        return [warp.fetched(image, self.grid, from_x, from_y, order=1) * bright for image in on_cells]
+        return [warp.resample_image(image, self.grid, from_x, from_y, order=1) * bright for image in on_cells]
 
 
 def refuse_impossible(cube: RadianceCube) -> None:

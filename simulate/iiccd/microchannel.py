@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from labdata.errors import BadInput
 from simulate.iiccd import pattern
 from simulate.iiccd.depletion import Depletion
-from simulate.iiccd.light import Light
+from simulate.iiccd.stage_image import StageImage
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,7 +31,7 @@ class MicrochannelPlate:
     ion_events_per_s_cm2, ion_event_size_pe, gate_s
         Rate and mean size (detected photoelectrons) of ion pulses while the gate is open.
     stages
-        Plates in the stack; all numbers are those of the stack, see `stacked` for what plates make of each other.
+        Plates in the stack; all numbers are those of the stack, see `transfer_at_nodes` for what plates make of each other.
     pattern_contrast, pattern_pitch_um, line_um
         Depth, pitch and width of the lines of lower gain where the plate's multi-fibres meet; the mean gain is `gain`.
     depletion_blur_um
@@ -96,7 +96,7 @@ class MicrochannelPlate:
         """F^2 = (1 + relative variance of pulse heights)/p, dimensionless."""
         return (1.0 + 1.0 / self.pulse_height_shape) / self.detection_probability
 
-    def saturated_gain(self, light: Light) -> NDArray[np.float64]:
+    def gain_under_load(self, light: StageImage) -> NDArray[np.float64]:
         """Gain under the load of an image, electrons per photoelectron, (..., 1, 1), or a map (..., row, col)."""
         if light.grid is None:
             raise ValueError("the plate needs light on cells of known size")
@@ -110,49 +110,51 @@ class MicrochannelPlate:
         output = self.gain * per_cell / light.grid.cell_area_cm2 / self.field_s
         return self.gain / (1.0 + output / self.saturation_e_per_s_cm2)
 
-    def under_load(self, light: Light, parts: int = 1) -> "MicrochannelPlate":
+    def under_load(self, light: StageImage, parts: int = 1) -> "MicrochannelPlate":
         """Return the plate as it works on one of several equal parts of an exposure: its gain is that of the whole."""
-        loaded = self.saturated_gain(light)
+        loaded = self.gain_under_load(light)
         part = replace(self, saturation_e_per_s_cm2=np.inf, gate_s=self.gate_s / parts)
         if loaded.shape[-1] == 1:
             return replace(part, gain=float(loaded.mean()))
         return replace(part, gain_map=(loaded / self.gain).astype(np.float32) if self.gain > 0.0 else None)
 
-    def depleted(self, state: NDArray[np.floating]) -> "MicrochannelPlate":
+    def with_depletion(self, state: NDArray[np.floating]) -> "MicrochannelPlate":
         """Return the plate whose channels are in a state of `Depletion`, shape (row, col)."""
         left = self.depletion.gain(state).astype(np.float32)
         return replace(self, gain_map=left, saturation_e_per_s_cm2=np.inf)
 
-    def _multifibres(self, light: Light) -> NDArray[np.float32] | None:
+    def _multifibres(self, light: StageImage) -> NDArray[np.float32] | None:
         if self.pattern_contrast == 0.0 or light.grid is None:
             return None
-        return pattern.multifibres(light.grid, self.pattern_contrast, self.pattern_pitch_um * 1e-3, self.line_um * 1e-3)
+        return pattern.multifibre_gain(
+            light.grid, self.pattern_contrast, self.pattern_pitch_um * 1e-3, self.line_um * 1e-3
+        )
 
-    def ions_per_cell(self, light: Light) -> float:
+    def ions_per_cell(self, light: StageImage) -> float:
         area = 0.0 if light.grid is None else light.grid.cell_area_cm2
         return self.ion_events_per_s_cm2 * self.gate_s * area
 
-    def mean(self, light: Light) -> Light:
+    def mean(self, light: StageImage) -> StageImage:
         """Return the expected electrons per cell."""
-        gain = self.saturated_gain(light).astype(np.float32)
+        gain = self.gain_under_load(light).astype(np.float32)
         ions = self.ions_per_cell(light) * self.ion_event_size_pe / self.detection_probability
         electrons = (light.values + np.float32(ions)) * gain
         if (multifibres := self._multifibres(light)) is not None:
             electrons *= multifibres
         return light.with_values(electrons)
 
-    def draw(self, light: Light, rng: np.random.Generator) -> Light:
+    def draw(self, light: StageImage, rng: np.random.Generator) -> StageImage:
         """Return electrons per cell, each photoelectron detected or lost, each pulse of its own height.
 
         Where resampling has left a ripple below zero, the ripple passes with the mean gain and no noise, so that it
         still cancels further on.
         """
-        from simulate.iiccd import draws
+        from simulate.iiccd import pulse_sampling
 
         detected = light.values * np.float32(self.detection_probability)
-        pulses = draws.pulse_sums(rng, detected, self.pulse_height_shape)
+        pulses = pulse_sampling.pulse_sums(rng, detected, self.pulse_height_shape)
         self._add_ions(pulses, self.ions_per_cell(light), rng)
-        height = (self.saturated_gain(light) / self.detection_probability).astype(np.float32)
+        height = (self.gain_under_load(light) / self.detection_probability).astype(np.float32)
         if detected.min() < 0.0:
             pulses += np.minimum(detected, 0.0)
         pulses *= height
@@ -167,7 +169,7 @@ class MicrochannelPlate:
         np.add.at(pulses.reshape(-1), where, (rng.gamma(size) / self.pulse_height_shape).astype(np.float32))
 
 
-def stacked(gains: Sequence[float], shapes: Sequence[float]) -> tuple[float, float]:
+def stack_gain_and_shape(gains: Sequence[float], shapes: Sequence[float]) -> tuple[float, float]:
     """Return the gain and the pulse-height shape of a stack of plates.
 
     Parameters

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.iiccd.light import Light
-from simulate.iiccd.transfer import Blur
+from simulate.iiccd.stage_image import StageImage
+from simulate.iiccd.transfer import StageBlur
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,22 +21,22 @@ class Optics:
         Share of the light that is spread evenly over the picture, dimensionless.
     """
 
-    blur: Blur
+    blur: StageBlur
     veiling_glare_fraction: float
     name: str = "optics"
     takes: str = "photons"
     emits: str = "photons"
 
-    def mean(self, light: Light) -> Light:
+    def mean(self, light: StageImage) -> StageImage:
         """Return (1 - v) E + v mean(E), owing the blur; the light per cell keeps its sum."""
-        return light.with_values(veiled(light.values, self.veiling_glare_fraction)).blurred(self.blur)
+        return light.with_values(add_veiling_glare(light.values, self.veiling_glare_fraction)).blurred(self.blur)
 
-    def draw(self, light: Light, rng: np.random.Generator) -> Light:
+    def draw(self, light: StageImage, rng: np.random.Generator) -> StageImage:
         """Return the mean: light has no noise of its own before it is detected."""
         return self.mean(light)
 
 
-def veiled(image: NDArray, fraction: float) -> NDArray:
+def add_veiling_glare(image: NDArray, fraction: float) -> NDArray:
     """Return (1 - v) E + v mean(E): a share of the light spread evenly."""
     level = image.mean(axis=(-2, -1), keepdims=True, dtype=np.float64)
     return (1.0 - fraction) * image + np.asarray(fraction * level, image.dtype)

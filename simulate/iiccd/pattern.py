@@ -10,7 +10,7 @@ from labdata.frames import read_only
 from simulate.iiccd import fourier
 from simulate.iiccd.grid import Grid
 
-MOTTLE_MM = 0.06
+GRANULARITY_MM = 0.06
 
 
 def _split_rows(grid: Grid) -> Grid:
@@ -22,20 +22,20 @@ def _row_means(cells: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 @lru_cache(maxsize=4)
-def mottle(grid: Grid, relative_sd: float, specimen: int) -> NDArray[np.float32]:
-    """Return the screen's gain on cells, mean 1, Gaussian with a correlation length of `MOTTLE_MM` at the cathode."""
+def phosphor_granularity(grid: Grid, relative_sd: float, specimen: int) -> NDArray[np.float32]:
+    """Return the screen's gain on cells, mean 1, Gaussian with a correlation length of `GRANULARITY_MM` at the cathode."""
     if grid.per_row == 1:
-        return _row_means(mottle(_split_rows(grid), relative_sd, specimen))
+        return _row_means(phosphor_granularity(_split_rows(grid), relative_sd, specimen))
     rng = np.random.default_rng([specimen, 1])
     fx, fy = grid.frequencies()
-    grain = np.exp(-2.0 * (np.pi * MOTTLE_MM * np.hypot(fx, fy)) ** 2)
+    grain = np.exp(-2.0 * (np.pi * GRANULARITY_MM * np.hypot(fx, fy)) ** 2)
     grain[0, 0] = 0.0
-    smooth = fourier.inverse(fourier.forward(rng.standard_normal(grid.shape)) * grain, grid.shape)
+    smooth = fourier.irfft_image(fourier.rfft_image(rng.standard_normal(grid.shape)) * grain, grid.shape)
     return read_only((1.0 + relative_sd * smooth / smooth.std()).astype(np.float32))
 
 
 @lru_cache(maxsize=4)
-def honeycomb(
+def multifibre_transmission(
     grid: Grid, contrast: float, pitch_mm: float, line_mm: float, demagnification: float
 ) -> NDArray[np.float32]:
     """Return the transmission of the borders between multi-fibres, 1 inside them and 1 - contrast on the lines.
@@ -43,7 +43,7 @@ def honeycomb(
     Hexagons of a pitch and a line width at the small end, laid out on cells at the photocathode.
     """
     if grid.per_row == 1:
-        return _row_means(honeycomb(_split_rows(grid), contrast, pitch_mm, line_mm, demagnification))
+        return _row_means(multifibre_transmission(_split_rows(grid), contrast, pitch_mm, line_mm, demagnification))
     rows, columns = (np.arange(n, dtype=np.float64) for n in grid.shape)
     y = rows[:, None] * (grid.pitch_y_mm / grid.per_row / demagnification / pitch_mm)
     x = columns[None, :] * (grid.pitch_x_mm / grid.per_column / demagnification / pitch_mm)
@@ -52,7 +52,7 @@ def honeycomb(
 
 
 @lru_cache(maxsize=4)
-def multifibres(grid: Grid, contrast: float, pitch_mm: float, line_mm: float) -> NDArray[np.float32]:
+def multifibre_gain(grid: Grid, contrast: float, pitch_mm: float, line_mm: float) -> NDArray[np.float32]:
     """Return the gain of a plate of multi-fibres, mean 1, lower on the lines where its hexagons meet.
 
     Pitch and width are at the photocathode, where the cells are. Lines narrower than a cell are as wide and as shallow
@@ -60,7 +60,7 @@ def multifibres(grid: Grid, contrast: float, pitch_mm: float, line_mm: float) ->
     """
     cell_mm = np.sqrt(grid.cell_area_cm2) * 10.0
     averaged_mm = np.sqrt(line_mm**2 + cell_mm**2 / 3.0)
-    lines = honeycomb(grid, contrast * line_mm / averaged_mm, pitch_mm, averaged_mm, 1.0)
+    lines = multifibre_transmission(grid, contrast * line_mm / averaged_mm, pitch_mm, averaged_mm, 1.0)
     return read_only((lines / lines.mean(dtype=np.float64)).astype(np.float32))
 
 
@@ -77,7 +77,7 @@ def _border_distance(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[
 
 
 @lru_cache(maxsize=4)
-def dark_signal(shape: tuple[int, int], mean_e: float, sd_e: float, specimen: int) -> NDArray[np.float32]:
+def dark_signal_map(shape: tuple[int, int], mean_e: float, sd_e: float, specimen: int) -> NDArray[np.float32]:
     """Return each pixel's mean dark charge, e-, gamma distributed over pixels: never below zero, some pixels hot."""
     rng = np.random.default_rng([specimen, 3])
     shape_parameter = (mean_e / sd_e) ** 2
@@ -116,7 +116,7 @@ def _hexagons(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[NDArray, 
 
 
 @lru_cache(maxsize=4)
-def pixel_response(shape: tuple[int, int], relative_sd: float, specimen: int) -> NDArray[np.float32]:
+def prnu_map(shape: tuple[int, int], relative_sd: float, specimen: int) -> NDArray[np.float32]:
     """Return each pixel's response, mean 1, independent from pixel to pixel."""
     rng = np.random.default_rng([specimen, 2])
     return read_only((1.0 + relative_sd * rng.standard_normal(shape)).astype(np.float32))

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from labdata.errors import BadInput
 from simulate.iiccd import pattern
-from simulate.iiccd.light import Light
-from simulate.iiccd.transfer import Blur
+from simulate.iiccd.stage_image import StageImage
+from simulate.iiccd.transfer import StageBlur
 
 # Light that comes later than the remembered fields is less than this share.
 FORGOTTEN = 1e-3
@@ -34,27 +34,27 @@ class Phosphor:
     """
 
     photons_per_electron: float
-    spread: Blur
+    spread: StageBlur
     gain_nonuniformity: float = 0.0
     specimen: int = 0
     name: str = "phosphor"
     takes: str = "electrons"
     emits: str = "screen photons"
 
-    def mean(self, light: Light) -> Light:
+    def mean(self, light: StageImage) -> StageImage:
         """Return photons per cell, owing the spread."""
         values = light.values * np.asarray(self.photons_per_electron, light.values.dtype)
         if self.gain_nonuniformity > 0.0 and light.grid is not None:
-            values *= pattern.mottle(light.grid, self.gain_nonuniformity, self.specimen)
+            values *= pattern.phosphor_granularity(light.grid, self.gain_nonuniformity, self.specimen)
         return light.with_values(values).blurred(self.spread)
 
-    def draw(self, light: Light, rng: np.random.Generator) -> Light:
+    def draw(self, light: StageImage, rng: np.random.Generator) -> StageImage:
         """Return the mean: photons are so many that their noise is drawn where they are detected."""
         return self.mean(light)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Afterglow:
+class PhosphorDecay:
     """The screen's decay, field by field.
 
     It commutes with the linear optics behind the screen and stands after them, where images are small.
@@ -138,7 +138,7 @@ class Afterglow:
         """Earlier fields whose light is still seen."""
         return len(self.weights) - 1
 
-    def mean(self, light: Light) -> Light:
+    def mean(self, light: StageImage) -> StageImage:
         """Return what each field shows of itself and of those before it.
 
         Takes (field, row, col), or (field, half, row, col) with the halves' own shares, and emits (field, row, col).
@@ -149,14 +149,16 @@ class Afterglow:
             return light
         before = np.repeat(fields[:1], self.memory, axis=0)
         shares = self.weights if fields.ndim == 3 else self.halves
-        return light.with_values(lingering(np.concatenate([before, fields]), shares))
+        return light.with_values(apply_phosphor_decay(np.concatenate([before, fields]), shares))
 
-    def draw(self, light: Light, rng: np.random.Generator) -> Light:
+    def draw(self, light: StageImage, rng: np.random.Generator) -> StageImage:
         """Return the mean: decay adds no noise of its own."""
         return self.mean(light)
 
 
-def lingering(fields: NDArray, shares: NDArray[np.float64], order: NDArray[np.integer] | None = None) -> NDArray:
+def apply_phosphor_decay(
+    fields: NDArray, shares: NDArray[np.float64], order: NDArray[np.integer] | None = None
+) -> NDArray:
     """Return what every field that has all its predecessors shows, shape (shown, row, col).
 
     Parameters
@@ -172,7 +174,7 @@ def lingering(fields: NDArray, shares: NDArray[np.float64], order: NDArray[np.in
     -----
     sum_j shares[j] fields[n - j], summed over halves.
     """
-    from simulate.iiccd.weighing import weighted_sum
+    from simulate.iiccd.weighted_sum import sum_weighted_images
 
     by_half = np.atleast_2d(shares)
     halves, fields_seen = by_half.shape
@@ -184,5 +186,5 @@ def lingering(fields: NDArray, shares: NDArray[np.float64], order: NDArray[np.in
     for n in range(fields_seen - 1, len(fields)):
         latest_first = slots[n - fields_seen + 1 : n + 1][::-1]
         which = (latest_first[:, None] * halves + np.arange(halves)).ravel()
-        shown.append(weighted_sum(images, which, weights))
+        shown.append(sum_weighted_images(images, which, weights))
     return np.stack(shown)

@@ -6,8 +6,8 @@ import numpy as np
 
 from labdata.errors import BadInput
 from simulate.iiccd.grid import Grid
-from simulate.iiccd.light import Light
-from simulate.iiccd.transfer import Blur
+from simulate.iiccd.stage_image import StageImage
+from simulate.iiccd.transfer import StageBlur
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,13 +59,13 @@ class Photocathode:
         """Time open that would pass as much as the gate does, open and shut, s."""
         return self.gate_s + max(self.field_s - self.gate_s, 0.0) / self.on_off_ratio
 
-    def mean(self, light: Light) -> Light:
+    def mean(self, light: StageImage) -> StageImage:
         """Return photoelectrons per exposure and cell."""
         dark = 0.0 if light.grid is None else self.ebi_per_s_cm2 * light.grid.cell_area_cm2
         rate = self.quantum_efficiency * light.values + np.asarray(dark, light.values.dtype)
         return light.with_values(rate * np.asarray(self.open_s, light.values.dtype))
 
-    def draw(self, light: Light, rng: np.random.Generator) -> Light:
+    def draw(self, light: StageImage, rng: np.random.Generator) -> StageImage:
         """Return the mean; the plate draws."""
         return self.mean(light)
 
@@ -84,20 +84,20 @@ class ProximityGap:
         Blur that protection from a bright source adds; None without.
     """
 
-    spread: Blur
-    halo: Blur
+    spread: StageBlur
+    halo: StageBlur
     grid: Grid
-    protection: Blur | None = None
+    protection: StageBlur | None = None
     name: str = "gap"
     takes: str = "photoelectrons"
     emits: str = "photoelectrons at the plate"
 
-    def mean(self, light: Light) -> Light:
+    def mean(self, light: StageImage) -> StageImage:
         """Return the expected photoelectrons per cell of the plate, all blurs so far computed."""
         further = () if self.protection is None else (self.protection,)
         landing = light.blurred(self.spread, self.halo, *further)
-        return landing.paid() if light.grid == self.grid else landing.resampled(self.grid)
+        return landing.with_blurs_applied() if light.grid == self.grid else landing.resample_to(self.grid)
 
-    def draw(self, light: Light, rng: np.random.Generator) -> Light:
+    def draw(self, light: StageImage, rng: np.random.Generator) -> StageImage:
         """Return the mean; the plate draws."""
         return self.mean(light)

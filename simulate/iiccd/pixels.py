@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from simulate.iiccd import fourier
 from simulate.iiccd.grid import Grid
-from simulate.iiccd.light import Light
-from simulate.iiccd.transfer import Blur, PixelAperture, folded_transfer, product
+from simulate.iiccd.stage_image import StageImage
+from simulate.iiccd.transfer import PixelAperture, StageBlur, fold_transfer, product
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,33 +33,33 @@ class Collection:
     takes: str = "screen photons"
     emits: str = "screen photons on pixels"
 
-    def mean(self, light: Light) -> Light:
+    def mean(self, light: StageImage) -> StageImage:
         """Return photons per pixel, shape (..., frame row, column)."""
         grid = light.grid
         if grid is None or grid.per_column != 2 or grid.per_row > 2:
             raise ValueError("pixels collect light on two cells per column and one or two per row")
         height = 2 if self.row_pairs else 1
-        spectrum = fourier.forward(light.values) * pixel_transfer(light.owed, grid, height)
-        folded = folded_columns(folded_rows(spectrum) if grid.per_row == 2 else spectrum)
-        pixels = fourier.inverse(folded, (grid.shape[0] // grid.per_row, grid.shape[1] // 2))
+        spectrum = fourier.rfft_image(light.values) * pixel_transfer(light.pending_blurs, grid, height)
+        folded = fold_columns(fold_rows(spectrum) if grid.per_row == 2 else spectrum)
+        pixels = fourier.irfft_image(folded, (grid.shape[0] // grid.per_row, grid.shape[1] // 2))
         # So far the amount in a cell around the pixel's centre, averaged by its aperture.
         pixels *= pixels.dtype.type(grid.per_column * grid.per_row * height)
         top, left = grid.margin_rows, grid.margin_columns
         rows = grid.rows - height + 1
-        return Light(values=pixels[..., top : top + rows, left : left + grid.columns])
+        return StageImage(values=pixels[..., top : top + rows, left : left + grid.columns])
 
-    def draw(self, light: Light, rng: np.random.Generator) -> Light:
+    def draw(self, light: StageImage, rng: np.random.Generator) -> StageImage:
         """Return the mean; the photons' noise is drawn where they become charge."""
         return self.mean(light)
 
 
 @lru_cache(maxsize=8)
-def pixel_transfer(owed: tuple[Blur, ...], grid: Grid, height: int) -> NDArray[np.complex64]:
+def pixel_transfer(owed: tuple[StageBlur, ...], grid: Grid, height: int) -> NDArray[np.complex64]:
     """Return the transfer of blurs and pixels with the shift from cell centres to the centres of the pixels read.
 
     Parameters
     ----------
-    owed
+    pending_blurs
         Blurs before the pixels.
     grid
         Cells.
@@ -69,13 +69,13 @@ def pixel_transfer(owed: tuple[Blur, ...], grid: Grid, height: int) -> NDArray[n
     Notes
     -----
     Cells one row high are for draws: independent cells have the very covariance, on the pixels, of pulses that fall
-    anywhere inside the cells, see `folded_transfer`.
+    anywhere inside the cells, see `fold_transfer`.
     """
     aperture = PixelAperture(width_mm=grid.pitch_x_mm, height_mm=height * grid.pitch_y_mm)
     fx, fy = grid.frequencies()
     if grid.per_row == 1:
         cell_x_mm = grid.pitch_x_mm / grid.per_column
-        whole = folded_transfer(owed, aperture, fx[0], fy[:, 0], cell_x_mm=cell_x_mm, cell_y_mm=grid.pitch_y_mm)
+        whole = fold_transfer(owed, aperture, fx[0], fy[:, 0], cell_x_mm=cell_x_mm, cell_y_mm=grid.pitch_y_mm)
     else:
         whole = product((*owed, aperture), *np.broadcast_arrays(fx, fy))
     right, down = 0.5 - 0.5 / grid.per_column, 0.5 * height - 0.5 / grid.per_row
@@ -83,13 +83,13 @@ def pixel_transfer(owed: tuple[Blur, ...], grid: Grid, height: int) -> NDArray[n
     return (whole * shift).astype(np.complex64)
 
 
-def folded_rows(spectrum: NDArray) -> NDArray:
+def fold_rows(spectrum: NDArray) -> NDArray:
     """Return the transform of every second row from the transform (..., row, col) of all."""
     half = spectrum.shape[-2] // 2
     return 0.5 * (spectrum[..., :half, :] + spectrum[..., half:, :])
 
 
-def folded_columns(spectrum: NDArray) -> NDArray:
+def fold_columns(spectrum: NDArray) -> NDArray:
     """Return the real transform (..., row, col) of every second column from that of all, a multiple of four."""
     quarter = (spectrum.shape[-1] - 1) // 2
     mirrored = spectrum[..., : quarter - 1 : -1].conj()
@@ -98,7 +98,7 @@ def folded_columns(spectrum: NDArray) -> NDArray:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scan:
+class FieldReadout:
     """The order of reading: frame row r is read in field r % 2 where video is interlaced.
 
     Takes (field, row, col) with two fields a frame, earlier field first, and emits (frame, row, col); without
@@ -110,7 +110,7 @@ class Scan:
     takes: str = "screen photons on pixels"
     emits: str = "screen photons as read"
 
-    def mean(self, light: Light) -> Light:
+    def mean(self, light: StageImage) -> StageImage:
         """Return frames woven of their two fields."""
         fields = light.values
         if not self.interlaced:
@@ -121,6 +121,6 @@ class Scan:
         frames[:, 1::2] = fields[1::2, 1::2]
         return light.with_values(frames)
 
-    def draw(self, light: Light, rng: np.random.Generator) -> Light:
+    def draw(self, light: StageImage, rng: np.random.Generator) -> StageImage:
         """Return the mean: reading order adds no noise."""
         return self.mean(light)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labdata.errors import BadInput
-from simulate.iiccd.light import Light
+from simulate.iiccd.stage_image import StageImage
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,29 +65,29 @@ class Register:
         return 1.0 + (exact - 1.0) / self.pulse_height_shape
 
     @property
-    def _clamped_e(self) -> float:
+    def _clamp_level_e(self) -> float:
         return self.gain * (self.dark_e + self.clock_induced_e)
 
-    def mean(self, light: Light) -> Light:
+    def mean(self, light: StageImage) -> StageImage:
         """Return electrons at the output above the clamped level."""
         charge = self.gain * (light.values + np.float32(self.clock_induced_e))
-        return light.with_values((charge - np.float32(self._clamped_e)).astype(np.float32))
+        return light.with_values((charge - np.float32(self._clamp_level_e)).astype(np.float32))
 
-    def draw(self, light: Light, rng: np.random.Generator) -> Light:
+    def draw(self, light: StageImage, rng: np.random.Generator) -> StageImage:
         """Return electrons at the output above the clamped level, of whole electrons in the wells."""
         charge = np.array(light.values, np.float32)
         if self.clock_induced_e > 0.0:
             charge += rng.poisson(self.clock_induced_e, size=charge.shape).astype(np.float32)
         if self.gain > 1.0:
-            charge += self._freed(charge, rng)
+            charge += self._draw_multiplication(charge, rng)
         if self.read_noise_e > 0.0:
             charge += np.float32(self.read_noise_e) * rng.standard_normal(charge.shape, dtype=np.float32)
-        return light.with_values(charge - np.float32(self._clamped_e))
+        return light.with_values(charge - np.float32(self._clamp_level_e))
 
-    def _freed(self, charge, rng: np.random.Generator):
+    def _draw_multiplication(self, charge, rng: np.random.Generator):
         """Electrons freed on the way through the register, of as many as entered it."""
-        from simulate.iiccd import draws
+        from simulate.iiccd import pulse_sampling
 
         more = self.gain - 1.0
         scale = self.gain**2 * (self.excess_noise_factor - 1.0) / more
-        return np.float32(scale) * draws.gamma_numbers(rng, charge * np.float32(more / scale))
+        return np.float32(scale) * pulse_sampling.gamma_numbers(rng, charge * np.float32(more / scale))

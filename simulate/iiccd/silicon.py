@@ -6,7 +6,7 @@ import numpy as np
 
 from labdata.errors import BadInput
 from simulate.iiccd.grid import Grid
-from simulate.iiccd.light import Light
+from simulate.iiccd.stage_image import StageImage
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,11 +42,11 @@ class Silicon:
         if not self.exposure_s > 0.0:
             raise BadInput(f"exposure_s must be positive, got {self.exposure_s:g}")
 
-    def mean(self, light: Light) -> Light:
+    def mean(self, light: StageImage) -> StageImage:
         """Return photoelectrons per exposure and cell, all blurs so far computed."""
         counted = light.values * np.asarray(self.quantum_efficiency * self.exposure_s, light.values.dtype)
-        return light.with_values(counted).resampled(self.grid)
+        return light.with_values(counted).resample_to(self.grid)
 
-    def draw(self, light: Light, rng: np.random.Generator) -> Light:
+    def draw(self, light: StageImage, rng: np.random.Generator) -> StageImage:
         """Return the mean; the wells draw."""
         return self.mean(light)

@@ -13,18 +13,18 @@ from labdata.solid_state import SolidStateCamera
 from simulate.iiccd.back_end import DigitalBackEnd
 from simulate.iiccd.ccd import Ccd
 from simulate.iiccd.chain import Chain
-from simulate.iiccd.chip import DARK_REFERENCE_C, ChipCamera
+from simulate.iiccd.chip import DARK_REFERENCE_C, SensorGeometryCamera
 from simulate.iiccd.lens import RadiometricLens
-from simulate.iiccd.light import Light
 from simulate.iiccd.optics import Optics
 from simulate.iiccd.pixels import Collection
 from simulate.iiccd.register import Register
 from simulate.iiccd.silicon import Silicon
+from simulate.iiccd.stage_image import StageImage
 from simulate.iiccd.transfer import Lens
 
 
 @dataclass(frozen=True)
-class SiliconCamera(ChipCamera):
+class SiliconCamera(SensorGeometryCamera):
     """A CCD or EMCCD camera built from its description.
 
     Its methods are those of `simulate.iiccd.camera.IntensifiedCamera`; its light "at the plate" is photoelectrons in
@@ -165,27 +165,27 @@ class SiliconCamera(ChipCamera):
             bit_depth=video.bit_depth,
         )
 
-    def detected(self, photons_per_s: Light, conditions: Conditions) -> Light:
+    def mcp_input(self, photons_per_s: StageImage, conditions: Conditions) -> StageImage:
         """Return the expected photoelectrons in the chip, per cell of `cells` and exposure, of photons on it."""
         return self.silicon(conditions).mean(photons_per_s)
 
-    def freed(self, photons_per_s: Light, conditions: Conditions) -> Light:
+    def freed(self, photons_per_s: StageImage, conditions: Conditions) -> StageImage:
         """Return the photoelectrons that light frees in the chip, expected per cell of `scene_cells` and exposure."""
         silicon = self.silicon(conditions)
         return photons_per_s.with_values(
             photons_per_s.values * np.float32(silicon.quantum_efficiency * silicon.exposure_s)
         )
 
-    def received(self, photoelectrons: Light, conditions: Conditions) -> Light:
+    def to_mcp_input(self, photoelectrons: StageImage, conditions: Conditions) -> StageImage:
         """Return them of the expected photoelectrons of one exposure on `scene_cells`."""
-        return photoelectrons.resampled(self.cells)
+        return photoelectrons.resample_to(self.cells)
 
-    def mean_frame(self, in_chip: Light, conditions: Conditions) -> NDArray[np.float32]:
+    def mean_frame(self, in_chip: StageImage, conditions: Conditions) -> NDArray[np.float32]:
         """Return the noiseless frame of expected photoelectrons on `cells`, shape (row, col), DN."""
         return self.chain(conditions).part("pixels", "video").mean(in_chip).values
 
     def frames(
-        self, in_chip: Light, conditions: Conditions, *, seed: int, first_frame: int = 0
+        self, in_chip: StageImage, conditions: Conditions, *, seed: int, first_frame: int = 0
     ) -> Iterator[NDArray[np.unsignedinteger]]:
         """Yield the frames of a steady scene, shape (row, col), DN; never ends.
 

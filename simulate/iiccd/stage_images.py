@@ -8,12 +8,12 @@ from numpy.typing import NDArray
 from labdata.conditions import Conditions
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.chain import Chain
-from simulate.iiccd.light import Light
-from simulate.iiccd.phosphor import lingering
+from simulate.iiccd.phosphor import apply_phosphor_decay
 from simulate.iiccd.solid_state import SiliconCamera
+from simulate.iiccd.stage_image import StageImage as Light
 from simulate.radiance.cube import RadianceCube
 
-StageImage = tuple[str, str, NDArray[np.float32]]
+NamedImage = tuple[str, str, NDArray[np.float32]]
 
 # What is seen after each stage, with its unit; cells are those of the grid at that place.
 QUANTITIES = {
@@ -39,7 +39,7 @@ IN_CHIP = {**QUANTITIES, "pixels": "photoelectrons per exposure and pixel, expec
 
 def stage_images(
     camera: IntensifiedCamera | SiliconCamera, light: Light | RadianceCube, conditions: Conditions, seed: int
-) -> Iterator[StageImage]:
+) -> Iterator[NamedImage]:
     """Yield what one frame is after each stage.
 
     Parameters
@@ -67,7 +67,7 @@ def stage_images(
     assert isinstance(at_plate, Light)
     if isinstance(camera, SiliconCamera):
         behind = camera.chain(conditions).part("pixels", "video")
-        yield from _seen(behind, at_plate, np.random.default_rng([seed, 1, 0]), IN_CHIP)
+        yield from _images_after_stages(behind, at_plate, np.random.default_rng([seed, 1, 0]), IN_CHIP)
         return
     yield from _field_and_frame(camera, at_plate, conditions, seed)
 
@@ -77,23 +77,23 @@ def _before_the_draw(camera: IntensifiedCamera | SiliconCamera, cube: RadianceCu
     names = [stage.name for stage in camera.chain(conditions).stages]
     last = names[names.index("silicon" if isinstance(camera, SiliconCamera) else "microchannel plate") - 1]
     photons_per_s = camera.lens().mean(cube)
-    yield _shown("optics", photons_per_s)
+    yield _image_of("optics", photons_per_s)
     if isinstance(camera, SiliconCamera):
-        in_chip = camera.detected(photons_per_s, conditions)
-        yield _shown("silicon", in_chip)
+        in_chip = camera.mcp_input(photons_per_s, conditions)
+        yield _image_of("silicon", in_chip)
         return in_chip
     light = camera.photocathode(conditions).mean(photons_per_s)
-    yield _shown("photocathode", light)
+    yield _image_of("photocathode", light)
     lux = camera.cathode_lux(light)
     for stage in camera.chain(conditions, cathode_lux=lux).part("gap", last).stages:
         light = stage.mean(light)
-        yield _shown(stage.name, light)
+        yield _image_of(stage.name, light)
     return light
 
 
 def _field_and_frame(
     camera: IntensifiedCamera, at_plate: Light, conditions: Conditions, seed: int
-) -> Iterator[StageImage]:
+) -> Iterator[NamedImage]:
     """Plate to pixels for the last field drawn, the glow of all before it, and the frame that is read of them."""
     chain, glow = camera.chain(conditions), camera.afterglow(conditions)
     screen = chain.part("microchannel plate", "pixels")
@@ -101,23 +101,25 @@ def _field_and_frame(
         screen.draw(at_plate, np.random.default_rng([seed, 0, number])).values
         for number in range(glow.memory + camera.fields_per_frame - 1)
     ]
-    last = list(_seen(screen, at_plate, np.random.default_rng([seed, 0, len(earlier)])))
+    last = list(_images_after_stages(screen, at_plate, np.random.default_rng([seed, 0, len(earlier)])))
     yield from last
-    shown = lingering(np.stack([*earlier, last[-1][2]]), glow.weights)
+    shown = apply_phosphor_decay(np.stack([*earlier, last[-1][2]]), glow.weights)
     yield "afterglow", QUANTITIES["afterglow"], shown[-1]
-    yield from _seen(chain.part("scan", "video"), Light(values=shown), np.random.default_rng([seed, 1, 0]))
+    yield from _images_after_stages(
+        chain.part("scan", "video"), Light(values=shown), np.random.default_rng([seed, 1, 0])
+    )
 
 
-def _seen(
+def _images_after_stages(
     chain: Chain, light: Light, rng: np.random.Generator, quantities: dict[str, str] = QUANTITIES
-) -> Iterator[StageImage]:
+) -> Iterator[NamedImage]:
     for stage, after in zip(chain.stages, chain.steps(light, rng), strict=True):
-        yield _shown(stage.name, after, quantities)
+        yield _image_of(stage.name, after, quantities)
 
 
-def _shown(name: str, light: Light, quantities: dict[str, str] = QUANTITIES) -> StageImage:
+def _image_of(name: str, light: Light, quantities: dict[str, str] = QUANTITIES) -> NamedImage:
     """The image as it is, without the margins of its cells and with the blurs that it still owes."""
-    image, grid = light.paid().values, light.grid
+    image, grid = light.with_blurs_applied().values, light.grid
     image = image[-1] if image.ndim > 2 else image
     if grid is not None:
         top, left = grid.margin_rows * grid.per_row, grid.margin_columns * grid.per_column

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from simulate.iiccd import pattern
-from simulate.iiccd.light import Light
-from simulate.iiccd.transfer import Blur
+from simulate.iiccd.stage_image import StageImage
+from simulate.iiccd.transfer import StageBlur
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,7 +26,7 @@ class Taper:
     """
 
     transmission: float
-    blur: Blur
+    blur: StageBlur
     pattern_contrast: float = 0.0
     pattern_pitch_um: float = 750.0
     line_um: float = 6.0
@@ -35,7 +35,7 @@ class Taper:
     takes: str = "screen photons"
     emits: str = "screen photons"
 
-    def mean(self, light: Light) -> Light:
+    def mean(self, light: StageImage) -> StageImage:
         """Return photons per cell at the small end, owing the blur.
 
         The pattern is laid on before the blurs still owed, which soften it a little more than in reality.
@@ -43,9 +43,11 @@ class Taper:
         values = light.values * np.asarray(self.transmission, light.values.dtype)
         if self.pattern_contrast > 0.0 and light.grid is not None:
             pitch_mm, line_mm = self.pattern_pitch_um * 1e-3, self.line_um * 1e-3
-            values *= pattern.honeycomb(light.grid, self.pattern_contrast, pitch_mm, line_mm, self.demagnification)
+            values *= pattern.multifibre_transmission(
+                light.grid, self.pattern_contrast, pitch_mm, line_mm, self.demagnification
+            )
         return light.with_values(values).blurred(self.blur)
 
-    def draw(self, light: Light, rng: np.random.Generator) -> Light:
+    def draw(self, light: StageImage, rng: np.random.Generator) -> StageImage:
         """Return the mean; the photons' noise is drawn where they are detected."""
         return self.mean(light)

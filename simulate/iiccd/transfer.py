@@ -14,7 +14,7 @@ CORRECTED_MHZ = 4.5
 REPLICA_GROUPS, FAINT_TRANSFER = ((1, 1), (2, 2), (3, 4), (5, 8), (9, 16), (17, 32)), 1e-3
 
 
-class Blur(Protocol):
+class StageBlur(Protocol):
     """A linear, shift-invariant blur. Values are hashable, so that products of transfers can be kept."""
 
     def transfer(self, fx_per_mm: Array, fy_per_mm: Array) -> Array:
@@ -73,7 +73,7 @@ class Defocus:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Flight:
+class GapSpread:
     """Sideways flight across the proximity gap: exp(-(pi f rho)^2), rho its radius in um at the plate."""
 
     radius_um: float
@@ -98,7 +98,7 @@ class TubeShare:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Halo:
+class HaloBlur:
     """Photoelectrons that bounce off the plate and land again, up to twice the gap away.
 
     Notes
@@ -153,7 +153,7 @@ class PixelAperture:
         return np.sinc(fx_per_mm * self.width_mm) * np.sinc(fy_per_mm * self.height_mm)
 
 
-def product(blurs: tuple[Blur, ...], fx: Array, fy: Array) -> NDArray[np.float64]:
+def product(blurs: tuple[StageBlur, ...], fx: Array, fy: Array) -> NDArray[np.float64]:
     """Return the transfer of blurs that follow each other, at frequencies of one shape, cycles/mm."""
     whole = np.ones(fx.shape)
     for blur in blurs:
@@ -161,8 +161,8 @@ def product(blurs: tuple[Blur, ...], fx: Array, fy: Array) -> NDArray[np.float64
     return whole
 
 
-def folded_transfer(
-    blurs: tuple[Blur, ...], aperture: PixelAperture, fx: Array, fy: Array, *, cell_x_mm: float, cell_y_mm: float
+def fold_transfer(
+    blurs: tuple[StageBlur, ...], aperture: PixelAperture, fx: Array, fy: Array, *, cell_x_mm: float, cell_y_mm: float
 ) -> NDArray[np.float64]:
     """Transfer from a lattice of cells to pixels whose noise is that of events which fall anywhere inside the cells.
 
@@ -221,7 +221,7 @@ def _aperture_power(frequency: Array, width_mm: float, cell_mm: float) -> tuple[
     return replicas, powers
 
 
-def _largest(blurs: tuple[Blur, ...], fx: Array, fy: Array) -> float:
+def _largest(blurs: tuple[StageBlur, ...], fx: Array, fy: Array) -> float:
     """Largest transfer of blurs on a few of the frequencies."""
     few_x, few_y = (np.append(f[:: max(1, f.size // 16)], f[np.argmin(np.abs(f))]) for f in (fx, fy))
     return float(np.abs(product(blurs, *np.broadcast_arrays(few_x[None, :], few_y[:, None]))).max())

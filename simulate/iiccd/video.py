@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata.errors import BadInput
-from simulate.iiccd.back_end import codes, curved, refuse_impossible_digitiser
-from simulate.iiccd.light import Light
+from simulate.iiccd.back_end import apply_gamma, digitise, refuse_impossible_digitiser
+from simulate.iiccd.stage_image import StageImage
 from simulate.iiccd.transfer import VideoFilter
 
 # A parabola through three pixels describes shifts well below a pixel only.
@@ -62,30 +62,32 @@ class Video:
         """Highest code, DN."""
         return 2**self.bit_depth - 1
 
-    def mean(self, light: Light) -> Light:
+    def mean(self, light: StageImage) -> StageImage:
         """Return the level, DN, neither rounded nor clipped at the ends of the scale."""
-        signal = filtered(light.values, self.low_pass.impulse_response())
+        signal = filter_lines(light.values, self.low_pass.impulse_response())
         if self.sync_jitter_px > 0.0:
             signal += np.float32(0.5 * self.sync_jitter_px**2) * _bend(signal)
         return light.with_values(self._level(signal))
 
-    def draw(self, light: Light, rng: np.random.Generator) -> Light:
+    def draw(self, light: StageImage, rng: np.random.Generator) -> StageImage:
         """Return whole DN between 0 and full scale, uint8 or uint16."""
-        signal = filtered(light.values, self.low_pass.impulse_response())
+        signal = filter_lines(light.values, self.low_pass.impulse_response())
         if self.sync_jitter_px > 0.0:
             late = self.sync_jitter_px * rng.standard_normal((*signal.shape[:-1], 1), dtype=np.float32)
-            signal = shifted(signal, late)
+            signal = shift_lines(signal, late)
         level = self._level(signal)
         if self.line_noise_dn > 0.0:
             level += np.float32(self.line_noise_dn) * rng.standard_normal((*level.shape[:-1], 1), dtype=np.float32)
-        return light.with_values(codes(level, self.bit_depth))
+        return light.with_values(digitise(level, self.bit_depth))
 
     def _level(self, signal: NDArray[np.float32]) -> NDArray[np.float32]:
         signal = signal * np.float32(self.conversion_gain_dn_per_e * self.gain)
-        return curved(signal, self.gamma, self.full_scale_dn - self.black_level_dn) + np.float32(self.black_level_dn)
+        return apply_gamma(signal, self.gamma, self.full_scale_dn - self.black_level_dn) + np.float32(
+            self.black_level_dn
+        )
 
 
-def shifted(lines: NDArray[np.float32], late_px: NDArray[np.float32]) -> NDArray[np.float32]:
+def shift_lines(lines: NDArray[np.float32], late_px: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return lines (..., col) that start late by less than a pixel, (..., 1), by a parabola through three pixels."""
     slope = 0.5 * (_neighbour(lines, 1) - _neighbour(lines, -1))
     return (lines - late_px * slope + np.float32(0.5) * late_px**2 * _bend(lines)).astype(np.float32)
@@ -102,7 +104,7 @@ def _neighbour(lines: NDArray[np.float32], step: int) -> NDArray[np.float32]:
     return moved
 
 
-def filtered(lines: NDArray, impulse_response: NDArray[np.floating]) -> NDArray[np.float32]:
+def filter_lines(lines: NDArray, impulse_response: NDArray[np.floating]) -> NDArray[np.float32]:
     """Return lines (..., col) through a causal filter; before its first pixel a line is like its first pixel."""
     significant = np.flatnonzero(np.abs(impulse_response) > 1e-7)
     taps = impulse_response[: significant[-1] + 1].astype(np.float32)

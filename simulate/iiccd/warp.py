@@ -54,7 +54,7 @@ class Radial:
         return x_mm * shrink, y_mm * shrink, shrink / (1.0 + 3.0 * stretch)
 
 
-def places(grid: Grid) -> tuple[Array, Array]:
+def cell_centres(grid: Grid) -> tuple[Array, Array]:
     """Return x (1, col) and y (row, 1) of cell centres about the middle of the picture, mm at the photocathode."""
     rows, columns = grid.shape
     x = (np.arange(columns) + 0.5) / grid.per_column - grid.margin_columns - 0.5 * grid.columns
@@ -67,7 +67,7 @@ def corner_mm(grid: Grid) -> float:
     return 0.5 * float(np.hypot(grid.columns * grid.pitch_x_mm, grid.rows * grid.pitch_y_mm))
 
 
-def fetched(image: NDArray, grid: Grid, x_mm: Array, y_mm: Array, *, order: int) -> NDArray[np.float32]:
+def resample_image(image: NDArray, grid: Grid, x_mm: Array, y_mm: Array, *, order: int) -> NDArray[np.float32]:
     """Return an image whose cells show what lies at other places of it; beyond its border it goes on as it ends.
 
     Parameters

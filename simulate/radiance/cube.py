@@ -43,7 +43,7 @@ class RadianceCube:
         object.__setattr__(self, "wavelength_nm", read_only(wavelength))
         object.__setattr__(self, "radiance", read_only(radiance))
 
-    def weighted(self, weight: NDArray[np.floating]) -> NDArray[np.float32]:
+    def sum_bands(self, weight: NDArray[np.floating]) -> NDArray[np.float32]:
         """Return the sum over bands with weights (band,), shape (row, col)."""
         return np.tensordot(weight.astype(np.float32), self.radiance.astype(np.float32, copy=False), axes=1)
 

@@ -17,7 +17,7 @@ from numba.core import types
 from numpy.typing import NDArray
 
 from labdata.errors import BadInput
-from simulate.radiance.uncounted import uncounted
+from simulate.radiance.no_reference_count import without_reference_count
 
 # Numbers of Embree 4's C interface: kinds of geometry and of buffers, and formats.
 TRIANGLES, INSTANCE, INDEX, VERTEX, UINT3, FLOAT3, ROWS_3X4 = 0, 121, 0, 1, 0x5003, 0x9003, 0x9134
@@ -148,15 +148,15 @@ class EmbreeScene:
         Distances are those of the triangles' planes in double precision.
         """
         face, range_m = np.empty(len(origin), np.int64), np.empty(len(origin))
-        _hits(self.address, self.centre_m, planes, (origin, direction), new_packets(PACKET), face, range_m)
+        _trace_hits(self.address, self.centre_m, planes, (origin, direction), new_packets(PACKET), face, range_m)
         return face, range_m
 
-    def blocked(
+    def is_occluded(
         self, origin: NDArray[np.float64], direction: NDArray[np.float64], reach: NDArray[np.float64]
     ) -> NDArray[np.bool_]:
         """Return whether rays hit anything within so many lengths of their directions, shape (ray,)."""
         found = np.empty(len(origin), np.bool_)
-        _blocked(self.address, self.centre_m, (origin, direction, reach), new_packets(PACKET), found)
+        _trace_occlusions(self.address, self.centre_m, (origin, direction, reach), new_packets(PACKET), found)
         return found
 
 
@@ -195,7 +195,7 @@ def new_packets(rays: int) -> NDArray[np.float32]:
 
 
 @numba.njit(**INLINED)
-def aim(packets, slot, centre, origin, direction, reach):
+def set_ray(packets, slot, centre, origin, direction, reach):
     """Set one ray: how far it may go is in lengths of its direction."""
     packet, lane = slot >> BITS, slot & (PACKET - 1)
     for axis in range(3):
@@ -208,20 +208,20 @@ def aim(packets, slot, centre, origin, direction, reach):
 def intersect(scene, packets, many):
     """Find what the first so many rays hit: `triangle_of` tells."""
     for packet in range((many + PACKET - 1) >> BITS):
-        rays = _counted(packets, packet, many)
+        rays = _prepare_packet(packets, packet, many)
         _intersect(rays + 4 * VALID * PACKET, scene, rays, 0)
 
 
 @numba.njit(**INLINED)
-def stop(scene, packets, many):
-    """Find which of the first so many rays are stopped: `stopped` tells."""
+def trace_occlusion(scene, packets, many):
+    """Find which of the first so many rays are stopped: `is_ray_occluded` tells."""
     for packet in range((many + PACKET - 1) >> BITS):
-        rays = _counted(packets, packet, many)
+        rays = _prepare_packet(packets, packet, many)
         _occluded(rays + 4 * VALID * PACKET, scene, rays, 0)
 
 
 @numba.njit(**INLINED)
-def _counted(packets, packet, many):
+def _prepare_packet(packets, packet, many):
     """Set which rays of a packet count and that none has hit, and return its address."""
     number = packets.view(np.int32)
     for lane in range(PACKET):
@@ -263,20 +263,20 @@ def plane_of(planes, face):
 
 
 @numba.njit(**INLINED)
-def stopped(packets, slot):
+def is_ray_occluded(packets, slot):
     """Return whether a ray was stopped."""
     return packets[slot >> BITS, REACH, slot & (PACKET - 1)] < 0.0
 
 
 @numba.njit(**COMPILED)
-def _hits(scene, centre, planes, rays, packets, face, range_m):
-    planes = uncounted(planes)
-    origin, direction = uncounted(rays)
-    packets = uncounted(packets)
+def _trace_hits(scene, centre, planes, rays, packets, face, range_m):
+    planes = without_reference_count(planes)
+    origin, direction = without_reference_count(rays)
+    packets = without_reference_count(packets)
     for first in range(0, len(face), PACKET):
         many = min(PACKET, len(face) - first)
         for slot in range(many):
-            aim(packets, slot, centre, origin[first + slot], direction[first + slot], np.inf)
+            set_ray(packets, slot, centre, origin[first + slot], direction[first + slot], np.inf)
         intersect(scene, packets, many)
         for slot in range(many):
             i = first + slot
@@ -295,13 +295,13 @@ def _hits(scene, centre, planes, rays, packets, face, range_m):
 
 
 @numba.njit(**COMPILED)
-def _blocked(scene, centre, rays, packets, found):
-    origin, direction, reach = uncounted(rays)
-    packets = uncounted(packets)
+def _trace_occlusions(scene, centre, rays, packets, found):
+    origin, direction, reach = without_reference_count(rays)
+    packets = without_reference_count(packets)
     for first in range(0, len(found), PACKET):
         many = min(PACKET, len(found) - first)
         for slot in range(many):
-            aim(packets, slot, centre, origin[first + slot], direction[first + slot], reach[first + slot])
-        stop(scene, packets, many)
+            set_ray(packets, slot, centre, origin[first + slot], direction[first + slot], reach[first + slot])
+        trace_occlusion(scene, packets, many)
         for slot in range(many):
-            found[first + slot] = stopped(packets, slot)
+            found[first + slot] = is_ray_occluded(packets, slot)

@@ -10,7 +10,7 @@ from labdata.errors import BadInput
 from simulate.radiance.materials.material import Material
 
 if TYPE_CHECKING:
-    from simulate.radiance.world.description.scene import Scene
+    from simulate.radiance.outdoor.description.scene import OutdoorScene
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,7 +108,7 @@ class LabScene:
             )
 
 
-def load_scene(name_or_path: str | Path = "bench") -> "LabScene | Scene":
+def load_scene(name_or_path: str | Path = "bench") -> "LabScene | OutdoorScene":
     """Return a scene by the name of a shipped one, or from a TOML file: a lab bench, or one out of doors with a camera.
 
     Raises
@@ -135,15 +135,15 @@ def load_bench(name_or_path: str | Path = "bench") -> LabScene:
     return scene
 
 
-def _read(path: Path) -> "LabScene | Scene":
-    from labdata.border import from_mapping, read_toml
+def _read(path: Path) -> "LabScene | OutdoorScene":
+    from labdata.serialiser import from_mapping, read_toml
 
     mapping = read_toml(path)
     if "camera" not in mapping:
         return from_mapping(mapping, LabScene, where=path.name)
-    from simulate.radiance.world.description.scene import Scene
+    from simulate.radiance.outdoor.description.scene import OutdoorScene
 
     place = mapping.get("place")
     if isinstance(place, dict) and isinstance(place.get("time"), datetime):
         place["time"] = place["time"].isoformat()
-    return replace(from_mapping(mapping, Scene, where=path.name), folder=str(path.parent))
+    return replace(from_mapping(mapping, OutdoorScene, where=path.name), folder=str(path.parent))

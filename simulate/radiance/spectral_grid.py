@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from labdata.errors import BadInput
 from simulate.radiance.cube import band_widths
-from simulate.radiance.spectrum import Spectrum
+from simulate.radiance.spectrum import SourceSpectrum
 
 # Step of the fine grid on which errors are judged, besides the knots of all tables.
 FINE_NM = 1.0
@@ -18,7 +18,7 @@ LINE_FOOT_NM = 4.0
 
 
 def spectral_grid(
-    sources: Sequence[Spectrum],
+    sources: Sequence[SourceSpectrum],
     response_nm: ArrayLike,
     response: ArrayLike,
     *,
@@ -101,12 +101,12 @@ def _worst(
     grid: NDArray[np.float64],
     fine: NDArray[np.float64],
     factors: Sequence[NDArray[np.floating]],
-    sources: Sequence[Spectrum],
+    sources: Sequence[SourceSpectrum],
 ) -> tuple[float, float]:
     """Return the largest relative error of any source seen through any factor, and the wavelength of the next band.
 
     That is where the factor is farthest from the line between bands, in the interval that adds most to the error. A
-    source is averaged over bands (`Spectrum.on`), so that only the bending of a factor between bands is an error.
+    source is averaged over bands (`SourceSpectrum.on`), so that only the bending of a factor between bands is an error.
     """
     worst, place = 0.0, 0.0
     interval = np.clip(np.searchsorted(grid, fine, side="right") - 1, 0, grid.size - 2)

@@ -15,7 +15,7 @@ Table = tuple[ArrayLike, ArrayLike]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Spectrum:
+class SourceSpectrum:
     """Power of a source over wavelength; of what kind (W, W m-2, W m-2 sr-1) its owner says.
 
     Parameters
@@ -70,18 +70,18 @@ class Spectrum:
         power P at a band of width w adds P / w. So the sum of value times band width (`cube.band_widths`) times any
         function that is linear between the bands is its exact integral over the spectrum, on every grid.
         """
-        grid = checked_grid(wavelength_nm)
+        grid = require_grid(wavelength_nm)
         power = hat_integrals(grid, (self.wavelength_nm, self.density))
         for line, strength in zip(self.line_nm, self.line_power, strict=True):
             power += strength * _hats_at(grid, line)
         return power / band_widths(grid)
 
-    def scaled(self, factor: float) -> "Spectrum":
+    def scaled(self, factor: float) -> "SourceSpectrum":
         """Return the spectrum with all powers times a factor."""
         powers = tuple(factor * power for power in self.line_power)
         return replace(self, density=factor * self.density, line_power=powers)
 
-    def filtered(self, factor: Callable[[NDArray[np.floating]], NDArray[np.floating]]) -> "Spectrum":
+    def filtered(self, factor: Callable[[NDArray[np.floating]], NDArray[np.floating]]) -> "SourceSpectrum":
         """Return the spectrum times a function of wavelength, nm: a filter, a reflectance."""
         shares = factor(np.asarray(self.line_nm, float)) if self.line_nm else np.empty(0)
         powers = tuple(float(share * power) for share, power in zip(shares, self.line_power, strict=True))
@@ -110,12 +110,12 @@ class Spectrum:
         return LUMENS_PER_WATT * self.through(EYE_NM, EYE_SHARE)
 
 
-def combined(parts: list[Spectrum]) -> Spectrum:
+def sum_spectra(parts: list[SourceSpectrum]) -> SourceSpectrum:
     """Return the sum of spectra, all lines kept."""
     fine = np.unique(np.concatenate([part.wavelength_nm for part in parts]))
     density = sum(np.interp(fine, part.wavelength_nm, part.density, left=0.0, right=0.0) for part in parts)
     lines = sorted((nm, p) for part in parts for nm, p in zip(part.line_nm, part.line_power, strict=True))
-    return Spectrum(
+    return SourceSpectrum(
         wavelength_nm=fine,
         density=np.asarray(density),
         line_nm=tuple(nm for nm, _ in lines),
@@ -123,7 +123,7 @@ def combined(parts: list[Spectrum]) -> Spectrum:
     )
 
 
-def checked_grid(wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+def require_grid(wavelength_nm: ArrayLike) -> NDArray[np.float64]:
     """Return a grid of wavelengths as an array, or refuse one that does not ascend or has fewer than two bands."""
     grid = np.atleast_1d(np.asarray(wavelength_nm, float))
     if grid.ndim != 1 or grid.size < 2:

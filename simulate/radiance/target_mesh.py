@@ -87,7 +87,7 @@ def target_mesh(kind: Kind, target: Target, holder: Holder, px_per_metre: float 
         return _pinhole(target, holder, px_per_metre)
     if kind in ("flat", "dark"):
         plate = _quad(-FAR_PX, FAR_PX, -FAR_PX, FAR_PX)
-        return _joined([(plate, OPEN if kind == "flat" else MASK)], 0.0, ())
+        return _triangulate([(plate, OPEN if kind == "flat" else MASK)], 0.0, ())
     raise BadInput(f"a lab target must be dark, flat, edge, bars or point, got {kind!r}")
 
 
@@ -108,7 +108,7 @@ def _bars(target: Target) -> TargetMesh:
         (_quad(right, FAR_PX, top, bottom), MASK),
     ]
     outlines = tuple(np.vstack([_quad(a, b, top, bottom), [[a, top]]]) for a, b in _pairs(edges)[::2])
-    return _joined(parts, target.angle_deg, outlines)
+    return _triangulate(parts, target.angle_deg, outlines)
 
 
 def _pairs(values: NDArray[np.floating]) -> list[tuple[float, float]]:
@@ -117,7 +117,7 @@ def _pairs(values: NDArray[np.floating]) -> list[tuple[float, float]]:
 
 def _edge(angle_deg: float) -> TargetMesh:
     parts = [(_quad(-FAR_PX, 0.0, -FAR_PX, FAR_PX), MASK), (_quad(0.0, FAR_PX, -FAR_PX, FAR_PX), OPEN)]
-    return _joined(parts, angle_deg, (np.array([[0.0, -FAR_PX], [0.0, FAR_PX]]),))
+    return _triangulate(parts, angle_deg, (np.array([[0.0, -FAR_PX], [0.0, FAR_PX]]),))
 
 
 def _pinhole(target: Target, holder: Holder, px_per_metre: float) -> TargetMesh:
@@ -129,17 +129,17 @@ def _pinhole(target: Target, holder: Holder, px_per_metre: float) -> TargetMesh:
     circle = swell * np.stack([np.cos(turns), np.sin(turns)], axis=1)
     hole = 0.5 * target.pinhole_px * circle
     inner, outer = holder.inner_radius_px * circle, holder.outer_radius_px * circle
-    disc = _joined([(np.vstack([[[0.0, 0.0]], hole[i : i + 2]]), OPEN) for i in range(CIRCLE)], 0.0, (hole,))
-    plate = _joined([(_quad(-FAR_PX, FAR_PX, -FAR_PX, FAR_PX), MASK)], 0.0, ())
-    ring = _joined(
+    disc = _triangulate([(np.vstack([[[0.0, 0.0]], hole[i : i + 2]]), OPEN) for i in range(CIRCLE)], 0.0, (hole,))
+    plate = _triangulate([(_quad(-FAR_PX, FAR_PX, -FAR_PX, FAR_PX), MASK)], 0.0, ())
+    ring = _triangulate(
         [(np.vstack([inner[i : i + 2], outer[[i + 1, i]]]), RING) for i in range(CIRCLE)], 0.0, (inner, outer)
     )
     # A plate cut into slivers about the hole would slow every ray: the open disc hides the plate behind it instead.
     behind = BEHIND_M * px_per_metre
-    return _stacked((disc, 0.0), (plate, behind), (ring, -holder.height_m * px_per_metre))
+    return _stack_layers((disc, 0.0), (plate, behind), (ring, -holder.height_m * px_per_metre))
 
 
-def _stacked(*layers: tuple[TargetMesh, float]) -> TargetMesh:
+def _stack_layers(*layers: tuple[TargetMesh, float]) -> TargetMesh:
     """Lay surfaces over each other at given depths, column pitches."""
     starts = np.cumsum([0, *(len(mesh.vertices) for mesh, _ in layers)])
     return TargetMesh(
@@ -154,7 +154,7 @@ def _quad(left: float, right: float, top: float, bottom: float) -> NDArray[np.fl
     return np.array([[left, top], [right, top], [right, bottom], [left, bottom]])
 
 
-def _joined(
+def _triangulate(
     parts: list[tuple[NDArray[np.float64], int]], angle_deg: float, outlines: tuple[NDArray[np.float64], ...]
 ) -> TargetMesh:
     """Fan each convex polygon into triangles and turn everything by an angle."""

@@ -6,11 +6,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.economy import Effect
+from simulate.effect_selection import OptionalEffect
 from simulate.radiance.blackbody import STEFAN_BOLTZMANN
-from simulate.radiance.world.description.objects import Object
-from simulate.radiance.world.description.slab import Slab
-from simulate.radiance.world.description.surroundings import Weather as State
+from simulate.radiance.outdoor.description.objects import Object
+from simulate.radiance.outdoor.description.slab import Slab
+from simulate.radiance.outdoor.description.surroundings import Weather as State
 from simulate.thermal.clear_day import sky_radiance
 from simulate.thermal.convection import ZERO_C, Exchange, vapour_pressure_pa
 from simulate.thermal.exposure import RING_SINE, Exposure, Facets
@@ -50,8 +50,8 @@ class Solution:
     kernel: Array
     shaded_k: Array
     shaded_kernel: Array
-    effects: tuple[Effect, ...] = ()
-    left_out: tuple[Effect, ...] = ()
+    effects: tuple[OptionalEffect, ...] = ()
+    left_out: tuple[OptionalEffect, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ class Balance:
         return self.direct_sunlight + self.weather.diffuse_w_m2[:, None] * self.exposure.sky
 
     @cached_property
-    def reflected_sunlight(self) -> Array:
+    def sunlight_by_reflection(self) -> Array:
         """Sunlight by way of one reflection, shape (step, facet), W m-2."""
         beyond = GROUND_REFLECTANCE * self.weather.global_w_m2[:, None] * self.exposure.beyond
         return self._reflect(self.sunlight) + beyond
@@ -144,14 +144,14 @@ class Balance:
         error by no less than (1 - F) h_r/(h_r + h).
         """
         tolerance = 1e-3 * tolerance_mk
-        rules = [self._prescribed_k(facet) for facet in range(len(self.facets))]
+        rules = [self._rule_temperature_k(facet) for facet in range(len(self.facets))]
         at_air = np.stack([self.weather.air_k if rule is None else rule for rule in rules], axis=1)
         free = np.flatnonzero([rule is None for rule in rules])
         kernel = np.zeros((DAY_STEPS, len(rules)))
         if not len(free):
             return Solution(faces_k=at_air, kernel=kernel, shaded_k=at_air[-1], shaded_kernel=kernel)
         columns = Columns.of([self.slabs[facet] for facet in free])
-        second, more = self._reflect(self.reflected_sunlight), 0.0
+        second, more = self._reflect(self.sunlight_by_reflection), 0.0
         faces, flux, passes = at_air, self._flux(at_air), 1
         while True:
             forcing = self._forcing(free, flux)
@@ -176,7 +176,8 @@ class Balance:
         }
         (left if by_two <= tolerance else terms)["sunlight by two reflections"] = by_two
         effects, left_out = (
-            tuple(Effect(name=name, influence=1e3 * size) for name, size in table.items()) for table in (terms, left)
+            tuple(OptionalEffect(name=name, influence=1e3 * size) for name, size in table.items())
+            for table in (terms, left)
         )
         forcing = self._forcing(free, flux - self.heating * self.direct_sunlight)
         shaded, shaded_kernel = np.array(at_air), np.zeros_like(kernel)
@@ -191,7 +192,7 @@ class Balance:
             left_out=left_out,
         )
 
-    def _prescribed_k(self, facet: int) -> Array | None:
+    def _rule_temperature_k(self, facet: int) -> Array | None:
         """The temperature that an object or else its slab prescribes, shape (step,), K; None where it is free."""
         slab, thing, air = self.slabs[facet], self.things[facet], self.weather.air_k
         for rules in (thing, slab):
@@ -218,7 +219,9 @@ class Balance:
     def _flux(self, faces_k: Array) -> Array:
         sky, neighbours = self.longwave(faces_k)
         return (
-            self.heating * (self.sunlight + self.reflected_sunlight) + self.emissivity * (sky + neighbours) + self._heat
+            self.heating * (self.sunlight + self.sunlight_by_reflection)
+            + self.emissivity * (sky + neighbours)
+            + self._heat
         )
 
     def _forcing(self, free: NDArray[np.int64], flux: Array, *, condensation: bool = True) -> Forcing:
@@ -248,10 +251,10 @@ class Balance:
         even = self.weather.longwave_w_m2[LAST, None] * self.exposure.sky
         return {
             "sun, with its shadows": self.heating * self.sunlight,
-            "sunlight by one reflection": self.heating * self.reflected_sunlight,
+            "sunlight by one reflection": self.heating * self.sunlight_by_reflection,
             "sky by its directions, not its mean": self.emissivity * (sky - even),
             "neighbours at their own temperatures": self.emissivity * (neighbours - self.longwave(at_air[LAST])[1]),
-            "evaporation": (self.absorptivity - self.heating) * (self.sunlight + self.reflected_sunlight),
+            "evaporation": (self.absorptivity - self.heating) * (self.sunlight + self.sunlight_by_reflection),
             "condensation": condensed,
             "heat sources": self._heat,
         }

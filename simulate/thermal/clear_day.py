@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from simulate.radiance.blackbody import STEFAN_BOLTZMANN
-from simulate.radiance.sky.ephemeris import AU_KM, Place, ephemeris
+from simulate.radiance.sky.ephemeris import AU_KM, ObserverLocation, ephemeris
 from simulate.thermal.convection import ZERO_C, vapour_pressure_pa
 
 Array = NDArray[np.float64]
@@ -22,13 +22,13 @@ CLOUD_EMISSIVITY = 0.9
 EVEN_SKY, NEWTON_STEPS = 1e-3, 12
 
 
-def sun_directions(place: Place, times: list[datetime]) -> tuple[Array, Array]:
+def sun_directions(place: ObserverLocation, times: list[datetime]) -> tuple[Array, Array]:
     """Return the sun's direction (time, 3), x east, y north, z up, and its distance (time,), au."""
     bodies = [ephemeris(place, time).sun for time in times]
     return np.array([body.direction for body in bodies]), np.array([body.distance_km / AU_KM for body in bodies])
 
 
-def solar_hour(place: Place, times: list[datetime]) -> Array:
+def solar_hour(place: ObserverLocation, times: list[datetime]) -> Array:
     """Return the local mean solar time, hours in [0, 24)."""
     return (np.array([time.timestamp() for time in times]) / 3600.0 + place.longitude_deg / 15.0) % 24.0
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from simulate.radiance.world.description.surroundings import ConvectionLaw
+from simulate.radiance.outdoor.description.surroundings import ConvectionLaw
 
 Array = NDArray[np.float64]
 ZERO_C = 273.15

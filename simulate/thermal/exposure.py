@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulate.radiance.embree import ROW
-from simulate.radiance.trace import NOTHING
-from simulate.radiance.transport.even import Even
-from simulate.radiance.transport.points import frames
-from simulate.radiance.world.surfaces import Surfaces
+from simulate.radiance.outdoor.surfaces import Surfaces
+from simulate.radiance.ray_tracer import NOTHING
+from simulate.radiance.transport.low_discrepancy import SequenceSlice
+from simulate.radiance.transport.shading_points import shading_frames
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -150,7 +150,7 @@ def spots_of(facets: Facets, rng: np.random.Generator) -> Spots:
         at = (np.arange(POINTS) + rng.random()) / POINTS * total[-1]
         picked.append(faces[np.minimum(np.searchsorted(total, at), len(faces) - 1)])
     face = np.concatenate(picked)
-    first, second = Even.drawn(len(facets), POINTS, rng).pairs().reshape(-1, 2).T
+    first, second = SequenceSlice.drawn(len(facets), POINTS, rng).pairs().reshape(-1, 2).T
     root = np.sqrt(first)
     weight = np.stack([1.0 - root, root * (1.0 - second), root * second], axis=1)
     return Spots.on(facets.surfaces, face, np.einsum("sc,sck->sk", weight, corners[face]))
@@ -170,12 +170,12 @@ def sun_cosines(surfaces: Surfaces, spots: Spots, sun: Array) -> Array:
     for time, way in enumerate(sun):
         lit = np.flatnonzero(found[time])
         if len(lit):
-            hidden = surfaces.tracer.blocked(spots.start_m[lit], np.broadcast_to(way, (len(lit), 3)))
+            hidden = surfaces.tracer.is_occluded(spots.start_m[lit], np.broadcast_to(way, (len(lit), 3)))
             found[time, lit[hidden]] = 0.0
     return found
 
 
-def view(surfaces: Surfaces, spots: Spots, even: Even) -> tuple[Array, Index]:
+def view(surfaces: Surfaces, spots: Spots, even: SequenceSlice) -> tuple[Array, Index]:
     """Return what spots see by rays of the cosine law.
 
     Returns
@@ -188,7 +188,7 @@ def view(surfaces: Surfaces, spots: Spots, even: Even) -> tuple[Array, Index]:
     pairs = even.pairs()
     radius, turn = np.sqrt(pairs[..., 0]), 2.0 * np.pi * pairs[..., 1]
     along = np.stack([radius * np.cos(turn), radius * np.sin(turn), np.sqrt(1.0 - pairs[..., 0])], axis=-1)
-    ways = (along @ frames(spots.normal)).reshape(-1, 3)
+    ways = (along @ shading_frames(spots.normal)).reshape(-1, 3)
     face = surfaces.tracer.first_hit(np.repeat(spots.start_m, even.rays, axis=0), ways)
     sky = np.flatnonzero((face == NOTHING) & (ways[:, 2] > 0.0))
     ring = np.minimum((ways[sky, 2] ** 2 * RINGS).astype(np.int64), RINGS - 1)
@@ -226,7 +226,7 @@ class Exposure:
 def exposure_of(facets: Facets, sun: Array, rng: np.random.Generator) -> Exposure:
     """Return what facets see of sun (directions of shape (time, 3)), sky and each other."""
     spots, count = spots_of(facets, rng), len(facets)
-    rings, face = view(facets.surfaces, spots, Even.drawn(len(spots.normal), RAYS, rng))
+    rings, face = view(facets.surfaces, spots, SequenceSlice.drawn(len(spots.normal), RAYS, rng))
     rings = rings.reshape(count, POINTS, RINGS).mean(axis=1)
     face = face.reshape(count, -1)
     viewer, ray = np.nonzero(face != NOTHING)

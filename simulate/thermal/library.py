@@ -6,13 +6,13 @@ from importlib import resources
 
 import numpy as np
 
-from labdata.border import from_mapping, read_toml
 from labdata.errors import BadInput
 from labdata.parameter import Parameter
+from labdata.serialiser import from_mapping, read_toml
+from simulate.radiance.outdoor.description.material import MaterialSpec
+from simulate.radiance.outdoor.description.scene import OutdoorScene
+from simulate.radiance.outdoor.description.slab import Slab
 from simulate.radiance.sky.sun import sun_spectrum
-from simulate.radiance.world.description.material import Surface
-from simulate.radiance.world.description.scene import Scene
-from simulate.radiance.world.description.slab import Slab
 
 
 @cache
@@ -23,7 +23,7 @@ def library() -> dict[str, Slab]:
     return {name: from_mapping(table | {"label": name}, Slab, where="library.toml") for name, table in tables.items()}
 
 
-def slab_of(scene: Scene, surface: Surface) -> Slab:
+def slab_of(scene: OutdoorScene, surface: MaterialSpec) -> Slab:
     """Return the slab of a material of a scene, its absorptivity known.
 
     Raises
@@ -53,7 +53,7 @@ def slab_of(scene: Scene, surface: Surface) -> Slab:
     return replace(slab, absorptivity=_absorptivity(surface))
 
 
-def _absorptivity(surface: Surface) -> Parameter:
+def _absorptivity(surface: MaterialSpec) -> Parameter:
     """1 minus the reflectance over the sun's spectrum; tables end before the sun does and are constant from there."""
     sun = sun_spectrum()
     nm = np.asarray(sun.wavelength_nm)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulate.radiance.blackbody import STEFAN_BOLTZMANN
-from simulate.radiance.world.description.slab import Slab
+from simulate.radiance.outdoor.description.slab import Slab
 from simulate.thermal.convection import ZERO_C, Exchange
 
 Array = NDArray[np.float64]

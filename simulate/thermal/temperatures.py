@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from labdata.errors import BadInput
 from simulate.radiance.blackbody import STEFAN_BOLTZMANN
-from simulate.radiance.trace import NOTHING
-from simulate.radiance.transport.even import Even, evenly
+from simulate.radiance.outdoor.built_scene import BuiltScene
+from simulate.radiance.outdoor.description.scene import OutdoorScene
+from simulate.radiance.outdoor.viewpoint import Viewpoint
+from simulate.radiance.ray_tracer import NOTHING
+from simulate.radiance.transport.low_discrepancy import SequenceSlice, low_discrepancy_points
 from simulate.radiance.transport.workers import workers
-from simulate.radiance.world.description.scene import Scene
-from simulate.radiance.world.site import Site
-from simulate.radiance.world.viewpoint import Viewpoint
 from simulate.thermal.balance import GROUND_REFLECTANCE, LAST, SUN_STEPS, Balance, Solution
 from simulate.thermal.convection import ZERO_C
 from simulate.thermal.exposure import Spots, exposure_of, facets_of, sun_cosines, view
@@ -91,11 +91,11 @@ class Temperatures:
         met = hit.met
         spots = Spots.on(surfaces, hit.face[met], origin[met] + hit.range_m[met, None] * towards[met])
         kelvin = np.full(len(row), np.nan, np.float32)
-        even = evenly(row[met], col[met], PIXEL_RAYS, [start])
+        even = low_discrepancy_points(row[met], col[met], PIXEL_RAYS, [start])
         kelvin[met] = self._spots_k(self.balance.facets.of_faces(hit.face[met]), spots, even)
         return kelvin.reshape(stop - start, -1)
 
-    def _spots_k(self, facet: NDArray[np.int64], spots: Spots, even: Even) -> Array:
+    def _spots_k(self, facet: NDArray[np.int64], spots: Spots, even: SequenceSlice) -> Array:
         """Temperatures of spots by what they see of sun, sky and surfaces, from the references of their facets, K."""
         facets, slots = self.balance.facets, np.arange(SLOT_STEPS // 2, DAY_STEPS, SLOT_STEPS)
         rings, face = view(facets.surfaces, spots, even)
@@ -124,7 +124,7 @@ class Temperatures:
         balance, weather, exposure = self.balance, self.balance.weather, self.balance.exposure
         heating, emissivity = balance.heating, balance.emissivity
         direct = (kernel * weather.direct_w_m2[LAST, None]).reshape(-1, SLOT_STEPS, kernel.shape[1]).sum(axis=1)
-        sunlight = (1.0 - balance.absorptivity) * (balance.sunlight + balance.reflected_sunlight)[LAST]
+        sunlight = (1.0 - balance.absorptivity) * (balance.sunlight + balance.sunlight_by_reflection)[LAST]
         longwave = balance.radiosity(self.solution.faces_k[LAST])
         ground = GROUND_REFLECTANCE * weather.global_w_m2[LAST], STEFAN_BOLTZMANN * weather.air_k[LAST] ** 4
         sun = heating * direct
@@ -160,7 +160,7 @@ class _Reference:
     beyond: Array
 
 
-def temperatures_of(scene: Scene, *, tolerance_mk: float = TOLERANCE_MK, seed: int = 0) -> Temperatures:
+def temperatures_of(scene: OutdoorScene, *, tolerance_mk: float = TOLERANCE_MK, seed: int = 0) -> Temperatures:
     """Return the surface temperatures of a scene.
 
     Parameters
@@ -177,7 +177,7 @@ def temperatures_of(scene: Scene, *, tolerance_mk: float = TOLERANCE_MK, seed: i
     BadInput
         If the scene lacks a place, weather with wind, or the slab of a material; if its weather file does not suit.
     """
-    weather, surfaces = weather_of(scene), Site(scene).surfaces
+    weather, surfaces = weather_of(scene), BuiltScene(scene).surfaces
     if not len(surfaces.mesh.faces):
         raise BadInput(f"a scene must have an object with a surface for temperatures, got none in {scene.name!r}")
     by_label = {surface.label: surface for surface in scene.material}

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from labdata.errors import BadInput
 from simulate.radiance.blackbody import STEFAN_BOLTZMANN
-from simulate.radiance.sky.ephemeris import EARTH_RADIUS_KM, Place
-from simulate.radiance.world.description.scene import Scene
-from simulate.radiance.world.description.surroundings import Weather as State
+from simulate.radiance.outdoor.description.scene import OutdoorScene
+from simulate.radiance.outdoor.description.surroundings import Weather as State
+from simulate.radiance.sky.ephemeris import EARTH_RADIUS_KM, ObserverLocation
 from simulate.thermal.clear_day import clear_sun, course, sky_emissivity, solar_hour, sun_directions, sun_under_cloud
 from simulate.thermal.convection import ZERO_C, dew_point_k
 from simulate.thermal.slab import STEP_S
@@ -48,7 +48,7 @@ class Weather:
         Where it comes from and what of it was modelled, in sentences.
     """
 
-    place: Place
+    place: ObserverLocation
     moment: datetime
     air_k: Array
     dew_point_k: Array
@@ -78,7 +78,7 @@ class Weather:
         return self.direct_w_m2 * np.maximum(self.sun[:, 2], 0.0) + self.diffuse_w_m2
 
 
-def weather_of(scene: Scene) -> Weather:
+def weather_of(scene: OutdoorScene) -> Weather:
     """Return the weather before a scene's time: a day, or the full days up to `MAX_DAYS` that its files cover.
 
     Raises
@@ -94,7 +94,9 @@ def weather_of(scene: Scene) -> Weather:
             "a scene must have a [weather] with wind_m_s or with a file for surface temperatures, got "
             f"{'none' if state is None else 'neither'} in {scene.name!r}"
         )
-    place = Place(latitude_deg=where.latitude_deg, longitude_deg=where.longitude_deg, altitude_m=where.altitude_m)
+    place = ObserverLocation(
+        latitude_deg=where.latitude_deg, longitude_deg=where.longitude_deg, altitude_m=where.altitude_m
+    )
     if not state.file:
         return _synthetic_day(state, place, where.moment)
     names = (state.file,) if isinstance(state.file, str) else state.file
@@ -105,7 +107,7 @@ def _times(moment: datetime, steps: int) -> list[datetime]:
     return [moment - timedelta(seconds=(steps - 1 - step) * STEP_S) for step in range(steps)]
 
 
-def _synthetic_day(state: State, place: Place, moment: datetime) -> Weather:
+def _synthetic_day(state: State, place: ObserverLocation, moment: datetime) -> Weather:
     """A day that passes through the state at the scene's time."""
     times = _times(moment, DAY_STEPS)
     sun, distance = sun_directions(place, times)
@@ -140,7 +142,7 @@ def _synthetic_day(state: State, place: Place, moment: datetime) -> Weather:
     )
 
 
-def weather_from_files(paths: list[Path], place: Place, moment: datetime, turbidity: float = 3.8) -> Weather:
+def weather_from_files(paths: list[Path], place: ObserverLocation, moment: datetime, turbidity: float = 3.8) -> Weather:
     """Return the weather of files up to a moment; see `weather_of`."""
     records = [read_weather(path, moment) for path in paths]
     names = ", ".join(record.name for record in records)
@@ -221,11 +223,11 @@ def _sunlight(record: Record, name: str, times: list[datetime], clear: Array) ->
     return clear * np.interp(seconds, middle, record.columns[name][lit] / mean[lit])
 
 
-def _pressure(place: Place) -> float:
+def _pressure(place: ObserverLocation) -> float:
     return float(STANDARD_HPA * np.exp(-place.altitude_m / SCALE_M))
 
 
-def _distance_km(one: Place, other: Place) -> float:
+def _distance_km(one: ObserverLocation, other: ObserverLocation) -> float:
     """Distance of two places, straight through the earth, km."""
     points = []
     for place in (one, other):

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata.errors import BadInput
-from simulate.radiance.sky.ephemeris import Place
+from simulate.radiance.sky.ephemeris import ObserverLocation
 from simulate.thermal.convection import ZERO_C, dew_point_k
 
 Array = NDArray[np.float64]
@@ -60,7 +60,7 @@ class Record:
     """
 
     name: str
-    place: Place
+    place: ObserverLocation
     time_s: Array
     columns: dict[str, Array]
     interval_s: float
@@ -183,5 +183,5 @@ def _read(rows: Sequence[Any], columns: Columns) -> dict[str, Array]:
     return found
 
 
-def _place(latitude: str, longitude: str | float, altitude: str) -> Place:
-    return Place(latitude_deg=float(latitude), longitude_deg=float(longitude), altitude_m=float(altitude))
+def _place(latitude: str, longitude: str | float, altitude: str) -> ObserverLocation:
+    return ObserverLocation(latitude_deg=float(latitude), longitude_deg=float(longitude), altitude_m=float(altitude))

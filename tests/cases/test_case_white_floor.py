@@ -8,7 +8,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from charact import noise
-from charact.measuring import context_of
+from charact.session_measurement import method_context
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
 from labdata.session import Session, StackEntry, open_session
@@ -53,7 +53,7 @@ def drawn(rng, blur, *, pulse_dn, floor_dn, bits, shape, frames=8, levels=(8.0, 
 
 def gains(session, seed):
     """Covariance gain and K of a session."""
-    result = noise.measure(session, context=context_of(session, quick=True, seed=seed))
+    result = noise.measure(session, context=method_context(session, quick=True, seed=seed))
     return [next(iter(result.find(name)), None) for name in ("covariance_gain", "conversion_gain")]
 
 
@@ -120,5 +120,5 @@ def test_blurs_of_other_forms_lie_in_the_interval(seed, blur):
 
 def test_a_camera_that_states_no_tube_is_told_nothing_of_pulses(seed):
     session = drawn(np.random.default_rng(seed), gaussian(0.9), pulse_dn=20.0, floor_dn=10.0, bits=14, shape=(112, 112))
-    result = noise.measure(session, context=context_of(session, quick=True, seed=1))
+    result = noise.measure(session, context=method_context(session, quick=True, seed=1))
     assert not result.find("pulse_gain") and not result.find("photoelectron_gain")

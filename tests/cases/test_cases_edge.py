@@ -8,7 +8,7 @@ import pytest
 
 from charact.method import Context
 from charact.mtf import measure
-from charact.mtf.codes import code_flags
+from charact.mtf.quantisation_checks import clipping_flags
 from labdata.frames import FrameStack
 from labdata.importers import read_frames
 
@@ -124,7 +124,7 @@ def test_clipping_at_the_data_s_own_ceiling(kind, cut):
     edge, _ = drawn(gaussian(1.2), 5.0)
     data = np.minimum(recorded(edge, 1), np.uint16(cut * 4095))
     data = {"left-shifted": data * np.uint16(16), "float": data / 4095.0, "below the top": data}[kind]
-    assert code_flags(data, None) == ("clipped",)
+    assert clipping_flags(data, None) == ("clipped",)
 
 
 @pytest.mark.parametrize("kind", ["float", "rounded", "averaged"])

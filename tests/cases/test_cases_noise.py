@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from charact import noise
-from charact.measuring import context_of
+from charact.session_measurement import method_context
 from labdata.session import open_session
 from labdata.solid_state import excess_noise_factor
 
@@ -32,7 +32,7 @@ def case(tmp_path):
 
 def measured(folder, quick=True):
     session = open_session(folder)
-    return noise.measure(session, context=context_of(session, quick=quick, seed=0))
+    return noise.measure(session, context=method_context(session, quick=quick, seed=0))
 
 
 def one(result, quantity, unit=None):

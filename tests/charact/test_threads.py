@@ -5,7 +5,7 @@ import scipy.linalg  # noqa: F401  # its library must be there to be counted
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from charact.method.registry import METHODS, register
-from charact.method.threads import on_one_thread
+from charact.method.threads import with_single_blas_thread
 from labdata.measurement import Result
 
 
@@ -20,12 +20,12 @@ def two_threads():
 
 
 def test_one_thread_while_it_works_and_two_after(two_threads):
-    assert on_one_thread(threads)() == {1}
+    assert with_single_blas_thread(threads)() == {1}
     assert threads() == {2}
 
 
 def test_a_method_that_fails_gives_the_threads_back(two_threads):
-    @on_one_thread
+    @with_single_blas_thread
     def failing() -> None:
         raise ValueError("on purpose")
 

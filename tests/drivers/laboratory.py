@@ -15,7 +15,7 @@ from drivers.errors import (
     InstrumentTripped,
 )
 from drivers.serial_lines.line import InstrumentLine
-from labdata.lamp import Lamp
+from labdata.lamp_calibration import LampCalibration
 from labdata.limits import Limits, limits_in_force
 from labdata.sensors import load_sensor
 from labdata.target import Target
@@ -33,7 +33,7 @@ EXCHANGE_S, ANSWER_S = 0.01, 0.4
 DENSITIES = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 0.0)
 """Of what stands in the wheel's positions; nobody calibrated the open hole, which is the last."""
 
-LAMP = Lamp(
+LAMP = LampCalibration(
     source="measured for this test",
     current_a=(1e-3, 1.0),
     illuminance_lux=(0.1, 100.0),
@@ -263,11 +263,11 @@ class Laboratory:
             self.placed_lux += share * (own_lux - self.placed_lux)
         elif lux != 0.0:
             self.lamp_a += share * (own_lux / LUX_PER_A * 10.0 ** DENSITIES[self.thought - 1] - self.lamp_a)
-        self._lit(lux)
+        self._illumination(lux)
 
     def burns(self, current_a: float, share: float) -> None:
         self.lamp_a += share * (current_a - self.lamp_a)
-        self._lit(LUX_PER_A * current_a * 10.0 ** -DENSITIES[self.thought - 1])
+        self._illumination(LUX_PER_A * current_a * 10.0 ** -DENSITIES[self.thought - 1])
 
     def opens_door(self, lux: float) -> None:
         """Light comes in, or less than before; more than before nobody has seen yet."""
@@ -275,7 +275,7 @@ class Laboratory:
             self.door_seen = self.door_noted = False
         self.door_lux = lux
 
-    def _lit(self, lux: float) -> None:
+    def _illumination(self, lux: float) -> None:
         self.light_shown = False
         if lux == 0.0:
             return
@@ -407,7 +407,7 @@ class Supply:
         self.line.answer(float)
 
     def look(self) -> None:
-        volts = self.measured_v()
+        volts = self.read_voltage_v()
         if self.is_on:
             self.check_on()
         if volts != (self.set if self.is_on else 0.0) and (self.set is not None or not self.is_on):
@@ -449,11 +449,11 @@ class Supply:
     def off(self) -> float:
         self.lab.between()
         self.order_off()
-        if (volts := self.measured_v()) > 0.0:
+        if (volts := self.read_voltage_v()) > 0.0:
             raise InstrumentRejected("the supply must switch off")
         return volts
 
-    def measured_v(self) -> float:
+    def read_voltage_v(self) -> float:
         return self.line.answer(lambda: self.lab.volts)
 
     def check_on(self) -> None:
@@ -463,7 +463,7 @@ class Supply:
     def _settled(self) -> float:
         self.set = self.lab.volts
         self.lab.between()
-        return self.measured_v()
+        return self.read_voltage_v()
 
 
 class LightSource:

@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from simulate.rig import aravis_library as aravis
-from simulate.rig.camera import LOOPBACK, hold_loopback
+from simulate.virtual_bench import aravis_library as aravis
+from simulate.virtual_bench.camera import LOOPBACK, hold_loopback
 from tests.drivers.fake_video import luma
 
 ROWS, COLUMNS, PERIOD_US = 61, 84, 10_000
@@ -23,7 +23,7 @@ PACKETS = 4 + 2
 def main(folder: Path, serial: str, parent: int, lost_packet_share: float) -> None:
     lock = hold_loopback(parent)
     description = folder / "camera.genicam.xml"
-    description.write_text(aravis.described(1e5))
+    description.write_text(aravis.genicam_description(1e5))
     wire = aravis.FakeCamera(LOOPBACK, serial, description)
     wire.lose_packets(lost_packet_share)
     for register, value in {

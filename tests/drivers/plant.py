@@ -20,9 +20,9 @@ from drivers.bench.state import RaiseGain
 from drivers.interface import FrameLevels
 from labdata.conditions import Conditions
 from labdata.gating import Gating
+from labdata.instrument_config import InstrumentConfig
 from labdata.meters import Meters
 from labdata.target import Target
-from labdata.wires import Wires
 
 _spec = importlib.util.spec_from_file_location("laboratory", Path(__file__).with_name("laboratory.py"))
 laboratory = importlib.util.module_from_spec(_spec)
@@ -76,7 +76,7 @@ class Plant:
         self.reactions = tuple(one for one in REACTIONS if one.name != without)
         self.has_lamp, self.has_meter, field_hz = kind % 3 == 2, kind % 3 > 0, FIELDS_HZ[kind // 3 % 2]
         self.lab = laboratory.Laboratory(has_lamp=self.has_lamp, between=self.between, lasts=self.passes)
-        wires = Wires(light="lamp", wheel="wheel") if self.has_lamp else Wires()
+        wires = InstrumentConfig(light="lamp", wheel="wheel") if self.has_lamp else InstrumentConfig()
         self.setup = BenchSetup(
             wires=wires,
             limits=limits,

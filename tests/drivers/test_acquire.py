@@ -10,19 +10,19 @@ import pytest
 from drivers.acquisition.acquire import acquire
 from drivers.acquisition.plan_check import bytes_of, check_plan, picture_of
 from drivers.errors import BenchError, CameraError, InstrumentTripped
-from labdata.adaptive import SaturationSearch, Until
-from labdata.border import from_toml
+from labdata.adaptive import SaturationSearch, StopCriterion
 from labdata.capture import CameraSettings
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.event_log import read_events
-from labdata.picture import Picture
+from labdata.frame_format import FrameFormat
+from labdata.instrument_config import InstrumentConfig
 from labdata.plan import Plan, Step
 from labdata.sensors import load_sensor
+from labdata.serialiser import from_toml
 from labdata.session import open_session
 from labdata.store import StackWriter
 from labdata.target import Target
-from labdata.wires import Wires
 
 _spec = importlib.util.spec_from_file_location("fake_rig", Path(__file__).with_name("fake_rig.py"))
 fake_rig = importlib.util.module_from_spec(_spec)
@@ -191,7 +191,7 @@ def test_a_changed_plan_is_not_resumed_but_other_wires_are(tmp_path):
     other = replace(PLAN, steps=(*PLAN.steps[:2], step("high", mcp_v=810.0)))
     with pytest.raises(BadInput, match="step 'high'"):
         take(FakeRig(), tmp_path / "s", other, resume=True)
-    take(FakeRig(), tmp_path / "s", replace(PLAN, wires=Wires(camera="another")), resume=True)
+    take(FakeRig(), tmp_path / "s", replace(PLAN, wires=InstrumentConfig(camera="another")), resume=True)
 
 
 def test_a_folder_with_a_session_is_not_written_over(tmp_path):
@@ -239,7 +239,7 @@ def test_a_judges_complaint_becomes_a_note_of_its_stack(tmp_path):
     assert [entry.notes for entry in session.stacks] == [(), ("too dark",), ()]
 
 
-ADAPTIVE = replace(step("level", frames=40), until=Until(mean_within_dn=0.1))
+ADAPTIVE = replace(step("level", frames=40), until=StopCriterion(mean_within_dn=0.1))
 
 
 def test_a_level_stops_when_its_judge_has_seen_enough_and_says_so(tmp_path):
@@ -379,7 +379,7 @@ def test_the_whole_plan_is_checked_before_anything_opens(tmp_path, wrong, rule):
 def test_a_picture_that_the_sensor_does_not_have_is_refused_before_anything_opens(tmp_path, picture, rule):
     rig = FakeRig()
     with pytest.raises(BadInput, match=rule):
-        plan = Plan(name="p", sensor="pulnix-ag5745ef3", picture=Picture(**picture), steps=(step("good"),))
+        plan = Plan(name="p", sensor="pulnix-ag5745ef3", picture=FrameFormat(**picture), steps=(step("good"),))
         take(rig, tmp_path / "s", plan)
     assert rig.diary == ["bench opens", "bench closes"]
 
@@ -387,14 +387,14 @@ def test_a_picture_that_the_sensor_does_not_have_is_refused_before_anything_open
 def test_the_camera_is_asked_for_the_picture_of_the_plan_and_for_the_whole_sensor_else(tmp_path):
     sensor = load_sensor("pulnix-ag5745ef3")
     plan = Plan(name="p", steps=(step("good"),))
-    part = replace(plan, picture=Picture(first_row=100, rows=200, pixel_format="Mono10p", trigger="Line1"))
+    part = replace(plan, picture=FrameFormat(first_row=100, rows=200, pixel_format="Mono10p", trigger="Line1"))
     whole = CameraSettings(first_row=0, first_column=0, rows=493, columns=768, pixel_format="Mono8")
     assert picture_of(plan, sensor) == whole
     assert picture_of(plan, None) == CameraSettings()
     assert picture_of(part, sensor) == replace(whole, first_row=100, rows=200, pixel_format="Mono10p", trigger="Line1")
     assert bytes_of(part, sensor) == 4 * 200 * 768 * 2
     rig = FakeRig()
-    take(rig, tmp_path / "s", replace(plan, picture=Picture(trigger="Line1")))
+    take(rig, tmp_path / "s", replace(plan, picture=FrameFormat(trigger="Line1")))
     assert rig.camera.settings.trigger == "Line1"
     assert from_toml(tmp_path / "s" / "plan.toml", Plan).picture.trigger == "Line1"
 
@@ -402,7 +402,7 @@ def test_the_camera_is_asked_for_the_picture_of_the_plan_and_for_the_whole_senso
 def test_codes_of_the_sensor_are_not_cut_to_a_narrower_format(tmp_path):
     sensor = load_sensor("pulnix-ag5745ef3")
     deep = replace(sensor, video=replace(sensor.video, bit_depth=12))
-    plan = Plan(name="p", picture=Picture(pixel_format="Mono10"), steps=(step("good"),))
+    plan = Plan(name="p", picture=FrameFormat(pixel_format="Mono10"), steps=(step("good"),))
     with pytest.raises(BadInput, match="pixel_format must hold the sensor's 12 bits, got Mono10 of 10"):
         check_plan(plan, tmp_path, deep)
 

@@ -11,14 +11,14 @@ from drivers.cameras.aravis.camera import AravisCamera
 from drivers.instruments.models import lines_on
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from labdata.lamp import Lamp
+from labdata.instrument_config import InstrumentConfig
+from labdata.lamp_calibration import LampCalibration
 from labdata.limits import Override, limits_in_force
 from labdata.plan import Plan, Step
 from labdata.sensors import load_sensor, save_sensor
 from labdata.target import Target
-from labdata.wires import Wires
-from simulate.rig import aravis_library
-from simulate.rig.bench import VirtualBench
+from simulate.virtual_bench import aravis_library
+from simulate.virtual_bench.bench import VirtualBench
 
 STEPS = (
     Step(label="dark", kind="dark", frames=3, conditions=Conditions(mcp_v=650.0, gate_ns=1.6e7)),
@@ -40,7 +40,7 @@ STEPS = (
 FAST = Override(limit="ramp_v_per_s", value=4000.0, reason="the virtual output moves faster than life")
 
 
-OTHERS = Wires(
+OTHERS = InstrumentConfig(
     bench="in-process",
     gate="dg535",
     supply="iseg",
@@ -49,7 +49,7 @@ OTHERS = Wires(
     light_meter="pm101",
     thermometer="ctc100",
 )
-LAMP = Lamp(
+LAMP = LampCalibration(
     source="photometer",
     current_a=(0.01, 1.0),
     illuminance_lux=(1e-2, 1.0),
@@ -82,7 +82,7 @@ def taken(folder, wires, lamp=None):
 
 @pytest.fixture(scope="module")
 def inside(tmp_path_factory):
-    return taken(tmp_path_factory.mktemp("inside") / "run", Wires(bench="in-process"))
+    return taken(tmp_path_factory.mktemp("inside") / "run", InstrumentConfig(bench="in-process"))
 
 
 def test_a_run_without_wires_is_whole_and_says_what_it_left_out(inside):
@@ -100,7 +100,7 @@ def test_light_and_gain_show_in_the_frames(inside):
 
 
 def test_a_run_without_wires_gives_the_same_frames_again(inside, tmp_path):
-    again, *_ = taken(tmp_path / "again", Wires(bench="in-process"))
+    again, *_ = taken(tmp_path / "again", InstrumentConfig(bench="in-process"))
     for entry in inside[0].stacks:
         assert np.array_equal(again.stack(entry.label).read().data, entry.read().data)
 
@@ -109,7 +109,7 @@ def test_a_run_without_wires_gives_the_same_frames_again(inside, tmp_path):
 @pytest.mark.aravis
 @pytest.mark.skipif(not aravis_library.is_available(), reason="the Aravis library is not on this machine")
 def test_a_run_over_real_wires_gives_the_same_frames_as_one_without(inside, tmp_path):
-    wired, left_out, gate_open, mcp_v = taken(tmp_path / "wired", Wires())
+    wired, left_out, gate_open, mcp_v = taken(tmp_path / "wired", InstrumentConfig())
     assert left_out == ()
     assert not gate_open
     assert mcp_v < 5.0
@@ -136,7 +136,7 @@ def test_the_other_gate_and_supply_with_lamp_wheel_and_meters_make_a_whole_bench
 
 def test_a_virtual_bench_keeps_its_specimen_and_refuses_another_seed(tmp_path):
     sensor = load_sensor("pulnix-ag5745ef3")
-    inside = Wires(bench="in-process")
+    inside = InstrumentConfig(bench="in-process")
     with VirtualBench(tmp_path / "bench", sensor, 5, wires=inside) as first:
         truth = first.truth()
     with VirtualBench(tmp_path / "bench", sensor, 5, wires=inside) as second:

@@ -5,14 +5,14 @@ from dataclasses import replace
 import pytest
 
 from drivers.acquisition.acquire import acquire
-from labdata.border import from_mapping, to_mapping
 from labdata.calibrated_gain import by_calibration, in_volts
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.gain_table import GainTable
 from labdata.plan import Plan, Step
 from labdata.sensors import load_sensor
-from labdata.sweep import SweepForm
+from labdata.serialiser import from_mapping, to_mapping
+from labdata.sweep import SweepRecord
 from tests.drivers.fake_rig import FakeRig
 
 # A tube whose gain goes as the tenth power of its voltage, so that the volts of a gain are known without the table.
@@ -80,7 +80,7 @@ def test_a_supply_at_the_end_of_the_table_may_read_a_volt_beyond_it():
 
 
 def test_a_plan_in_volts_is_kept_and_read_as_the_same_plan():
-    sweep = SweepForm(kind="flat", frames=3, luminous_gain=(1e3, 1e4), illuminance_lux=1e-5)
+    sweep = SweepRecord(kind="flat", frames=3, luminous_gain=(1e3, 1e4), illuminance_lux=1e-5)
     plan = in_volts(Plan(name="p", gain_table=TABLE, steps=sweep.steps()), None)
     assert [step.label for step in plan.steps] == ["flat-gain1000", "flat-gain10000"]
     assert from_mapping(to_mapping(plan), Plan) == plan == in_volts(plan, None)

@@ -16,13 +16,13 @@ from labdata.errors import BadInput
 from labdata.sensors import load_sensor
 from labdata.target import Target
 from simulate.lab import LabBench
-from simulate.rig import aravis_library
-from simulate.rig.camera_process import CameraProcess
-from simulate.rig.in_process_camera import InProcessCamera
-from simulate.rig.operator import VirtualOperator, read_placement
-from simulate.rig.outputs import GateOutput, publish_gate, publish_voltage, read_outputs
-from simulate.rig.truth_folder import TRUTH, make_truth
-from simulate.rig.tube import VirtualTube, frame_seed
+from simulate.virtual_bench import aravis_library
+from simulate.virtual_bench.camera_process import CameraProcess
+from simulate.virtual_bench.in_process_camera import InProcessCamera
+from simulate.virtual_bench.operator import VirtualOperator, read_placement
+from simulate.virtual_bench.outputs import GateOutput, publish_gate, publish_voltage, read_outputs
+from simulate.virtual_bench.truth_folder import TRUTH, load_or_draw_truth
+from simulate.virtual_bench.tube import VirtualTube, frame_seed
 
 pytestmark = [
     pytest.mark.wires,
@@ -39,7 +39,7 @@ def wired_bench(folder, *, rows, columns, seed=3):
     small = replace(sensor, ccd=replace(sensor.ccd, rows=rows, columns=columns))
     wires = folder / "wires"
     wires.mkdir(parents=True)
-    make_truth(folder / TRUTH, small, seed)
+    load_or_draw_truth(folder / TRUTH, small, seed)
     publish_gate(wires, OPEN)
     publish_voltage(wires, 750.0)
     return folder, wires

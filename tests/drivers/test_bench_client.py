@@ -10,8 +10,8 @@ import time
 
 import pytest
 
-from simulate.rig.outputs import read_outputs
-from simulate.rig.process import VirtualInstruments
+from simulate.virtual_bench.outputs import read_outputs
+from simulate.virtual_bench.process import VirtualInstruments
 
 pytestmark = pytest.mark.wires
 
@@ -21,7 +21,7 @@ CLIENT = """
     from drivers.bench.setup import open_bench
     from labdata import Conditions
     from labdata.limits import Limits
-    from labdata.wires import Wires
+    from labdata.instrument_config import Wires
     gate, supply, log = sys.argv[1:]
     with open_bench(Wires(gate_port=gate, supply_port=supply), Limits(ramp_v_per_s=8000.0), log=log) as bench:
         bench.set_conditions(Conditions(mcp_v=800.0, gate_ns=1.6e7))

@@ -11,17 +11,17 @@ from drivers.instruments.models import lines_on
 from drivers.interface import Bench, FrameLevels
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
+from labdata.instrument_config import InstrumentConfig
 from labdata.limits import Limits
 from labdata.meters import Meters
 from labdata.plan import Plan, Step
 from labdata.target import Target
-from labdata.wires import Wires
-from simulate.rig.faults import Faults
-from simulate.rig.in_process import InProcessInstruments
-from simulate.rig.power_meter import LUX_PER_W, NOISE_W
-from simulate.rig.thermometer import TEMPERATURE_C
+from simulate.virtual_bench.faults import Faults
+from simulate.virtual_bench.in_process import InProcessInstruments
+from simulate.virtual_bench.power_meter import LUX_PER_W, NOISE_W
+from simulate.virtual_bench.thermometer import TEMPERATURE_C
 
-WIRES = Wires(bench="in-process", light_meter="pm101", thermometer="ctc100")
+WIRES = InstrumentConfig(bench="in-process", light_meter="pm101", thermometer="ctc100")
 TRUE_LUX = 2e-4
 
 
@@ -34,7 +34,7 @@ def short_waits(monkeypatch):
 @pytest.fixture
 def virtual():
     instruments = InProcessInstruments(WIRES, time_scale=60.0)
-    instruments.ports["light-meter"].far_end().feel(lambda: TRUE_LUX)
+    instruments.ports["light-meter"].far_end().connect_light(lambda: TRUE_LUX)
     return instruments
 
 
@@ -108,7 +108,7 @@ def test_light_that_only_the_meter_sees_is_taken_for_light(virtual, tmp_path):
         bench.read_meters()
         with pytest.raises(BadInput, match="the light must be down before the gain goes up"):
             bench.set_conditions(Conditions(mcp_v=750.0))
-        virtual.ports["light-meter"].far_end().feel(lambda: 5.0)
+        virtual.ports["light-meter"].far_end().connect_light(lambda: 5.0)
         with pytest.raises(BenchError, match="the tube was made safe: the light must"):
             bench.read_meters()
         assert not virtual.outputs().gate_open

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from labdata.errors import BadInput
-from simulate.rig.camera import hold_loopback
+from simulate.virtual_bench.camera import hold_loopback
 
 NAME = f"charact-virtual-camera-{os.getuid()}.lock"
 PRECIOUS = "precious"
@@ -57,7 +57,7 @@ def test_a_file_of_another_user_is_refused(tmp_path):
 
 
 def test_one_process_holds_it_at_a_time_and_its_content_stays(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("simulate.rig.camera.LOCK_WAIT_S", 0.2)
+    monkeypatch.setattr("simulate.virtual_bench.camera.LOCK_WAIT_S", 0.2)
     (tmp_path / NAME).write_text(PRECIOUS)
     with (
         hold_loopback(os.getppid(), folder=tmp_path),

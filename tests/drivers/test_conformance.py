@@ -8,7 +8,7 @@ import pytest
 from charact.cli.virtual_pair import VirtualPair
 from drivers.instruments.conformance import rules_for
 from drivers.instruments.models import models
-from simulate.rig.models import virtual_models
+from simulate.virtual_bench.models import virtual_models
 
 pytestmark = pytest.mark.wires
 

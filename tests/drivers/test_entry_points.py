@@ -9,15 +9,15 @@ from charact.cli.virtual_pair import VirtualPair
 from drivers.instruments.conformance import rules_for
 from drivers.instruments.models import models
 from labdata.errors import BadInput
-from simulate.rig.models import virtual_models
+from simulate.virtual_bench.models import virtual_models
 
 pytestmark = pytest.mark.wires
 
 MODULE = """
     from drivers.instruments.models import InstrumentModel
     from drivers.serial_lines.line import FramedLine, KnownAnswer
-    from simulate.rig.models import VirtualModel
-    from simulate.rig.thermometer import Thermometer as Virtual
+    from simulate.virtual_bench.models import VirtualModel
+    from simulate.virtual_bench.thermometer import Thermometer as Virtual
 
     class Thermometer:
         def __init__(self, line):

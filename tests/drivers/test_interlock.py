@@ -21,11 +21,11 @@ from drivers.instruments.models import lines_on
 from drivers.interface import FrameLevels
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
+from labdata.instrument_config import InstrumentConfig
 from labdata.limits import Limits
 from labdata.target import Target
-from labdata.wires import Wires
-from simulate.rig.faults import Faults
-from simulate.rig.in_process import InProcessInstruments
+from simulate.virtual_bench.faults import Faults
+from simulate.virtual_bench.in_process import InProcessInstruments
 
 LIMITS = Limits(mcp_v=900.0, gate_ns=1.65e7, illuminance_lux=1e-2, ramp_v_per_s=10000.0)
 
@@ -62,12 +62,12 @@ def virtual():
 
 @pytest.fixture
 def lines(virtual):
-    return lines_on(virtual.ports, Wires())
+    return lines_on(virtual.ports, InstrumentConfig())
 
 
 @pytest.fixture
 def bench(lines, tmp_path):
-    return open_bench(Wires(bench="in-process"), LIMITS, log=tmp_path / "safety.jsonl", lines=lines)
+    return open_bench(InstrumentConfig(bench="in-process"), LIMITS, log=tmp_path / "safety.jsonl", lines=lines)
 
 
 def test_conditions_are_read_back_and_reach_the_tube(bench, virtual):
@@ -92,7 +92,7 @@ def test_what_is_not_asked_for_is_off(bench, virtual):
 def test_the_gate_is_shut_whenever_the_gain_moves(virtual, lines, tmp_path, first_v, then_v):
     witness = Witness(virtual)
     lines = {role: witness.wrap(line) for role, line in lines.items()}
-    with open_bench(Wires(bench="in-process"), LIMITS, log=tmp_path / "log", lines=lines) as bench:
+    with open_bench(InstrumentConfig(bench="in-process"), LIMITS, log=tmp_path / "log", lines=lines) as bench:
         bench.set_conditions(Conditions(mcp_v=first_v, gate_ns=1e6))
         witness.seen.clear()
         bench.set_conditions(Conditions(mcp_v=then_v, gate_ns=2e6))
@@ -106,7 +106,7 @@ def test_the_gate_is_shut_whenever_the_gain_moves(virtual, lines, tmp_path, firs
 def test_no_step_up_is_larger_than_50_v_nor_faster_than_the_limit(virtual, lines, tmp_path):
     witness = Witness(virtual)
     lines = {role: witness.wrap(line) for role, line in lines.items()}
-    with open_bench(Wires(), Limits(ramp_v_per_s=1000), log=tmp_path / "log", lines=lines) as bench:
+    with open_bench(InstrumentConfig(), Limits(ramp_v_per_s=1000), log=tmp_path / "log", lines=lines) as bench:
         began_s = time.monotonic()
         bench.set_conditions(Conditions(mcp_v=650))
         assert time.monotonic() - began_s >= 0.6
@@ -218,13 +218,13 @@ def test_every_safety_step_is_logged(bench, tmp_path):
 
 def test_the_wires_left_out_are_named(bench, tmp_path):
     assert bench.wires_left_out
-    on_wires = open_bench(Wires(gate_port="/dev/a", supply_port="/dev/b"), LIMITS, log=tmp_path / "log")
+    on_wires = open_bench(InstrumentConfig(gate_port="/dev/a", supply_port="/dev/b"), LIMITS, log=tmp_path / "log")
     assert on_wires.wires_left_out == ()
 
 
 def test_a_bench_needs_ports(tmp_path):
     with pytest.raises(BadInput, match="must have its serial port, got none for gate_port and supply_port"):
-        open_bench(Wires(), LIMITS, log=tmp_path / "log")
+        open_bench(InstrumentConfig(), LIMITS, log=tmp_path / "log")
 
 
 class Hands:

@@ -13,15 +13,15 @@ from drivers.instruments.models import lines_on
 from drivers.interface import FrameLevels
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from labdata.lamp import Lamp
+from labdata.instrument_config import InstrumentConfig
+from labdata.lamp_calibration import LampCalibration
 from labdata.limits import Limits
 from labdata.target import Target
-from labdata.wires import Wires
-from simulate.rig.faults import Faults
-from simulate.rig.in_process import InProcessInstruments
+from simulate.virtual_bench.faults import Faults
+from simulate.virtual_bench.in_process import InProcessInstruments
 
-WIRES = Wires(bench="in-process", light="dc2100", wheel="fw102c")
-LAMP = Lamp(
+WIRES = InstrumentConfig(bench="in-process", light="dc2100", wheel="fw102c")
+LAMP = LampCalibration(
     source="photometer",
     current_a=(0.01, 0.1, 1.0),
     illuminance_lux=(1e-2, 1e-1, 1.0),
@@ -151,7 +151,7 @@ def test_a_lamp_without_a_calibration_and_a_wheel_without_enough_filters_are_ref
     lines = lines_on(virtual.ports, WIRES)
     with pytest.raises(BadInput, match="a light source must have its calibration, got None"):
         open_bench(WIRES, LIMITS, log=tmp_path / "log", lines=lines)
-    many = Lamp(**{**vars(LAMP), "filter_density": tuple(float(each) for each in range(9))})
+    many = LampCalibration(**{**vars(LAMP), "filter_density": tuple(float(each) for each in range(9))})
     with (
         pytest.raises(BadInput, match="a position for each filter, got 6 for 9"),
         open_bench(WIRES, LIMITS, log=tmp_path / "log", lines=lines, lamp=many),

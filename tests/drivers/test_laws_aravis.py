@@ -10,7 +10,7 @@ from scipy.stats import binom
 
 from drivers.cameras.aravis.camera import AravisCamera
 from labdata.capture import CameraSettings, Frame
-from simulate.rig import aravis_library
+from simulate.virtual_bench import aravis_library
 from tests.drivers import pattern_camera
 from tests.drivers.camera_laws import Bench, CameraLaws, taken
 from tests.drivers.fake_video import luma

@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from labdata.instrument_config import InstrumentConfig
 from labdata.sensors import load_sensor
-from labdata.wires import Wires
-from simulate.rig.bench import VirtualBench
-from simulate.rig.in_process_camera import InProcessCamera
-from simulate.rig.outputs import Outputs
-from simulate.rig.tube import Scene, VirtualTube
+from simulate.virtual_bench.bench import VirtualBench
+from simulate.virtual_bench.in_process_camera import InProcessCamera
+from simulate.virtual_bench.outputs import Outputs
+from simulate.virtual_bench.tube import Scene, VirtualTube
 from tests.drivers.camera_laws import Bench, WaitingLaws
 
 
@@ -38,5 +38,5 @@ class TestInProcess(WaitingLaws):
             monkeypatch.setattr(VirtualTube, "expose", expose)
             return camera()
 
-        with VirtualBench(tmp_path, small, 3, wires=Wires(bench="in-process")):
+        with VirtualBench(tmp_path, small, 3, wires=InstrumentConfig(bench="in-process")):
             yield Bench(open=quick, quiet=slow, is_whole=lambda frame: frame.pixels.any())

@@ -8,7 +8,7 @@ import pytest
 
 from drivers.cameras.replay import LONGEST_PAUSE_S, ReplayCamera
 from drivers.errors import CameraError
-from labdata.capture import CameraSettings, Frame, lost_for
+from labdata.capture import CameraSettings, Frame, lost_frames_with_reason
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.session import open_session
@@ -30,7 +30,7 @@ def recorded(tmp_path_factory):
                 for number in numbers:
                     stack.append(luma(number), 100.0 + number * PERIOD_S, number)
                 missing = [number for one, later in pairwise(numbers) for number in range(one + 1, later)]
-                stack.finish(losses=lost_for("missing packets", missing))
+                stack.finish(losses=lost_frames_with_reason("missing packets", missing))
     return folder
 
 

@@ -17,11 +17,11 @@ from drivers.instruments.iseg import IsegLine
 from drivers.serial_lines.line import FramedLine
 from drivers.serial_lines.port import InheritedPort, SerialPort
 from drivers.serial_lines.prologix import PrologixLine
-from simulate.rig.high_voltage import HighVoltageSupply
-from simulate.rig.in_process import InProcessPort
-from simulate.rig.iseg import IsegSupply
-from simulate.rig.prologix import PrologixAdapter
-from simulate.rig.pseudo_terminal import PseudoTerminal
+from simulate.virtual_bench.high_voltage import HighVoltageSupply
+from simulate.virtual_bench.in_process import InProcessPort
+from simulate.virtual_bench.iseg import IsegSupply
+from simulate.virtual_bench.prologix import PrologixAdapter
+from simulate.virtual_bench.pseudo_terminal import PseudoTerminal
 
 ANSWER_S = 0.15
 KNOWN = b"a,b,c,d\r\n"
@@ -248,7 +248,7 @@ def test_a_ramp_ends_where_the_safe_action_takes_over_and_the_output_falls(modul
         ramping.join(5.0)
         assert isinstance(ended[0], BenchStopped)
         assert port.sent[-1] == order
-        assert supply.measured_v() < 120.0
+        assert supply.read_voltage_v() < 120.0
     line.release()
     supply.order_off()
     supply.look()

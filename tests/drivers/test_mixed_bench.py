@@ -5,13 +5,13 @@ import pytest
 from drivers.bench.setup import open_bench
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
+from labdata.instrument_config import InstrumentConfig
 from labdata.limits import Limits
 from labdata.sensors import load_sensor
-from labdata.wires import Wires
-from simulate.rig import aravis_library
-from simulate.rig.bench import VirtualBench
-from simulate.rig.faults import Faults
-from simulate.rig.process import VirtualInstruments
+from simulate.virtual_bench import aravis_library
+from simulate.virtual_bench.bench import VirtualBench
+from simulate.virtual_bench.faults import Faults
+from simulate.virtual_bench.process import VirtualInstruments
 
 pytestmark = pytest.mark.wires
 
@@ -26,7 +26,7 @@ def somewhere_else(tmp_path):
 def test_a_real_thermometer_is_read_next_to_a_virtual_tube(somewhere_else, tmp_path, monkeypatch):
     monkeypatch.setattr(aravis_library, "is_available", lambda: False)  # the camera has no part in this
     told: list[str] = []
-    wires = Wires(thermometer="ctc100", thermometer_port=somewhere_else)
+    wires = InstrumentConfig(thermometer="ctc100", thermometer_port=somewhere_else)
     with VirtualBench(
         tmp_path / "bench", load_sensor("pulnix-ag5745ef3"), 3, wires=wires, time_scale=20.0, say=told.append
     ) as virtual:

@@ -4,8 +4,8 @@ import pytest
 
 from drivers.bench.safe_state import make_safe
 from drivers.instruments import delay_generator, high_voltage
-from simulate.rig.faults import Faults
-from simulate.rig.in_process import InProcessInstruments
+from simulate.virtual_bench.faults import Faults
+from simulate.virtual_bench.in_process import InProcessInstruments
 
 
 @pytest.fixture

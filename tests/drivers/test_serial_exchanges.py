@@ -289,9 +289,9 @@ def test_words_where_a_number_belongs_are_confusion():
         Exchanges(("VOUT?", "OK")) as line,
         pytest.raises(InstrumentReplyError, match=r"VOUT\? with a number, got 'OK'"),
     ):
-        HighVoltage(line).measured_v()
+        HighVoltage(line).read_voltage_v()
 
 
 def test_a_voltage_that_is_not_finite_is_confusion():
     with Exchanges(("VOUT?", "nan")) as line, pytest.raises(InstrumentReplyError):
-        HighVoltage(line).measured_v()
+        HighVoltage(line).read_voltage_v()

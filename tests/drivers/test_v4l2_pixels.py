@@ -149,14 +149,14 @@ BY_HAND = [
 
 @pytest.mark.parametrize(("name", "pixels", "data"), BY_HAND)
 def test_packed_pixels_are_those_put_down_by_hand(name, pixels, data):
-    assert PACKINGS[name].unpacked(np.array(data, np.uint8), len(pixels)).tolist() == pixels
+    assert PACKINGS[name].unpack(np.array(data, np.uint8), len(pixels)).tolist() == pixels
 
 
 @pytest.mark.parametrize(("name", "pixels", "data"), BY_HAND)
 def test_a_group_cut_short_still_gives_the_pixels_it_holds(name, pixels, data):
     fewer = len(pixels) - 1
     size = PACKINGS[name].size_bytes(fewer)
-    assert PACKINGS[name].unpacked(np.array(data[:size], np.uint8), fewer).tolist() == pixels[:fewer]
+    assert PACKINGS[name].unpack(np.array(data[:size], np.uint8), fewer).tolist() == pixels[:fewer]
 
 
 @pytest.mark.parametrize(("name", "bits"), [("Mono10p", 10), ("Mono12p", 12)])
@@ -164,4 +164,4 @@ def test_pixels_without_gaps_come_back_from_any_bits(name, bits, seed):
     pixels = np.random.default_rng(seed).integers(0, 1 << bits, 1001)
     stream = (pixels[:, None] >> np.arange(bits) & 1).astype(np.uint8).reshape(-1)
     data = np.packbits(stream, bitorder="little")
-    assert np.array_equal(PACKINGS[name].unpacked(data, len(pixels)), pixels)
+    assert np.array_equal(PACKINGS[name].unpack(data, len(pixels)), pixels)

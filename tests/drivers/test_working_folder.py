@@ -9,17 +9,17 @@ from pathlib import Path
 import pytest
 
 from labdata.sensors import load_sensor
-from simulate.rig import aravis_library
-from simulate.rig.camera_process import CameraProcess
-from simulate.rig.process import VirtualInstruments
-from simulate.rig.truth_folder import TRUTH, make_truth
+from simulate.virtual_bench import aravis_library
+from simulate.virtual_bench.camera_process import CameraProcess
+from simulate.virtual_bench.process import VirtualInstruments
+from simulate.virtual_bench.truth_folder import TRUTH, load_or_draw_truth
 
 CHARACT = Path(sys.executable).with_name("charact")
 NAMES = ("serial", "json", "numpy", "socket", "pickle", "struct", "multiprocessing", "simulate", "labdata", "charact")
 FOCUS = """
 import charact.cli
 import charact.cli.application
-from charact.bench.focus_reader import FocusReader
+from charact.live.focus_reader import FocusReader
 from charact.method import Context
 
 def run():
@@ -77,6 +77,6 @@ def test_the_virtual_camera(hostile, tmp_path):
     sensor = load_sensor("pulnix-ag5745ef3")
     folder, wires = tmp_path / "bench", tmp_path / "bench" / "wires"
     wires.mkdir(parents=True)
-    make_truth(folder / TRUTH, replace(sensor, ccd=replace(sensor.ccd, rows=24, columns=36)), 3)
+    load_or_draw_truth(folder / TRUTH, replace(sensor, ccd=replace(sensor.ccd, rows=24, columns=36)), 3)
     with CameraProcess(folder, wires) as process:
         assert process.identifier

@@ -9,10 +9,10 @@ from drivers.bench.setup import open_bench
 from drivers.errors import BenchError, BenchServerLost, InstrumentDisconnected
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
+from labdata.instrument_config import InstrumentConfig
 from labdata.limits import Limits
-from labdata.wires import Wires
-from simulate.rig.outputs import read_outputs
-from simulate.rig.process import VirtualInstruments
+from simulate.virtual_bench.outputs import read_outputs
+from simulate.virtual_bench.process import VirtualInstruments
 
 pytestmark = pytest.mark.wires
 
@@ -32,11 +32,11 @@ def log(tmp_path):
 
 @pytest.fixture
 def bench(virtual, log):
-    return open_bench(Wires(gate_port=virtual.gate_port, supply_port=virtual.supply_port), LIMITS, log=log)
+    return open_bench(InstrumentConfig(gate_port=virtual.gate_port, supply_port=virtual.supply_port), LIMITS, log=log)
 
 
 def test_a_port_that_is_missing_is_told_at_once(virtual, log):
-    bench = open_bench(Wires(gate_port=virtual.gate_port, supply_port="/dev/no-such-port"), LIMITS, log=log)
+    bench = open_bench(InstrumentConfig(gate_port=virtual.gate_port, supply_port="/dev/no-such-port"), LIMITS, log=log)
     with (
         pytest.raises(InstrumentDisconnected, match="the port /dev/no-such-port of the high-voltage supply must"),
         bench,
@@ -46,7 +46,9 @@ def test_a_port_that_is_missing_is_told_at_once(virtual, log):
 
 def test_a_port_in_use_is_told_at_once(bench, virtual, log, tmp_path):
     second = open_bench(
-        Wires(gate_port=virtual.gate_port, supply_port=virtual.supply_port), LIMITS, log=tmp_path / "second.jsonl"
+        InstrumentConfig(gate_port=virtual.gate_port, supply_port=virtual.supply_port),
+        LIMITS,
+        log=tmp_path / "second.jsonl",
     )
     ends = []
 
@@ -67,7 +69,7 @@ def test_a_port_in_use_is_told_at_once(bench, virtual, log, tmp_path):
 
 
 def test_swapped_cables_are_noticed_before_anything_is_switched_on(virtual, log):
-    bench = open_bench(Wires(gate_port=virtual.supply_port, supply_port=virtual.gate_port), LIMITS, log=log)
+    bench = open_bench(InstrumentConfig(gate_port=virtual.supply_port, supply_port=virtual.gate_port), LIMITS, log=log)
     with pytest.raises(BenchError), bench:
         pass
     assert read_outputs(virtual.folder).mcp_v == 0
@@ -87,6 +89,6 @@ def test_a_client_that_talks_nonsense_to_its_server_loses_it_with_the_tube_safe(
 
 
 def test_a_log_that_cannot_be_written_is_told_before_anything_is_opened(virtual, tmp_path):
-    wires = Wires(gate_port=virtual.gate_port, supply_port=virtual.supply_port)
+    wires = InstrumentConfig(gate_port=virtual.gate_port, supply_port=virtual.supply_port)
     with pytest.raises(BadInput, match="must be a file that can be written"), open_bench(wires, LIMITS, log=tmp_path):
         pass

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from simulate.rig import aravis_library
+from simulate.virtual_bench import aravis_library
 from tests.faults.campaign.kinds import KINDS, draw_fault
 from tests.faults.campaign.page import Row, page
 from tests.faults.campaign.rig import CampaignRig

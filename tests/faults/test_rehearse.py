@@ -4,21 +4,21 @@ from dataclasses import replace
 
 import pytest
 
-from charact.cli.benches import take
+from charact.cli.benches import acquire_session
 from charact.cli.progress import Progress
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.event_log import read_events
+from labdata.instrument_config import InstrumentConfig
 from labdata.limits import Override
 from labdata.plan import Plan, Step
 from labdata.sensors import load_sensor, save_sensor
 from labdata.session import open_session
-from labdata.wires import Wires
-from simulate.rig.fault_script import FaultScript, Strike
+from simulate.virtual_bench.fault_script import FaultScript, ScriptedFault
 
 FAST = Override(limit="ramp_v_per_s", value=4000.0, reason="a rehearsal has no tube")
 FRAMES = 200  # long enough for a fault that strikes as they begin
-GARBAGE = Strike(instrument="high_voltage", kind="garbage", at_step="flat", for_s=4.0)
+GARBAGE = ScriptedFault(instrument="high_voltage", kind="garbage", at_step="flat", for_s=4.0)
 
 
 @pytest.fixture
@@ -30,7 +30,7 @@ def plan(tmp_path):
         Step(label="dark", kind="dark", frames=3, conditions=asked),
         Step(label="flat", kind="flat", frames=FRAMES, conditions=replace(asked, illuminance_lux=1e-5)),
     )
-    wires = Wires(bench="in-process")
+    wires = InstrumentConfig(bench="in-process")
     return Plan(name="night", sensor=str(tmp_path / "small.toml"), wires=wires, overrides=(FAST,), steps=steps)
 
 
@@ -43,10 +43,10 @@ def test_a_script_breaks_a_run_off_and_the_resumed_run_completes_it(plan, tmp_pa
     script = FaultScript(fault=(GARBAGE,))
     progress: Progress = quiet
     with pytest.raises(BadInput, match="the high-voltage supply"):
-        take(plan, folder, resume=False, progress=progress, tell=told.append, rehearse=script)
+        acquire_session(plan, folder, resume=False, progress=progress, tell=told.append, rehearse=script)
     assert "Rehearsal: garbage of high_voltage for 4 s." in told
     assert [entry.finished for entry in open_session(folder).stacks] == [True]
-    session = take(plan, folder, resume=True, progress=progress, tell=told.append, rehearse=script)
+    session = acquire_session(plan, folder, resume=True, progress=progress, tell=told.append, rehearse=script)
     assert [(entry.label, entry.finished, len(entry.read())) for entry in session.stacks] == [
         ("dark", True, 3),
         ("flat", True, FRAMES),
@@ -58,15 +58,17 @@ def test_a_script_breaks_a_run_off_and_the_resumed_run_completes_it(plan, tmp_pa
 def test_a_door_that_opens_in_mid_stack_breaks_a_run_off(plan, tmp_path):
     dark, flat = plan.steps
     at_gain = replace(plan, steps=(dark, replace(flat, conditions=replace(flat.conditions, mcp_v=650.0))))
-    door = Strike(instrument="surroundings", kind="room light", value=1.0, at_step="flat", for_s=4.0)
+    door = ScriptedFault(instrument="surroundings", kind="room light", value=1.0, at_step="flat", for_s=4.0)
     with pytest.raises(BadInput, match=r"of its pixels full|pixels may be saturated"):
-        take(at_gain, tmp_path / "s", resume=False, progress=quiet, tell=quiet, rehearse=FaultScript(fault=(door,)))
+        acquire_session(
+            at_gain, tmp_path / "s", resume=False, progress=quiet, tell=quiet, rehearse=FaultScript(fault=(door,))
+        )
 
 
 def test_no_real_bench_and_no_instrument_that_is_not_there_is_struck(plan, tmp_path):
-    real = replace(plan, wires=Wires(bench="real"))
+    real = replace(plan, wires=InstrumentConfig(bench="real"))
     with pytest.raises(BadInput, match="a rehearsal must be on a virtual bench, got a real one"):
-        take(real, tmp_path / "s", resume=False, progress=quiet, rehearse=FaultScript(fault=(GARBAGE,)))
-    absent = FaultScript(fault=(Strike(instrument="light_source", kind="silence"),))
+        acquire_session(real, tmp_path / "s", resume=False, progress=quiet, rehearse=FaultScript(fault=(GARBAGE,)))
+    absent = FaultScript(fault=(ScriptedFault(instrument="light_source", kind="silence"),))
     with pytest.raises(BadInput, match="on the wires of this bench, got light_source"):
-        take(plan, tmp_path / "t", resume=False, progress=quiet, rehearse=absent)
+        acquire_session(plan, tmp_path / "t", resume=False, progress=quiet, rehearse=absent)

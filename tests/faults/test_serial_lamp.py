@@ -18,19 +18,19 @@ from drivers.errors import BenchError
 from drivers.interface import Bench, FrameLevels
 from labdata.conditions import Conditions
 from labdata.event_log import read_events
-from labdata.lamp import Lamp
+from labdata.instrument_config import InstrumentConfig
+from labdata.lamp_calibration import LampCalibration
 from labdata.limits import Limits
 from labdata.target import Target
-from labdata.wires import Wires
-from simulate.rig.faults import Faults, provoke
-from simulate.rig.operator import VirtualOperator
-from simulate.rig.outputs import read_outputs
-from simulate.rig.process import VirtualInstruments
+from simulate.virtual_bench.faults import Faults, inject_faults
+from simulate.virtual_bench.operator import VirtualOperator
+from simulate.virtual_bench.outputs import read_outputs
+from simulate.virtual_bench.process import VirtualInstruments
 
 pytestmark = pytest.mark.wires
 
 WITHIN_S = 1.0
-LAMP = Lamp(
+LAMP = LampCalibration(
     source="photometer",
     current_a=(0.01, 1.0),
     illuminance_lux=(1e-2, 1.0),
@@ -52,7 +52,7 @@ CLIENT = """
 
 
 def bench_at(folder: Path, log: Path) -> BenchClient | TubeBench:
-    wires = Wires(
+    wires = InstrumentConfig(
         gate_port=f"{folder}/delay_generator",
         supply_port=f"{folder}/high_voltage",
         light="dc2100",
@@ -125,12 +125,12 @@ def test_a_kill_puts_the_lamp_out_within_a_second(virtual, log, killed):
 def test_an_instrument_that_falls_silent_ends_the_work_and_whatever_hears_is_made_safe(virtual, log, struck):
     with pytest.raises(BenchError, match="must answer"), bench_at(virtual.folder, log) as bench:
         light_up(bench, virtual.folder)
-        provoke(virtual.folder, struck, Faults(mute=True))
+        inject_faults(virtual.folder, struck, Faults(mute=True))
         struck_s = time.monotonic()
         while time.monotonic() < struck_s + 5.0:
             time.sleep(0.02)
             bench.check()
-    provoke(virtual.folder, struck, Faults())
+    inject_faults(virtual.folder, struck, Faults())
     told = {each["event"]: each["monotonic_s"] - struck_s for each in read_events(log) if "monotonic_s" in each}
     # The answer is waited for as long as an answer may take; then everything goes at once.
     assert told["light: o 0"] - told["making safe"] < WITHIN_S

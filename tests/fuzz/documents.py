@@ -15,18 +15,18 @@ import numpy as np
 
 from drivers.acquisition.forecast import forecast
 from drivers.acquisition.plan_check import check_plan
-from labdata.border import from_toml, to_toml
 from labdata.dose_ledger import DoseLedger
 from labdata.errors import BadInput
 from labdata.importers.emva1288 import import_emva1288
 from labdata.phosphors import load_phosphor
 from labdata.plan import Plan
 from labdata.sensors import load_camera, load_sensor
+from labdata.serialiser import from_toml, to_toml
 from labdata.session import MANIFEST, open_session
 from labdata.tube_dose import Dose
+from simulate.radiance.outdoor.built_scene import build_surfaces
+from simulate.radiance.outdoor.description.scene import OutdoorScene
 from simulate.radiance.scene import load_scene
-from simulate.radiance.world.description.scene import Scene
-from simulate.radiance.world.site import built
 
 VALUES = (
     "nan", "inf", "-inf", "0", "-0.0", "-1", "1e400", "1e308", "-1e308", "5e-324", "9" * 400, "1" + "0" * 5000, "0x10",
@@ -162,8 +162,8 @@ def _read_phosphor(path: Path) -> None:
 
 
 def _read_scene(path: Path) -> None:
-    if isinstance(scene := load_scene(path), Scene):
-        built(scene)
+    if isinstance(scene := load_scene(path), OutdoorScene):
+        build_surfaces(scene)
 
 
 def _read_descriptor(path: Path) -> None:

@@ -24,11 +24,11 @@ from labdata.errors import BadInput
 from labdata.importers import read_frames
 from labdata.store.array_writer import ArrayWriter
 from labdata.store.layout import METADATA
+from simulate.radiance.outdoor.build import KINDS as MESHES
+from simulate.radiance.outdoor.build import build_surfaces
+from simulate.radiance.outdoor.description.objects import Object
+from simulate.radiance.outdoor.description.scene import OutdoorScene
 from simulate.radiance.scene import load_scene
-from simulate.radiance.world.build import KINDS as MESHES
-from simulate.radiance.world.build import built
-from simulate.radiance.world.description.objects import Object
-from simulate.radiance.world.description.scene import Scene
 from tests.fuzz.documents import mangled
 from tests.labdata import dng
 
@@ -159,13 +159,13 @@ def read(name: str, rng: random.Random, folder: Path, *, wrong: bool = True) -> 
 
 def _read(name: str, path: Path, plane: str | None) -> None:
     if name.startswith("mesh"):
-        built(scene_of(path))
+        build_surfaces(scene_of(path))
         return
     stack = read_frames(path, plane, axis="frame")
     assert stack.data.ndim == 3 and stack.data.size, "frames are pictures of rows and columns"
 
 
-def scene_of(mesh: Path) -> Scene:
+def scene_of(mesh: Path) -> OutdoorScene:
     """Return a scene in which nothing stands but the mesh of a file."""
     scene = _road()
     thing = Object(label="thing", material=scene.material[0].label, file=mesh.name, unit="m")
@@ -173,9 +173,9 @@ def scene_of(mesh: Path) -> Scene:
 
 
 @cache
-def _road() -> Scene:
+def _road() -> OutdoorScene:
     scene = load_scene("road")
-    assert isinstance(scene, Scene)
+    assert isinstance(scene, OutdoorScene)
     return scene
 
 

@@ -11,7 +11,7 @@ import tifffile
 from labdata.errors import BadInput
 from labdata.importers import read_frames
 from labdata.store.layout import chunk
-from simulate.radiance.world.build import built
+from simulate.radiance.outdoor.build import build_surfaces
 from tests.fuzz import pictures
 from tests.fuzz.bounds import in_time
 
@@ -87,4 +87,4 @@ def test_a_frame_of_the_store_that_was_cut_or_grew_is_refused(tmp_path):
 def test_a_mesh_that_refers_to_nothing_or_lies_nowhere_is_refused(tmp_path, mesh, rule):
     (tmp_path / "a.obj").write_text(mesh)
     with pytest.raises(BadInput, match=rule):
-        built(pictures.scene_of(tmp_path / "a.obj"))
+        build_surfaces(pictures.scene_of(tmp_path / "a.obj"))

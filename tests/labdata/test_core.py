@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labdata import BadInput, Conditions, FrameStack, Measurement, Posterior, Result, Target
-from labdata.flags import FLAGS, Finding, checked
+from labdata.flags import FLAGS, Finding, ordered_flags
 from labdata.limits import Limits
-from labdata.measurement import from_draws, from_sd, measured, refused
+from labdata.measurement import make_measurement, make_refusal, measurement_from_draws, measurement_from_sd
 from labdata.parameter import Parameter
 from labdata.plan import Plan, Step
 from labdata.quantity import QUANTITIES, convert_frequency
@@ -105,15 +105,15 @@ def test_a_plan_is_checked_whole_when_it_is_made():
 
 
 def test_a_number_without_flags_is_ok_and_with_flags_suspect():
-    assert measured("mtf50", "cy/px", 0.2, None, None, method="m").status == "ok"
-    suspect = measured("mtf50", "cy/px", 0.2, None, None, method="m", flags=("lag", "agc", "lag"))
+    assert make_measurement("mtf50", "cy/px", 0.2, None, None, method="m").status == "ok"
+    suspect = make_measurement("mtf50", "cy/px", 0.2, None, None, method="m", flags=("lag", "agc", "lag"))
     assert (suspect.status, suspect.flags) == ("suspect", ("lag", "agc"))
     assert suspect.with_(flags=("drift",)).flags == ("lag", "agc", "drift")
-    assert measured("mtf50", "cy/px", 0.2, None, None, method="m").with_(flags=("drift",)).status == "suspect"
+    assert make_measurement("mtf50", "cy/px", 0.2, None, None, method="m").with_(flags=("drift",)).status == "suspect"
 
 
 def test_a_finding_makes_a_number_suspect_and_says_its_effect_and_remedy():
-    number = measured("mtf50", "cy/px", 0.2, None, None, method="m", notes=("first",))
+    number = make_measurement("mtf50", "cy/px", 0.2, None, None, method="m", notes=("first",))
     found = Finding(flag="gamma", effect="MTF50 may be up to 1.3 % high", remedy="--black-dn 0")
     suspect = number.with_(findings=(found,))
     assert (suspect.status, suspect.flags) == ("suspect", ("gamma",))
@@ -123,7 +123,7 @@ def test_a_finding_makes_a_number_suspect_and_says_its_effect_and_remedy():
 
 
 def test_a_refusal_has_a_reason_and_no_number():
-    refusal = refused("mtf50", "cy/px", "no edge was found", method="m")
+    refusal = make_refusal("mtf50", "cy/px", "no edge was found", method="m")
     assert (refusal.value, refusal.interval95, refusal.status) == (None, None, "refused")
     assert refusal.with_(flags=("no-target",)).status == "refused"
     with pytest.raises(ValueError, match="carries a reason and no value"):
@@ -133,24 +133,24 @@ def test_a_refusal_has_a_reason_and_no_number():
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_a_measurement_is_a_finite_number(value):
     with pytest.raises(ValueError, match="must be a finite number"):
-        measured("mtf50", "cy/px", value, None, None, method="m")
+        make_measurement("mtf50", "cy/px", value, None, None, method="m")
 
 
 def test_a_quantity_outside_the_contract_cannot_be_measured():
     with pytest.raises(ValueError, match="no quantity 'mtf51'"):
-        measured("mtf51", "cy/px", 0.2, None, None, method="m")
+        make_measurement("mtf51", "cy/px", 0.2, None, None, method="m")
     with pytest.raises(ValueError, match="with the unit 'lp/mm'"):
-        measured("mtf50", "lp/mm", 0.2, None, None, method="m")
+        make_measurement("mtf50", "lp/mm", 0.2, None, None, method="m")
     with pytest.raises(ValueError, match="'halo'"):
-        checked(("halo",))
+        ordered_flags(("halo",))
     assert all(sentence.endswith(".") for sentence in FLAGS.values())
     assert all(quantity.units for quantity in QUANTITIES.values())
 
 
 def test_intervals_of_draws_and_of_a_standard_deviation_agree(seed):
     draws = np.random.default_rng(seed).normal(5.0, 0.1, 40_000)
-    drawn = from_draws("blur_factor", "1", draws, method="m")
-    exact = from_sd("blur_factor", "1", 5.0, 0.1, method="m")
+    drawn = measurement_from_draws("blur_factor", "1", draws, method="m")
+    exact = measurement_from_sd("blur_factor", "1", 5.0, 0.1, method="m")
     # Standard error of the 2.5 % quantile of n normal draws: sqrt(p (1 - p) / n) / density, here 2.7 sd / sqrt(n).
     standard_error = 2.7 * 0.1 / 200
     assert np.array(drawn.interval95) == pytest.approx(np.array(exact.interval95), abs=4.5 * standard_error)
@@ -166,7 +166,7 @@ def test_a_posterior_names_each_column_of_its_draws():
 
 def test_results_add_up_and_are_searched_by_what_they_say():
     def of(label: str) -> Measurement:
-        return measured("bloom_diameter", "px", 9.0, None, None, method="m", stack=label)
+        return make_measurement("bloom_diameter", "px", 9.0, None, None, method="m", stack=label)
 
     both = Result(measurements=(of("a"),), evidence={"a": {}}) + Result(measurements=(of("b"),), evidence={"b": {}})
     assert both.find("bloom_diameter", stack="b") == (of("b"),)

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from labdata import BadInput, Conditions, open_session
-from labdata.opened import open_stack
+from labdata.lazy_stack import open_lazy_stack
 from labdata.store import ArrayFollower, SessionWriter, read_journal
-from labdata.store.journal import JOURNAL, _restored
+from labdata.store.journal import JOURNAL, _restore_frames
 
 SHAPE = (6, 5)
 FRAMES = 12
@@ -58,10 +58,10 @@ def restored_once(monkeypatch):
         chunks = sorted((file.name, file.stat().st_mtime_ns) for file in path.glob("c.*"))
         key = (*damaged.items(), *sorted(there), *chunks)
         if key not in found:
-            found[key] = tuple(_restored(damaged, there, path))
+            found[key] = tuple(_restore_frames(damaged, there, path))
         return found[key]
 
-    monkeypatch.setattr("labdata.store.journal._restored", once)
+    monkeypatch.setattr("labdata.store.journal._restore_frames", once)
 
 
 @pytest.fixture(scope="module")
@@ -111,7 +111,7 @@ def check_reading(folder: Path) -> tuple[int, tuple[str, ...]]:
         place = number - FIRST_NUMBER
         assert 0 <= place < FRAMES and time_s == 0.5 + place / 30 and np.array_equal(data, pixels(place))
     assert len(set(read.frame_number.tolist())) == len(read)
-    unread = open_stack(entry)
+    unread = open_lazy_stack(entry)
     assert np.array_equal(unread.frames(0, len(unread)), read.data)
     assert unread.frame_number.tolist() == read.frame_number.tolist()
     notes = tuple(note for note in read.notes if str(journal) in note)

@@ -14,7 +14,7 @@ import pytest
 from labdata.dose_ledger import FOLDER_VARIABLE, DoseLedger, _lock, ledger_of
 from labdata.errors import BadInput
 from labdata.sensors import load_sensor
-from labdata.tube_dose import Dose, dose_of, sum_of, warnings
+from labdata.tube_dose import Dose, dose_of, total_dose, warnings
 
 SENSOR = load_sensor("pulnix-ag5745ef3")
 
@@ -31,7 +31,7 @@ def test_the_worked_example_of_the_tubes_life_is_met():
 
 
 def test_doses_add_and_their_uncertainty_does_not_average_out():
-    total = sum_of([dose(1e-6), dose(3e-6)])
+    total = total_dose([dose(1e-6), dose(3e-6)])
     assert total.screen_c_per_cm2 == pytest.approx(4e-6)
     assert total.hours_at_gain == 1.0
     assert total.factor95 == pytest.approx(math.exp(1.96 * 0.4))

@@ -20,7 +20,7 @@ from charact.cli.application import app
 from labdata.errors import BadInput
 from labdata.importers import decompression_limit, read_frames
 from labdata.importers.thresholds import MOST_PICTURE_PX
-from labdata.opened import open_stack
+from labdata.lazy_stack import open_lazy_stack
 from labdata.session import open_session
 from tests.fuzz.bounds import most_resident_mb
 from tests.labdata import dng
@@ -255,7 +255,7 @@ def test_frames_that_became_a_pipe_after_the_session_was_opened_are_not_waited_f
     (tmp_path / "a.npy").unlink()
     os.mkfifo(tmp_path / "a.npy")
     with pytest.raises(BadInput, match="got a named pipe"):
-        open_stack(entry)
+        open_lazy_stack(entry)
 
 
 def test_a_part_of_an_array_that_is_a_pipe_is_not_waited_for(tmp_path):
@@ -267,7 +267,7 @@ def test_a_part_of_an_array_that_is_a_pipe_is_not_waited_for(tmp_path):
         read_frames(tmp_path / "a.zarr")
     (tmp_path / "session.toml").write_text(MANIFEST.format(frames="a.zarr"))
     with pytest.raises(BadInput, match="got a named pipe"):
-        open_stack(open_session(tmp_path).stacks[0])
+        open_lazy_stack(open_session(tmp_path).stacks[0])
 
 
 def test_an_hdf5_file_whose_pixels_lie_in_a_device_is_refused(tmp_path):

@@ -22,7 +22,7 @@ CHILD = """
     from labdata.errors import BadInput
     from labdata.session import open_session
     from labdata.store import SessionWriter
-    from labdata.store.storage import Storage
+    from labdata.store.storage_thread import Storage
 
     folder, said = Path(sys.argv[1]) / "s", None
     pixels = np.random.default_rng(1).integers(0, 4096, (200, 300), dtype=np.uint16)

@@ -8,7 +8,7 @@ import pytest
 
 from labdata import BadInput, Conditions, open_session
 from labdata.importers.emva1288 import import_emva1288
-from labdata.importers.loose import import_frames
+from labdata.importers.frame_files import import_frames
 
 DESCRIPTOR = """# a comment
 v 3.0

@@ -7,10 +7,10 @@ import pytest
 from labdata.errors import BadInput
 from labdata.limits import LIMITS, Limits, Override, TubeLimits, limits_in_force
 from labdata.sensor import Sensor
-from labdata.sensors import load_camera, load_sensor, shipped
+from labdata.sensors import load_camera, load_sensor, sensor_names
 
 SENSOR = load_sensor("pulnix-ag5745ef3")
-TUBES = [name for name in shipped() if isinstance(load_camera(name), Sensor)]
+TUBES = [name for name in sensor_names() if isinstance(load_camera(name), Sensor)]
 
 
 def test_the_tighter_of_plan_and_tube_holds():

@@ -7,10 +7,10 @@ import pytest
 from scipy.optimize import brentq
 
 from labdata import BadInput
-from labdata.border import to_toml
-from labdata.phosphors import load_phosphor, shipped_phosphors
+from labdata.phosphors import load_phosphor, phosphor_names
 from labdata.sensor import Draws, Phosphor, Sensor
 from labdata.sensors import load_sensor
+from labdata.serialiser import to_toml
 
 # 90 to 10 % and 10 to 1 % of the light, ms.
 TABLE = {"p20": (4.0, 55.0), "p43": (1.0, 1.6), "p46": (3e-4, 0.09), "p47": (1e-4, 2.9e-3)}
@@ -35,7 +35,7 @@ def photons_per_photoelectron(sensor: Sensor) -> float:
 
 
 def test_every_shipped_phosphor_is_of_the_table():
-    assert shipped_phosphors() == tuple(TABLE)
+    assert phosphor_names() == tuple(TABLE)
 
 
 @pytest.mark.parametrize("name", TABLE)
@@ -49,7 +49,7 @@ def test_the_decay_passes_90_10_and_1_percent_when_the_makers_say(name):
 
 
 def test_the_numbers_of_a_phosphor_say_where_they_come_from_and_the_name_may_be_written_either_way():
-    for name in shipped_phosphors():
+    for name in phosphor_names():
         phosphor = load_phosphor(name.upper())
         assert phosphor.name == name.upper()
         numbers = [value for value in vars(phosphor).values() if not isinstance(value, str)]

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from labdata import BadInput
-from labdata.border import from_mapping, from_toml, to_mapping, to_toml
 from labdata.parameter import Parameter
 from labdata.sensor import Sensor
-from labdata.sensors import load_camera, load_sensor, save_sensor, shipped
+from labdata.sensors import load_camera, load_sensor, save_sensor, sensor_names
+from labdata.serialiser import from_mapping, from_toml, to_mapping, to_toml
 
 PLANCK_J_S = 6.62607015e-34
 LIGHT_M_PER_S = 299792458.0
@@ -227,7 +227,7 @@ def test_a_missing_sensor_is_refused_with_the_shipped_ones():
 
 
 def test_every_shipped_description_loads_and_its_toml_is_stable():
-    for name in shipped():
+    for name in sensor_names():
         camera = load_camera(name)
         assert to_toml(from_mapping(to_mapping(camera), type(camera))) == to_toml(camera)
 
@@ -322,7 +322,7 @@ def test_the_digital_intensified_camera_follows_from_its_numbers():
 
 def test_every_number_of_every_shipped_camera_says_where_it_comes_from_and_draws_are_cameras(seed):
     rng = np.random.default_rng(seed)
-    for name in shipped():
+    for name in sensor_names():
         camera = load_camera(name)
         known = camera.parameters()
         assert all(one.source and one.standing in ("sheet", "default", "derived") for one in known.values()), name

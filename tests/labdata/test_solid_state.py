@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from labdata import BadInput
-from labdata.border import from_mapping, to_mapping, to_toml
 from labdata.parameter import Parameter
 from labdata.sensor import Sensor
 from labdata.sensors import load_camera, load_sensor, save_sensor
+from labdata.serialiser import from_mapping, to_mapping, to_toml
 from labdata.session import open_session
 from labdata.solid_state import SolidStateCamera
 

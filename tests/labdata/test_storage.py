@@ -15,7 +15,7 @@ from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.session import open_session
 from labdata.store import SessionWriter
-from labdata.store.storage import Storage
+from labdata.store.storage_thread import Storage
 
 SHAPE = (49, 77)
 
@@ -165,24 +165,24 @@ def test_a_stack_that_may_not_be_begun_is_told_when_its_frames_come(writer):
 def test_a_disk_is_stalled_while_work_waits_and_nothing_moves(writer, monkeypatch):
     disk = Disk(monkeypatch)
     with Storage(writer) as storage:
-        assert storage.stalled_s == 0.0
+        assert storage.stall_s == 0.0
         stack = begun(storage)
         storage.wait()
         storage._progress_s -= 1000.0
-        assert storage.stalled_s == 0.0
+        assert storage.stall_s == 0.0
         disk.go_on.clear()
         stack.put(frames(1)[0])
         # The time in which no work waited does not count.
-        assert storage.stalled_s < 500.0
+        assert storage.stall_s < 500.0
         time.sleep(0.1)
-        assert storage.stalled_s >= 0.1
+        assert storage.stall_s >= 0.1
         disk.go_on.set()
         storage.wait()
-        assert storage.stalled_s == 0.0
+        assert storage.stall_s == 0.0
 
 
 def test_a_frozen_disk_is_given_up_and_the_frames_that_it_did_not_take_are_counted(writer, monkeypatch):
-    monkeypatch.setattr("labdata.store.storage.STALLED_S", 0.3)
+    monkeypatch.setattr("labdata.store.storage_thread.STALLED_S", 0.3)
     disk = Disk(monkeypatch)
     sentence = r"got no progress for 0\.3 s: 5 frames of .* are not acknowledged"
     began_s = 0.0
@@ -204,7 +204,7 @@ def test_a_frozen_disk_is_given_up_and_the_frames_that_it_did_not_take_are_count
 
 
 def test_waiting_for_a_frozen_disk_ends_and_what_comes_after_it_is_refused(writer, monkeypatch):
-    monkeypatch.setattr("labdata.store.storage.STALLED_S", 0.2)
+    monkeypatch.setattr("labdata.store.storage_thread.STALLED_S", 0.2)
     disk = Disk(monkeypatch)
     with pytest.raises(BadInput, match="got no progress"), Storage(writer) as storage:
         stack = begun(storage)
@@ -220,7 +220,7 @@ def test_waiting_for_a_frozen_disk_ends_and_what_comes_after_it_is_refused(write
 
 
 def test_an_error_in_the_block_keeps_its_name_and_tells_of_the_frozen_disk_as_well(writer, monkeypatch):
-    monkeypatch.setattr("labdata.store.storage.STALLED_S", 0.2)
+    monkeypatch.setattr("labdata.store.storage_thread.STALLED_S", 0.2)
     disk = Disk(monkeypatch)
     with pytest.raises(KeyboardInterrupt) as interrupted, Storage(writer) as storage:
         stack = begun(storage)
@@ -235,8 +235,8 @@ def test_an_error_in_the_block_keeps_its_name_and_tells_of_the_frozen_disk_as_we
 
 def test_a_disk_that_is_slow_but_moves_is_waited_for(writer, monkeypatch):
     """Each group of frames takes less than the bound, all of them together far more."""
-    monkeypatch.setattr("labdata.store.storage.STALLED_S", 0.4)
-    monkeypatch.setattr("labdata.store.storage.TOGETHER_BYTES", SHAPE[0] * SHAPE[1])
+    monkeypatch.setattr("labdata.store.storage_thread.STALLED_S", 0.4)
+    monkeypatch.setattr("labdata.store.storage_thread.TOGETHER_BYTES", SHAPE[0] * SHAPE[1])
     forced = os.fsync
     monkeypatch.setattr(os, "fsync", lambda file: (time.sleep(0.03), forced(file))[1])
     with Storage(writer) as storage:

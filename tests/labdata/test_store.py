@@ -337,7 +337,7 @@ def test_a_stack_goes_on_only_as_it_was_begun(tmp_path):
             begun(writer, asked=Conditions(mcp_v=720.0))
         with pytest.raises(BadInput, match=r"was begun with frames of \(49, 77\) uint8, got \(4, 4\) uint8"):
             begun(writer, asked=Conditions(mcp_v=700.0), shape=(4, 4))
-        writer.put_aside("flat")
+        writer.set_aside("flat")
         with begun(writer, shape=(4, 4)) as stack:
             assert len(stack) == 0
             stack.append(np.zeros((4, 4), np.uint8), 0, 0)

@@ -8,19 +8,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from labdata.adaptive import Until
-from labdata.border import from_mapping, to_toml
+from labdata.adaptive import StopCriterion
 from labdata.errors import BadInput
 from labdata.plan import Plan
-from labdata.sweep import SweepForm
+from labdata.serialiser import from_mapping, to_toml
+from labdata.sweep import SweepRecord
 from labdata.target import Target
 
 VOLTS, LUX = (600.0, 700.0, 800.0), (1e-5, 1e-4, 1e-3)
-GRID = SweepForm(kind="flat", frames=4, mcp_v=VOLTS, gate_ns=1.6e7, illuminance_lux=LUX)
+GRID = SweepRecord(kind="flat", frames=4, mcp_v=VOLTS, gate_ns=1.6e7, illuminance_lux=LUX)
 
 lists = st.lists(st.floats(1.0, 800.0), min_size=1, max_size=4, unique=True).map(tuple)
 sweeps = st.builds(
-    SweepForm,
+    SweepRecord,
     kind=st.just("flat"),
     frames=st.integers(1, 9),
     mcp_v=lists,
@@ -35,7 +35,7 @@ sweeps = st.builds(
 unhurried = settings(deadline=None, derandomize=True, max_examples=60)
 
 
-def settings_of(sweep: SweepForm) -> list[tuple]:
+def settings_of(sweep: SweepRecord) -> list[tuple]:
     return [(s.conditions.mcp_v, s.conditions.illuminance_lux) for s in sweep.steps() if s.kind != "dark"]
 
 
@@ -141,7 +141,7 @@ def test_a_sweep_that_cannot_be_meant_is_refused(wrong, rule):
 
 
 def test_levels_of_a_sweep_may_stop_early_and_their_darks_may_not():
-    until = Until(mean_within_dn=0.1, least_frames=4)
+    until = StopCriterion(mean_within_dn=0.1, least_frames=4)
     steps = replace(GRID, dark_every=3, until=until).steps()
     assert {step.until for step in steps if step.kind == "flat"} == {until}
     assert {step.until for step in steps if step.kind == "dark"} == {None}

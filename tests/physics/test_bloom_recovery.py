@@ -9,17 +9,17 @@ from scipy import ndimage
 from scipy.signal import fftconvolve
 
 from charact import bloom
-from charact.cli.demonstration import demo_plan
+from charact.cli.demo_loop import demo_plan
 from charact.method import Context
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
 from labdata.sensors import load_sensor
 from labdata.session import Session, StackEntry
 from labdata.target import Target
-from simulate.iiccd import truth
+from simulate.iiccd import true_quantities
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.lab import LabBench
-from simulate.rig.truth import draw_truth
+from simulate.virtual_bench.true_sensor import draw_true_sensor
 
 ROWS, COLUMNS = 200, 260
 SETTINGS = Conditions(mcp_v=800.0, gate_ns=1.6e7)
@@ -53,7 +53,7 @@ def series(sensor, lights_lux, seed, *, frames, depletes=False, darks=False):
 
 
 def specimen(sheet, seed, **values):
-    drawn = draw_truth(sheet, seed)
+    drawn = draw_true_sensor(sheet, seed)
     return replace(drawn, ccd=replace(drawn.ccd, rows=ROWS, columns=COLUMNS)).with_values(
         {"photocathode.halo_fraction": 0.1, "photocathode.halo_elastic_share": 0.3, **values}
     )
@@ -67,7 +67,7 @@ def test_the_halo_is_four_gaps_wide_over_two_decades_of_light(seed):
     result = bloom.measure(session, method="series-forward", context=context)
     (halo,) = result.find("halo_diameter")
     low, high = halo.interval68
-    known = truth.quantities(sensor, SETTINGS)["halo_diameter"]
+    known = true_quantities.true_quantities(sensor, SETTINGS)["halo_diameter"]
     assert halo.status == "ok"
     assert abs(halo.value - known) < 4.5 * 0.5 * (high - low)
     assert 0.5 * (high - low) < 0.02 * known
@@ -79,7 +79,7 @@ def test_the_halo_is_four_gaps_wide_over_two_decades_of_light(seed):
 
 def demonstrated(sheet, specimen_number):
     """The demonstration's point series and darks of a whole specimen, with the meter off as it is there."""
-    plan, bench = demo_plan(specimen_number, quick=False), LabBench(draw_truth(sheet, specimen_number))
+    plan, bench = demo_plan(specimen_number, quick=False), LabBench(draw_true_sensor(sheet, specimen_number))
     rng = np.random.default_rng([specimen_number, 5])
     meter = 1.0 + 0.03 * rng.standard_normal()
     stacks = []
@@ -100,7 +100,7 @@ def test_the_share_of_a_small_halo_is_known_no_better_than_the_light_of_its_core
     context = Context(seed=1, quick=True, sensor=sheet, interlaced=True, full_scale_dn=255.0)
     result = bloom.measure(demonstrated(sheet, number), method="series-forward", context=context)
     (share,) = result.find("halo_fraction")
-    truth_of_it = float(draw_truth(sheet, number).photocathode.halo_fraction)
+    truth_of_it = float(draw_true_sensor(sheet, number).photocathode.halo_fraction)
     low, high = share.interval68
     assert share.status == "ok"
     assert abs(share.value - truth_of_it) < 4.5 * 0.5 * (high - low)
@@ -111,8 +111,10 @@ def density_at_half_gain_dn(sensor):
     """Light per pixel at which the plate's gain has halved, DN."""
     camera = IntensifiedCamera(sensor)
     plate = camera.plate(SETTINGS)
-    at_half_gain_pe = plate.saturation_e_per_s_cm2 * plate.field_s * truth.field_pixel_area_cm2(camera) / plate.gain
-    return at_half_gain_pe * truth.quantities(sensor, SETTINGS)["photoelectron_gain"]
+    at_half_gain_pe = (
+        plate.saturation_e_per_s_cm2 * plate.field_s * true_quantities.field_pixel_area_cm2(camera) / plate.gain
+    )
+    return at_half_gain_pe * true_quantities.true_quantities(sensor, SETTINGS)["photoelectron_gain"]
 
 
 def test_a_plate_that_tires_in_its_bright_cores_tells_its_saturation_and_the_gap(seed):

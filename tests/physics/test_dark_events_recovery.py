@@ -4,12 +4,12 @@ from dataclasses import replace
 from pathlib import Path
 
 from charact.method import Context
-from charact.noise.events.events import measure_events
-from charact.study.flats.stacks import HeldStack
+from charact.noise.events.event_measurements import measure_events
+from charact.study.flats.flat_cases import InMemoryStack
 from labdata.conditions import Conditions
 from labdata.parameter import Parameter
 from labdata.sensors import load_sensor
-from simulate.iiccd.truth import quantities
+from simulate.iiccd.true_quantities import true_quantities
 from simulate.lab import LabBench, Target
 
 SETTINGS = Conditions(mcp_v=800.0, gate_ns=1.6e7, exposure_s=0.0167, illuminance_lux=0.0)
@@ -20,7 +20,7 @@ def darks(sensor, seed: int, frames: int = 64):
     """Darks of a part of the chip."""
     sensor = replace(sensor, ccd=replace(sensor.ccd, rows=246, columns=252))
     held = LabBench(sensor).expose("dark", Target(), SETTINGS, frames=frames, seed=seed)
-    entry = HeldStack(label="dark", kind="dark", frames="", conditions=SETTINGS, folder=Path("."), held=held)
+    entry = InMemoryStack(label="dark", kind="dark", frames="", conditions=SETTINGS, folder=Path("."), held=held)
     context = Context(seed=1, quick=True, sensor=SHEET, interlaced=True, full_scale_dn=2.0**sensor.video.bit_depth - 1)
     return measure_events(entry, context=context)
 
@@ -40,7 +40,7 @@ def finer(bits: int):
 def test_pulses_of_the_simulated_camera_are_found_within_a_tenth_at_twelve_bits(seed):
     """The sheet's screen gives off 56 % of its light with 35 ms, and a field lasts 16.7 ms."""
     sensor = finer(12)
-    result, truth = darks(sensor, seed), quantities(sensor, SETTINGS)
+    result, truth = darks(sensor, seed), true_quantities(sensor, SETTINGS)
     for name, units in (("detected_photoelectron_gain", "DN"), ("ebi", "pe/s/px")):
         found = next(m for m in result.find(name) if m.unit == units)
         assert found.value is not None and found.interval95 is not None, found.reason

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from charact.fit import forward
-from charact.fit.forward import Values
+from charact.fit import predicted_quantities
+from charact.fit.predicted_quantities import Values
 from labdata.conditions import Conditions
 from labdata.sensor import Sensor
 from labdata.sensors import load_sensor
-from simulate.iiccd import truth
-from simulate.rig.truth import draw_truth
+from simulate.iiccd import true_quantities
+from simulate.virtual_bench.true_sensor import draw_true_sensor
 
 GATE_S = 0.0133
 MCP_V = 780.0
@@ -18,7 +18,7 @@ FREQUENCY = np.linspace(0.02, 0.6, 30)
 
 @pytest.fixture(params=range(4))
 def specimen(request: pytest.FixtureRequest, seed: int) -> Sensor:
-    return draw_truth(load_sensor("pulnix-ag5745ef3"), seed + request.param)
+    return draw_true_sensor(load_sensor("pulnix-ag5745ef3"), seed + request.param)
 
 
 @pytest.fixture
@@ -29,51 +29,53 @@ def values(specimen: Sensor) -> Values:
 
 @pytest.fixture
 def told(specimen: Sensor) -> dict[str, float]:
-    return truth.quantities(specimen, Conditions(mcp_v=MCP_V, gate_ns=GATE_S * 1e9))
+    return true_quantities.true_quantities(specimen, Conditions(mcp_v=MCP_V, gate_ns=GATE_S * 1e9))
 
 
 def _gain(values: Values, specimen: Sensor) -> np.ndarray:
-    return forward.photoelectron_gain(values, MCP_V, float(specimen.microchannel_plate.reference_v))
+    return predicted_quantities.photoelectron_gain(values, MCP_V, float(specimen.microchannel_plate.reference_v))
 
 
 def test_the_mtf_along_rows_is_the_same(specimen: Sensor, values: Values) -> None:
-    expected = truth.mtf(specimen, FREQUENCY, "horizontal")
-    assert forward.mtf(values, FREQUENCY)[0] == pytest.approx(expected, rel=1e-3)
+    expected = true_quantities.true_mtf(specimen, FREQUENCY, "horizontal")
+    assert predicted_quantities.mtf(values, FREQUENCY)[0] == pytest.approx(expected, rel=1e-3)
 
 
 def test_the_mtf_along_columns_is_the_same(specimen: Sensor, values: Values) -> None:
     pitch_ratio = float(specimen.ccd.pitch_y_um) / float(specimen.ccd.pitch_x_um)
-    expected = truth.mtf(specimen, FREQUENCY, "vertical")
-    found = forward.mtf(values, np.zeros_like(FREQUENCY), FREQUENCY * pitch_ratio)[0]
+    expected = true_quantities.true_mtf(specimen, FREQUENCY, "vertical")
+    found = predicted_quantities.mtf(values, np.zeros_like(FREQUENCY), FREQUENCY * pitch_ratio)[0]
     assert found == pytest.approx(expected, rel=1e-3, abs=1e-6)
 
 
 def test_a_photoelectron_is_worth_the_same(specimen: Sensor, values: Values, told: dict[str, float]) -> None:
     assert _gain(values, specimen)[0] == pytest.approx(told["photoelectron_gain"], rel=1e-6)
-    assert forward.excess_noise_factor(values)[0] == pytest.approx(told["excess_noise_factor"], rel=1e-9)
+    assert predicted_quantities.excess_noise_factor(values)[0] == pytest.approx(told["excess_noise_factor"], rel=1e-9)
 
 
 def test_the_covariance_gain_is_the_same(specimen: Sensor, values: Values, told: dict[str, float]) -> None:
-    found = forward.covariance_gain(values, _gain(values, specimen))[0]
+    found = predicted_quantities.covariance_gain(values, _gain(values, specimen))[0]
     assert found == pytest.approx(told["covariance_gain"], rel=1e-6)
 
 
 def test_the_blur_factor_is_the_same(specimen: Sensor, values: Values, told: dict[str, float]) -> None:
-    found = forward.blur_factor(values, _gain(values, specimen))[0]
+    found = predicted_quantities.blur_factor(values, _gain(values, specimen))[0]
     assert found == pytest.approx(told["blur_factor"], rel=0.02)
 
 
 def test_the_halo_is_four_gaps_wide(values: Values, told: dict[str, float]) -> None:
-    assert forward.halo_diameter_px(values)[0] == pytest.approx(told["halo_diameter"], rel=1e-9)
+    assert predicted_quantities.halo_diameter_px(values)[0] == pytest.approx(told["halo_diameter"], rel=1e-9)
 
 
 def test_light_and_darkness_release_the_same_photoelectrons(values: Values, told: dict[str, float]) -> None:
-    assert forward.background_rate(values)[0] == pytest.approx(told["ebi"], rel=1e-6)
-    assert forward.photoelectrons(values, 1.0, GATE_S)[0] == pytest.approx(told["photoelectrons_per_lux"], rel=1e-6)
+    assert predicted_quantities.background_rate(values)[0] == pytest.approx(told["ebi"], rel=1e-6)
+    assert predicted_quantities.photoelectrons(values, 1.0, GATE_S)[0] == pytest.approx(
+        told["photoelectrons_per_lux"], rel=1e-6
+    )
 
 
 def test_the_screen_keeps_the_same_share_of_the_noise(values: Values, told: dict[str, float]) -> None:
-    assert forward.kept_by_lag(values, GATE_S)[0] == pytest.approx(told["decay_factor"], rel=2e-3)
+    assert predicted_quantities.lag_noise_fraction(values, GATE_S)[0] == pytest.approx(told["decay_factor"], rel=2e-3)
 
 
 def test_blur_table_of_the_physics_reference() -> None:
@@ -89,4 +91,4 @@ def test_blur_table_of_the_physics_reference() -> None:
     }
     for share, expected in ((1.0, 0.282), (0.8, 0.331), (0.5, 0.434), (0.25, 0.562)):
         known["tube.post_gain_share"] = np.array([share])
-        assert forward.blur_factor(known, np.array([10.0]))[0] == pytest.approx(expected, rel=0.03)
+        assert predicted_quantities.blur_factor(known, np.array([10.0]))[0] == pytest.approx(expected, rel=0.03)

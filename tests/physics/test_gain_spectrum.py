@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 
 from charact.method import Context
-from charact.noise.gain.fit import fit
-from charact.noise.gain.forms import forms_of
-from charact.noise.gain.one_gain import blur_exponent
-from charact.noise.gain.reading import Reading
-from charact.noise.gain.summary import Lag, Summary
+from charact.noise.gain.fit import fit_spectrum
+from charact.noise.gain.forms import blur_models
+from charact.noise.gain.pixel_readout_model import PixelReadoutModel
+from charact.noise.gain.pooled_noise import ImageLag, PooledNoise
+from charact.noise.gain.single_setting import blur_exponent
 from charact.noise.stack.spectrum import bins_of
 from charact.study.flats.gain_map import cell_of
-from simulate.iiccd import truth
+from simulate.iiccd import true_quantities
 from simulate.iiccd.camera import IntensifiedCamera
 
-NO_LAG = Lag(lag=np.array([1]), correlation=np.zeros(1), correlation_sd=np.zeros(1), seen=False, factor=1.0,
+NO_LAG = ImageLag(lag=np.array([1]), correlation=np.zeros(1), correlation_sd=np.zeros(1), seen=False, factor=1.0,
              factor_sd=0.0, freedom=np.inf, tested=True, open=False)  # fmt: skip
 EXPOSURES = 60.0
 ORDERS = (-2, -1, 0, 1, 2)
@@ -36,23 +36,23 @@ def bias_percent(number, interlaced):
     power = of_modes(camera, pitch, scene.rows // height, scene.columns)
     held = bins.select >= 0
     seen = np.bincount(bins.select[held], power[held]) / np.bincount(bins.select[held])
-    summary = Summary(
+    summary = PooledNoise(
         column_cy_per_px=bins.column_cy_per_px, row_cy_per_px=bins.row_cy_per_px,
-        reading=Reading.of(bins.row_pitch, scene.description), leak_cy2_per_px2=(1e-12, 1e-12), modes=bins.modes,
+        reading=PixelReadoutModel.of(bins.row_pitch, scene.description), leak_cy2_per_px2=(1e-12, 1e-12), modes=bins.modes,
         power_dn=seen, power_sd_dn=seen / np.sqrt(bins.modes * bins.efficiency * EXPOSURES), variance_dn=1.0,
         variance_sd_dn=0.01, height_sd=0.01, lag=NO_LAG,
     )  # fmt: skip
-    forms = forms_of(blur_exponent(Context(sensor=scene.description)), blurred=True, floor=False)
-    found = fit(summary, seed=1, quick=True, forms=forms)
+    forms = blur_models(blur_exponent(Context(sensor=scene.description)), blurred=True, floor=False)
+    found = fit_spectrum(summary, seed=1, quick=True, forms=forms)
     return 100.0 * (float(np.mean(found.posterior["power"])) - 1.0)
 
 
 def of_modes(camera, pitch, rows, columns):
     """Power of the light behind a camera's gain at every mode of its rows, folded onto the lattice of its pixels."""
     x, y = np.broadcast_arrays(np.fft.rfftfreq(columns), np.fft.fftfreq(rows)[:, None])
-    blurs, low_pass = truth._after_gain(camera), camera.video().low_pass
+    blurs, low_pass = true_quantities._after_gain(camera), camera.video().low_pass
     out = sum(
-        truth.product(blurs, np.abs(x + across) / pitch[0], np.abs(y + down) / pitch[1]) ** 2
+        true_quantities.product(blurs, np.abs(x + across) / pitch[0], np.abs(y + down) / pitch[1]) ** 2
         for across in ORDERS
         for down in ORDERS
     )

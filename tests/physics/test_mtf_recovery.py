@@ -7,20 +7,20 @@ import pytest
 
 from charact import mtf
 from charact.method import Context
-from charact.study.flats.stacks import HeldStack
+from charact.study.flats.flat_cases import InMemoryStack
 from labdata.conditions import Conditions
 from labdata.sensors import load_sensor
 from labdata.session import Session
 from labdata.target import Target
-from simulate.iiccd import truth
+from simulate.iiccd import true_quantities
 from simulate.lab import LabBench
-from simulate.rig.truth import draw_truth
+from simulate.virtual_bench.true_sensor import draw_true_sensor
 
 
 @pytest.fixture(scope="module")
 def edge(seed):
     """A specimen nobody chose, and frames of an edge before it."""
-    specimen = draw_truth(load_sensor("pulnix-ag5745ef3"), seed)
+    specimen = draw_true_sensor(load_sensor("pulnix-ag5745ef3"), seed)
     conditions = Conditions(mcp_v=760.0, gate_ns=1.6e7, illuminance_lux=3e-4)
     return specimen, LabBench(specimen).expose("edge", Target(angle_deg=5.0), conditions, frames=8, seed=seed)
 
@@ -32,13 +32,13 @@ def test_an_edge_recovers_the_mtf_of_the_specimen_from_the_sheet_alone(edge):
     result = mtf.measure("edge", stack, method="edge-forward", context=sheet)
     assert result.find("mtf50")[0].status == "ok"
     for found in result.find("mtf"):
-        expected = float(truth.mtf(specimen, found.frequency_cy_per_px))
+        expected = float(true_quantities.true_mtf(specimen, found.frequency_cy_per_px))
         half = (found.interval68[1] - found.interval68[0]) / 2
         # The edge's normal stands 5 degrees off the rows, where the tall pixel costs up to half a percent.
         assert abs(found.value - expected) < 4.5 * half + 0.005 * expected
     mtf50 = result.find("mtf50")[0]
     half = (mtf50.interval68[1] - mtf50.interval68[0]) / 2
-    assert abs(float(truth.mtf(specimen, mtf50.value)) - 0.5) < 4.5 * half / mtf50.value * 0.5 + 0.003
+    assert abs(float(true_quantities.true_mtf(specimen, mtf50.value)) - 0.5) < 4.5 * half / mtf50.value * 0.5 + 0.003
     assert half < 0.03 * mtf50.value
 
 
@@ -47,7 +47,7 @@ def test_the_edge_of_a_camera_nobody_described_is_still_not_trusted_wrongly(edge
     found = mtf.measure("edge", stack, method="edge-forward", context=Context(quick=True)).find("mtf50")[0]
     if found.status == "ok":
         half = (found.interval68[1] - found.interval68[0]) / 2
-        assert abs(float(truth.mtf(specimen, found.value)) - 0.5) < 4.5 * half / found.value * 0.6
+        assert abs(float(true_quantities.true_mtf(specimen, found.value)) - 0.5) < 4.5 * half / found.value * 0.6
 
 
 @pytest.mark.parametrize("bandwidth_mhz", [6.1, 6.9])
@@ -62,7 +62,7 @@ def test_flats_recover_the_transfer_after_the_gain_of_a_video_that_the_sheet_giv
         found = mtf.measure_flats(flats, context=context).find("post_gain_mtf", orientation_deg=0.0)
         (at,) = (one for one in found if one.frequency_cy_per_px == 0.3)
         half = (at.interval68[1] - at.interval68[0]) / 2
-        return abs(at.value - float(truth.post_gain_mtf(specimen, 0.3))) / half, at.status
+        return abs(at.value - float(true_quantities.post_gain_mtf(specimen, 0.3))) / half, at.status
 
     off, status = standard_errors_off(sheet)
     assert status == "ok" and off < 4.5
@@ -75,14 +75,14 @@ def test_flats_of_a_coarse_digitiser_recover_the_transfer_after_the_gain(seed):
     Left out, numbers are up to 14 standard errors off, and the model does not fit.
     """
     sheet = load_sensor("pulnix-ag5745ef3")
-    specimen = draw_truth(sheet, 745)
+    specimen = draw_true_sensor(sheet, 745)
     context = Context(quick=True, sensor=sheet, interlaced=True, full_scale_dn=255.0)
     found = mtf.measure_flats(flats_before(specimen, seed), context=context).find("post_gain_mtf")
     pitch_ratio = float(sheet.ccd.pitch_y_um) / float(sheet.ccd.pitch_x_um)
     for at in found:
         vertical = at.orientation_deg == 90.0
         frequency = at.frequency_cy_per_px / (pitch_ratio if vertical else 1.0)
-        due = float(truth.post_gain_mtf(specimen, frequency, "vertical" if vertical else "horizontal"))
+        due = float(true_quantities.post_gain_mtf(specimen, frequency, "vertical" if vertical else "horizontal"))
         assert at.status == "ok"
         assert abs(at.value - due) < 4.5 * (at.interval68[1] - at.interval68[0]) / 2
 
@@ -106,7 +106,7 @@ def test_methods_that_take_the_video_of_the_sheet_for_exact_say_where_that_matte
         assert widths[0] > 1.5 * widths[1]
         assert tenth.flags == surer.flags
     free = found(sheet, "edge-forward").find("mtf10")[0]
-    expected = truth.frequency_at(specimen, 0.1, free.orientation_deg)
+    expected = true_quantities.true_crossing_frequency(specimen, 0.1, free.orientation_deg)
     assert free.status == "ok"
     assert abs(free.value - expected) < 4.5 * (free.interval68[1] - free.interval68[0]) / 2
 
@@ -122,7 +122,7 @@ def flats_before(specimen, seed):
         kind = "flat" if number else "dark"
         conditions = Conditions(mcp_v=800.0, gate_ns=1.6e7, illuminance_lux=lux)
         held = LabBench(specimen).expose(kind, Target(), conditions, frames=12, seed=seed + number)
-        stacks.append(HeldStack(
+        stacks.append(InMemoryStack(
             label=f"{kind}-{number}", kind=kind, frames="", folder=Path(), conditions=conditions, held=held,
         ))  # fmt: skip
     return Session(folder=Path(), name="flats", stacks=tuple(stacks), sensor=specimen, bit_depth=8)

@@ -13,9 +13,9 @@ from labdata.frames import FrameStack
 from labdata.sensors import load_sensor
 from labdata.session import Session, StackEntry
 from labdata.target import Target
-from simulate.iiccd import truth
+from simulate.iiccd import true_quantities
 from simulate.lab import LabBench
-from simulate.rig.truth import draw_truth
+from simulate.virtual_bench.true_sensor import draw_true_sensor
 
 # A part of the chip: what is tested is independent of its size.
 ROWS, COLUMNS = 246, 384
@@ -34,7 +34,7 @@ class HeldStack(StackEntry):
 
 def specimen(seed: int):
     """A camera drawn within the sheet's ranges, on a smaller chip."""
-    drawn = draw_truth(load_sensor("pulnix-ag5745ef3"), seed)
+    drawn = draw_true_sensor(load_sensor("pulnix-ag5745ef3"), seed)
     return replace(drawn, ccd=replace(drawn.ccd, rows=ROWS, columns=COLUMNS))
 
 
@@ -56,7 +56,7 @@ def test_covariance_gain_and_blur_factor_of_a_specimen_are_found_again(seed, off
     sensor = specimen(seed + offset)
     context = Context(seed=1, quick=True, sensor=load_sensor("pulnix-ag5745ef3"), interlaced=True, full_scale_dn=255.0)
     result = noise.measure(flats(sensor, 10 * seed + offset), method="covariance-sum", context=context)
-    known = truth.quantities(sensor, SETTINGS)
+    known = true_quantities.true_quantities(sensor, SETTINGS)
     for quantity in ("covariance_gain", "blur_factor", "photoelectron_gain", "excess_noise_factor"):
         (found,) = result.find(quantity)
         low, high = found.interval68

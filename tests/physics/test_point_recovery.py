@@ -9,16 +9,16 @@ from charact.mtf.point.parametric import point_parametric
 from labdata.conditions import Conditions
 from labdata.sensors import load_sensor
 from labdata.target import Target
-from simulate.iiccd import truth
+from simulate.iiccd import true_quantities
 from simulate.lab import LabBench
-from simulate.rig.truth import draw_truth
+from simulate.virtual_bench.true_sensor import draw_true_sensor
 
 FAINT_LUX, BRIGHT_LUX, OPEN_GATE_NS = 3e-3, 0.03, 1.6e7
 
 
 @pytest.fixture(scope="module")
 def specimen(seed):
-    return draw_truth(load_sensor("pulnix-ag5745ef3"), seed)
+    return draw_true_sensor(load_sensor("pulnix-ag5745ef3"), seed)
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +39,7 @@ def test_mtf_of_a_pinhole_is_the_camera_s_in_both_directions(bench, specimen, se
     for angle in (0.0, 90.0):
         for quantity, share in (("mtf50", 0.5), ("mtf10", 0.1)):
             (found,) = result.find(quantity, orientation_deg=angle)
-            expected = truth.frequency_at(specimen, share, angle)
+            expected = true_quantities.true_crossing_frequency(specimen, share, angle)
             error = (found.interval95[1] - found.interval95[0]) / 3.92
             assert abs(found.value - expected) < 4.5 * error
             assert found.value == pytest.approx(expected, rel=0.3 if share == 0.5 else 0.1)
@@ -49,7 +49,7 @@ def test_curves_of_a_pinhole_hold_the_true_mtf(bench, specimen, seed):
     result = measured(bench, seed, FAINT_LUX)
     for name, direction in (("mtf", "horizontal"), ("mtf_vertical", "vertical")):
         curve = result.curves[name]
-        expected = truth.mtf(specimen, curve.frequency_cy_per_px, direction)
+        expected = true_quantities.true_mtf(specimen, curve.frequency_cy_per_px, direction)
         half = np.maximum((curve.interval95[1] - curve.interval95[0]) / 2, 1e-3)
         assert np.all(np.abs(curve.value - expected) < 2.5 * half)
 

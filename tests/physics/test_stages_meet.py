@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from charact.mtf.session.stage_budget import MeasuredCurve, stage_budget
-from charact.mtf.session.stage_model import STAGES, Direction, StageModel
+from charact.mtf.session.mtf_budget import MeasuredCurve, fit_mtf_budget
+from charact.mtf.session.stage_transfers import STAGES, Direction, StageModel
 from labdata.sensor import Sensor
 from labdata.sensors import load_sensor
-from simulate.iiccd import truth
-from simulate.rig.truth import draw_truth
+from simulate.iiccd import true_quantities
+from simulate.virtual_bench.true_sensor import draw_true_sensor
 
 FREQUENCY = np.linspace(0.02, 0.48, 24)
 DIRECTIONS: tuple[Direction, ...] = ("horizontal", "vertical")
@@ -24,10 +24,10 @@ def per_pitch(sensor: Sensor, direction: Direction) -> float:
 def test_the_product_of_the_stages_is_the_simulated_camera(name: str, direction: Direction, seed: int) -> None:
     described = load_sensor(name)
     for number in range(3):
-        sensor = draw_truth(described, seed + number)
+        sensor = draw_true_sensor(described, seed + number)
         model = StageModel.of(sensor, interlaced=sensor.video.interlaced, halo=True)
         found = model.mtf(model.mean[None], FREQUENCY * per_pitch(sensor, direction), direction)[0]
-        assert found == pytest.approx(truth.mtf(sensor, FREQUENCY, direction), abs=2e-3)
+        assert found == pytest.approx(true_quantities.true_mtf(sensor, FREQUENCY, direction), abs=2e-3)
 
 
 def test_stages_of_specimens_lie_in_their_intervals(seed: int) -> None:
@@ -38,19 +38,20 @@ def test_stages_of_specimens_lie_in_their_intervals(seed: int) -> None:
     described, rng = load_sensor("pulnix-ag5745ef3"), np.random.default_rng(seed)
     held = []
     for number in range(20):
-        specimen = draw_truth(described, seed + number)
+        specimen = draw_true_sensor(described, seed + number)
         curves = [
             MeasuredCurve(
                 direction=direction,
                 frequency_cy_per_px=FREQUENCY * per_pitch(specimen, direction),
-                value=truth.mtf(specimen, FREQUENCY, direction) + 0.004 * rng.standard_normal(FREQUENCY.size),
+                value=true_quantities.true_mtf(specimen, FREQUENCY, direction)
+                + 0.004 * rng.standard_normal(FREQUENCY.size),
                 covariance=0.004**2 * np.eye(FREQUENCY.size),
             )
             for direction in DIRECTIONS
         ]
         # Pitches of a specimen are those of its description; the gap is what its point sources told.
         gap = {"photocathode.gap_mm": specimen.photocathode.gap_mm}
-        found = stage_budget(curves, described.with_parameters(gap), interlaced=True, seed=1, quick=True, halo=True)
+        found = fit_mtf_budget(curves, described.with_parameters(gap), interlaced=True, seed=1, quick=True, halo=True)
         assert found.chance > 1e-4
         exact = StageModel.of(specimen, interlaced=True, halo=True)
         logs = exact.log_stages(exact.mean[None], np.array([0.2]), "horizontal")[:, 0, 0]

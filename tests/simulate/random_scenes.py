@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from labdata.conditions import Conditions
 from labdata.parameter import Parameter
-from labdata.phosphors import load_phosphor, shipped_phosphors
+from labdata.phosphors import load_phosphor, phosphor_names
 from labdata.sensor import Sensor
 from labdata.sensors import load_sensor
 from simulate.iiccd.camera import IntensifiedCamera
@@ -95,7 +95,7 @@ def random_sensor(rng: np.random.Generator) -> Sensor:
     """Return the case study, the case study with another screen, or the digital camera, half of them as described."""
     sensor = load_sensor(str(rng.choice(["pulnix-ag5745ef3", "pulnix-ag5745ef3", "gen3-digital-iccd"])))
     if rng.random() < 0.5:
-        sensor = replace(sensor, phosphor=load_phosphor(str(rng.choice(shipped_phosphors()))))
+        sensor = replace(sensor, phosphor=load_phosphor(str(rng.choice(phosphor_names()))))
     return sensor.with_values(_drawn(sensor, rng)) if rng.random() < 0.5 else sensor
 
 

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from labdata.errors import BadInput
-from simulate.iiccd.light import Light
-from simulate.iiccd.phosphor import Afterglow
+from simulate.iiccd.phosphor import PhosphorDecay
+from simulate.iiccd.stage_image import StageImage
 
 FIELD_S = 0.01668
 
 
-def _p20(gate_s: float = FIELD_S) -> Afterglow:
-    return Afterglow(fast_fraction=0.95, fast_decay_ms=1.45, slow_decay_ms=35.0, gate_s=gate_s, field_s=FIELD_S)
+def _p20(gate_s: float = FIELD_S) -> PhosphorDecay:
+    return PhosphorDecay(fast_fraction=0.95, fast_decay_ms=1.45, slow_decay_ms=35.0, gate_s=gate_s, field_s=FIELD_S)
 
 
 def test_p20_leaves_48_28_17_11_7_per_cent_to_the_fields_after():
@@ -54,18 +54,18 @@ def test_pulses_at_random_times_have_those_shares(seed):
 
 def test_steady_scene_stays_and_a_flash_decays():
     glow = _p20()
-    steady = Light(values=np.full((6, 3, 4), 7.0, np.float32))
+    steady = StageImage(values=np.full((6, 3, 4), 7.0, np.float32))
     assert np.allclose(glow.mean(steady).values, 7.0, rtol=1e-5)
     flash = np.zeros((30, 2, 2), np.float32)
     flash[1] = 1.0
-    seen = glow.mean(Light(values=flash)).values[:, 0, 0]
+    seen = glow.mean(StageImage(values=flash)).values[:, 0, 0]
     assert seen[0] == 0.0
     assert seen[1 : 1 + glow.memory + 1] == pytest.approx(glow.weights, rel=1e-4)
     assert seen.sum() == pytest.approx(1.0, rel=1e-5)
 
 
 def test_screen_without_decay_keeps_nothing():
-    glow = Afterglow(fast_fraction=0.9, fast_decay_ms=0.0, slow_decay_ms=0.0, gate_s=FIELD_S, field_s=FIELD_S)
+    glow = PhosphorDecay(fast_fraction=0.9, fast_decay_ms=0.0, slow_decay_ms=0.0, gate_s=FIELD_S, field_s=FIELD_S)
     assert glow.memory <= 1
     assert glow.weights[0] == pytest.approx(1.0, abs=1e-6)
 

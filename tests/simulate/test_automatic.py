@@ -9,10 +9,10 @@ import pytest
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.sensors import load_sensor
-from simulate.iiccd import photons
-from simulate.iiccd.automatic import SET_LEVEL, AutomaticGain, AutomaticState, BrightnessControl
+from simulate.iiccd import tube_photometry
+from simulate.iiccd.automatic_controls import SET_LEVEL, AutomaticGain, AutomaticState, BrightnessControl
 from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.exposure import from_photoelectrons
+from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons
 
 GAIN = AutomaticGain(set_level_dn=100.0, range_db=16.0, time_constant_s=0.5, step_s=1 / 30)
 CONTROL = BrightnessControl(limit_e_per_s_cm2=1e8, attack_s=0.2, step_s=1 / 30)
@@ -67,8 +67,8 @@ def camera(plain) -> IntensifiedCamera:
 
 def _lit(camera: IntensifiedCamera, lux: float):
     per_pixel = 2.0 * camera.cells.pitch_x_mm * camera.cells.pitch_y_mm * 1e-2
-    level = lux * 1e-4 * photons.photoelectrons_per_lumen_s(camera.sensor) * per_pixel * camera.field_s
-    return from_photoelectrons(camera, np.full(camera.shape, level), Conditions())
+    level = lux * 1e-4 * tube_photometry.photoelectrons_per_lumen_s(camera.sensor) * per_pixel * camera.field_s
+    return mcp_input_from_photoelectrons(camera, np.full(camera.shape, level), Conditions())
 
 
 def test_with_brightness_control_the_charge_stays_constant_above_the_threshold(camera):

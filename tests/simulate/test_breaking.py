@@ -17,11 +17,11 @@ from labdata.errors import BadInput
 from labdata.sensor import Sensor
 from labdata.sensors import load_camera
 from labdata.target import Target
-from simulate.cameras import camera_of
+from simulate.cameras import camera_from_description
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.chain import Chain
-from simulate.iiccd.exposure import from_photoelectrons, from_radiance
-from simulate.iiccd.light import Light
+from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons, mcp_input_from_radiance
+from simulate.iiccd.stage_image import StageImage
 from simulate.lab import LabBench
 from simulate.radiance.cube import RadianceCube
 
@@ -34,7 +34,7 @@ NAMES = ["pulnix-ag5745ef3", "gen3-digital-iccd", "emccd-512"]
 def codes_of(camera: Any, picture_pe: float | NDArray[Any], conditions: Conditions, seed: int, frames: int = FRAMES):
     """Frames of a picture in photoelectrons, none of them outside the digitiser's range."""
     picture = np.broadcast_to(np.asarray(picture_pe, float), camera.shape)
-    light = from_photoelectrons(camera, picture, conditions)
+    light = mcp_input_from_photoelectrons(camera, picture, conditions)
     return checked(np.stack(list(islice(camera.frames(light, conditions, seed=seed), frames))), camera)
 
 
@@ -149,7 +149,7 @@ def test_a_plate_at_its_strip_current_gives_that_and_no_more(plain, seed):
     limit_e = plate.saturation_e_per_s_cm2 * camera.field_s * area * 205.0 * 0.225 * 0.32
     levels = []
     for photoelectrons in (1e2, 1e4, 1e6, 1e8):
-        light = from_photoelectrons(camera, np.full(camera.shape, photoelectrons), Conditions())
+        light = mcp_input_from_photoelectrons(camera, np.full(camera.shape, photoelectrons), Conditions())
         levels.append(float(camera.mean_frame(light, Conditions()).mean(dtype=float)) - 400.0)
     assert levels[-1] == pytest.approx(limit_e, rel=1e-3)
     assert np.all(np.diff(levels) > 0.0) or levels[-1] == pytest.approx(levels[-2], rel=1e-4)
@@ -181,7 +181,7 @@ def test_zero_light_and_no_dark_emission_leave_black_and_read_noise(plain, seed)
 def test_frames_of_one_pixel_one_row_or_one_column_have_the_mean_of_any_other(shape, interlaced, plain, seed):
     sensor = plain(*shape, photocathode__ebi_lm_per_cm2=0.0)
     camera = IntensifiedCamera(replace(sensor, video=replace(sensor.video, interlaced=interlaced)))
-    light = from_photoelectrons(camera, np.full(shape, 20.0), Conditions())
+    light = mcp_input_from_photoelectrons(camera, np.full(shape, 20.0), Conditions())
     expected = 400.0 + 20.0 * 10229.0 * 0.225 * 0.32 * 0.2
     assert camera.mean_frame(light, Conditions()) == pytest.approx(expected, rel=2e-3)
     codes = codes_of(camera, 20.0, Conditions(), seed, frames=60)
@@ -193,7 +193,7 @@ def test_frames_of_one_pixel_one_row_or_one_column_have_the_mean_of_any_other(sh
 @pytest.mark.parametrize("name", NAMES)
 def test_every_shipped_camera_of_one_pixel_sees(name, seed):
     description = load_camera(name)
-    camera = camera_of(replace(description, ccd=replace(description.ccd, rows=1, columns=1)))
+    camera = camera_from_description(replace(description, ccd=replace(description.ccd, rows=1, columns=1)))
     dark, lit = (codes_of(camera, level, Conditions(), seed) for level in (0.0, 1e5))
     assert lit.mean() > dark.mean()
 
@@ -226,9 +226,9 @@ def _cube(value: float) -> RadianceCube:
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, -1e-9])
 def test_radiance_that_is_none_is_refused(name, value):
     description = load_camera(name)
-    camera = camera_of(replace(description, ccd=replace(description.ccd, rows=ROWS, columns=COLUMNS)))
+    camera = camera_from_description(replace(description, ccd=replace(description.ccd, rows=ROWS, columns=COLUMNS)))
     with pytest.raises(BadInput) as refused:
-        from_radiance(camera, _cube(value), Conditions())
+        mcp_input_from_radiance(camera, _cube(value), Conditions())
     sentence(refused.value)
 
 
@@ -237,15 +237,15 @@ def test_wavelengths_that_are_none_are_refused(wavelength, sheet):
     with pytest.raises(BadInput) as refused:
         cube = RadianceCube(wavelength_nm=np.array(wavelength), radiance=np.ones((2, 4, 4)))
         small = replace(sheet, ccd=replace(sheet.ccd, rows=ROWS, columns=COLUMNS))
-        from_radiance(camera_of(small), cube, Conditions())
+        mcp_input_from_radiance(camera_from_description(small), cube, Conditions())
     sentence(refused.value)
 
 
 @pytest.mark.parametrize("level", [0.0, 1e-30, 1e-12, 1.0, 1e6, 1e12])
 def test_radiance_of_any_size_gives_codes(level, sheet, seed):
-    camera = camera_of(replace(sheet, ccd=replace(sheet.ccd, rows=ROWS, columns=COLUMNS)))
+    camera = camera_from_description(replace(sheet, ccd=replace(sheet.ccd, rows=ROWS, columns=COLUMNS)))
     cube = RadianceCube(wavelength_nm=NM, radiance=np.full((len(NM), 4, 4), level))
-    light = from_radiance(camera, cube, Conditions())
+    light = mcp_input_from_radiance(camera, cube, Conditions())
     assert np.isfinite(light.values).all() and (level == 0.0 or light.values.mean() > 0.0)
     codes = checked(np.stack(list(islice(camera.frames(light, Conditions(), seed=seed), 3))), camera)
     dark = codes_of(camera, 0.0, Conditions(), seed, frames=3)
@@ -261,7 +261,7 @@ def test_photoelectrons_that_are_none_are_refused(value, plain):
     picture = np.full(camera.shape, 3.0)
     picture[5, 7] = value
     with pytest.raises(BadInput) as refused:
-        from_photoelectrons(camera, picture, Conditions())
+        mcp_input_from_photoelectrons(camera, picture, Conditions())
     sentence(refused.value)
 
 
@@ -272,13 +272,13 @@ def test_light_at_the_plate_that_is_none_is_refused(value, plain, seed):
     values = np.full(camera.cells.shape, 1.0, np.float32)
     values[10, 10] = value
     with pytest.raises(BadInput) as refused:
-        next(camera.frames(Light(values=values, grid=camera.cells), Conditions(), seed=seed))
+        next(camera.frames(StageImage(values=values, grid=camera.cells), Conditions(), seed=seed))
     sentence(refused.value)
 
 
 @pytest.mark.parametrize("photoelectrons", [1e-12, 1e-3, 1e3, 1e6, 1e9, 1e15])
 def test_one_pixel_of_any_brightness_neither_wraps_nor_darkens_the_picture(photoelectrons, sheet, seed):
-    camera = camera_of(replace(sheet, ccd=replace(sheet.ccd, rows=ROWS, columns=COLUMNS)))
+    camera = camera_from_description(replace(sheet, ccd=replace(sheet.ccd, rows=ROWS, columns=COLUMNS)))
     picture = np.zeros(camera.shape)
     picture[12, 16] = photoelectrons
     codes = codes_of(camera, picture, Conditions(), seed, frames=4)
@@ -299,8 +299,8 @@ def test_gates_shorter_than_the_decay_keep_the_light_in_proportion(gate_ns, plai
     cathode = camera.photocathode(conditions)
     share = gate_ns * 1e-9
     per_s = 20.0 / share
-    light = camera.detected(
-        Light(values=np.full(camera.scene_cells.shape, per_s, np.float32), grid=camera.scene_cells), conditions
+    light = camera.mcp_input(
+        StageImage(values=np.full(camera.scene_cells.shape, per_s, np.float32), grid=camera.scene_cells), conditions
     )
     closed = (camera.field_s - share) / float(camera.sensor.photocathode.gate_on_off_ratio)
     expected = per_s * cathode.quantum_efficiency * (share + closed) * 4.0
@@ -315,7 +315,7 @@ def test_gates_shorter_than_the_decay_keep_the_light_in_proportion(gate_ns, plai
 def test_frames_of_a_short_gate_average_to_their_mean(gate_ns, plain, seed):
     camera = IntensifiedCamera(plain(ROWS, COLUMNS, photocathode__ebi_lm_per_cm2=0.0))
     codes = codes_of(camera, 5.0, Conditions(gate_ns=gate_ns), seed, frames=60)
-    light = from_photoelectrons(camera, np.full(camera.shape, 5.0), Conditions(gate_ns=gate_ns))
+    light = mcp_input_from_photoelectrons(camera, np.full(camera.shape, 5.0), Conditions(gate_ns=gate_ns))
     mean, error = with_error(codes)
     assert abs(mean - camera.mean_frame(light, Conditions(gate_ns=gate_ns)).mean()) < 4.5 * error
 
@@ -365,7 +365,7 @@ def test_a_description_with_a_number_that_is_none_is_refused(name, value):
     description, accepted = _of_few_pixels(name), []
     for path in sorted(description.parameters()):
         try:
-            camera_of(description.with_values({path: value})).chain(Conditions())
+            camera_from_description(description.with_values({path: value})).chain(Conditions())
         except BadInput as refusal:
             sentence(refusal)
         else:
@@ -380,8 +380,8 @@ def test_any_number_of_a_description_may_be_absurd_and_is_refused_or_gives_codes
     description, broken = _of_few_pixels(name), []
     for path, parameter in sorted(description.parameters().items()):
         try:
-            camera = camera_of(description.with_values({path: factor * float(parameter)}))
-            light = from_photoelectrons(camera, np.full(camera.shape, 5.0), Conditions())
+            camera = camera_from_description(description.with_values({path: factor * float(parameter)}))
+            light = mcp_input_from_photoelectrons(camera, np.full(camera.shape, 5.0), Conditions())
             assert np.isfinite(camera.mean_frame(light, Conditions())).all()
             next(iter(camera.frames(light, Conditions(), seed=seed)))
         except BadInput as refusal:

@@ -8,10 +8,10 @@ import pytest
 
 from labdata.conditions import Conditions
 from labdata.sensors import load_sensor
-from simulate.iiccd import tiers
+from simulate.iiccd import sampler_choice
 from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.exposure import from_photoelectrons
-from simulate.iiccd.eye import eye_of
+from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons
+from simulate.iiccd.sensor_for_renderer import render_sensor_of
 
 
 @pytest.mark.parametrize("name", ["pulnix-ag5745ef3", "gen3-digital-iccd"])
@@ -19,12 +19,15 @@ def test_blur_evens_the_noise_of_an_intensified_camera_as_its_eye_says(seed, nam
     described = load_sensor(name)
     camera = IntensifiedCamera(replace(described, ccd=replace(described.ccd, rows=32, columns=48)))
     conditions = Conditions(gate_ns=1e6, mcp_v=float(described.microchannel_plate.reference_v) - 100.0)
-    eye, signal = eye_of(camera, conditions), 8.0
+    eye, signal = render_sensor_of(camera, conditions), 8.0
     dark, light = (
-        from_photoelectrons(camera, np.full(camera.shape, level, np.float32), conditions) for level in (0.0, signal)
+        mcp_input_from_photoelectrons(camera, np.full(camera.shape, level, np.float32), conditions)
+        for level in (0.0, signal)
     )
     dn_per_pe = float(np.mean(camera.mean_frame(light, conditions) - camera.mean_frame(dark, conditions))) / signal
-    frames = np.stack(list(islice(tiers.frames(camera, light, conditions, seed=seed), 60))).astype(float)
+    frames = np.stack(list(islice(sampler_choice.generate_frames(camera, light, conditions, seed=seed), 60))).astype(
+        float
+    )
     noise_pe = np.sqrt(np.mean(frames.var(axis=0, ddof=1))) / dn_per_pe
     assert eye.evened < 0.6
     assert noise_pe == pytest.approx(float(eye.grain(signal, smooth=True)), rel=0.1)

@@ -9,20 +9,20 @@ from labdata.conditions import Conditions
 from simulate.iiccd import pattern, warp
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.fibre_geometry import FibreGeometry
-from simulate.iiccd.grid import padded_grid
-from simulate.iiccd.light import Light
+from simulate.iiccd.grid import grid_with_margin
+from simulate.iiccd.stage_image import StageImage
 
-GRID = padded_grid(300, 400, per_pixel=2, margin=10, pitch_x_mm=0.018, pitch_y_mm=0.0213)
+GRID = grid_with_margin(300, 400, per_pixel=2, margin=10, pitch_x_mm=0.018, pitch_y_mm=0.0213)
 
 
-def _spot(x_mm: float, y_mm: float) -> Light:
-    x, y = warp.places(GRID)
+def _spot(x_mm: float, y_mm: float) -> StageImage:
+    x, y = warp.cell_centres(GRID)
     image = np.exp(-0.5 * ((x - x_mm) ** 2 + (y - y_mm) ** 2) / 0.05**2)
-    return Light(values=image.astype(np.float32), grid=GRID)
+    return StageImage(values=image.astype(np.float32), grid=GRID)
 
 
-def _centre(light: Light) -> np.ndarray:
-    x, y = warp.places(GRID)
+def _centre(light: StageImage) -> np.ndarray:
+    x, y = warp.cell_centres(GRID)
     total = light.values.sum(dtype=float)
     return np.array([(light.values * x).sum(dtype=float), (light.values * y).sum(dtype=float)]) / total
 
@@ -59,7 +59,7 @@ def test_shears_shift_whole_hexagons_by_the_stated_rms():
 
 def test_borders_of_shears_are_the_dark_lines_of_the_pattern():
     offsets = pattern.multifibre_offsets(GRID, 0.3 * 1.6, 0.04, 5)[0]
-    lines = pattern.honeycomb(GRID, 1.0, 0.3, 0.006, 1.6)
+    lines = pattern.multifibre_transmission(GRID, 1.0, 0.3, 0.006, 1.6)
     for axis in (0, 1):
         border = np.diff(offsets, axis=axis) != 0.0
         beside = np.minimum(np.delete(lines, 0, axis), np.delete(lines, -1, axis))
@@ -70,7 +70,7 @@ def test_borders_of_shears_are_the_dark_lines_of_the_pattern():
 
 
 def test_shear_leaves_a_flat_flat_and_follows_its_specimen():
-    flat = Light(values=np.full(GRID.shape, 2.0, np.float32), grid=GRID)
+    flat = StageImage(values=np.full(GRID.shape, 2.0, np.float32), grid=GRID)
     sheared = FibreGeometry(shear_um=25.0, demagnification=1.6, specimen=3)
     assert sheared.mean(flat).values == pytest.approx(2.0, rel=1e-5)
     spot = _spot(0.3, 0.2)

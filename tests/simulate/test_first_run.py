@@ -16,8 +16,8 @@ from labdata.conditions import Conditions
 from labdata.sensors import load_sensor
 from simulate.iiccd import tiers
 from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.exposure import from_photoelectrons
-from simulate.iiccd.streamed.glow_rows import glow_rows
+from simulate.iiccd.scene_to_photoelectrons import from_photoelectrons
+from simulate.iiccd.fast_sampler.phosphor_rows import glow_rows
 sheet = load_sensor("gen3-digital-iccd")
 camera = IntensifiedCamera(replace(sheet, ccd=replace(sheet.ccd, rows=200, columns=256)))
 row, col = np.mgrid[:200, :256]

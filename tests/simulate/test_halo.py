@@ -5,8 +5,8 @@ import pytest
 
 from labdata.conditions import Conditions
 from labdata.target import Target
-from simulate.iiccd import truth
-from simulate.iiccd.transfer import Halo
+from simulate.iiccd import true_quantities
+from simulate.iiccd.transfer import HaloBlur
 from simulate.lab import LabBench
 
 GAP_MM = 0.21
@@ -38,7 +38,7 @@ def test_transfer_is_the_hankel_transform_of_the_landing_distances(elastic, seed
 
     count = 200_000
     distance_mm = GAP_MM * _landing(np.random.default_rng(seed), elastic, count)
-    halo = Halo(fraction=1.0, gap_mm=GAP_MM, elastic_share=float(elastic))
+    halo = HaloBlur(fraction=1.0, gap_mm=GAP_MM, elastic_share=float(elastic))
     for frequency in (0.3, 1.0, 3.0, 8.0):
         sample = j0(2.0 * np.pi * frequency * distance_mm)
         found = float(halo.transfer(np.array([frequency]), np.array([0.0]))[0])
@@ -57,7 +57,7 @@ def test_halo_of_the_camera_ends_at_four_gaps_at_every_light_level(plain):
         ccd__full_well_e=1e12,
     )
     bench, target = LabBench(sensor), Target(pinhole_px=1.5)
-    radius_px = truth.quantities(sensor)["halo_diameter"] / 2.0
+    radius_px = true_quantities.true_quantities(sensor)["halo_diameter"] / 2.0
     assert 2.0 * radius_px == pytest.approx(4.0 * GAP_MM / 0.018)
     row, col = np.indices((120, 120))
     distance = np.hypot(col + 0.5 - 60.0, (row + 0.5 - 60.0) * 13.0 / 11.0)

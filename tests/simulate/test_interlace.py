@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from labdata.conditions import Conditions
 from labdata.sensor import Sensor
 from labdata.target import Target
+from simulate.iiccd.blooming_solver import spread_excess_charge
 from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.exposure import from_photoelectrons
-from simulate.iiccd.light import Light
-from simulate.iiccd.overflow import overflowed
-from simulate.iiccd.sequence import Memory, sequence, settled
-from simulate.iiccd.spill import spilled
+from simulate.iiccd.column_blooming import apply_column_blooming
+from simulate.iiccd.moving_scene import ChainState, sequence, steady_state
+from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons
+from simulate.iiccd.stage_image import StageImage
 from simulate.lab import LabBench
 from tests.simulate import event_by_event as slow
 
@@ -32,7 +32,7 @@ LEVEL_PE, FRAMES = 6.0, 240
 def _deviations(sensor: Sensor, seed: int) -> NDArray[np.floating]:
     """A flat's frames less their own mean in time, so that fixed patterns are gone, DN, shape (frame, row, col)."""
     camera = IntensifiedCamera(replace(sensor, ccd=replace(sensor.ccd, rows=180, columns=260)))
-    light = from_photoelectrons(camera, np.full(camera.shape, LEVEL_PE), Conditions())
+    light = mcp_input_from_photoelectrons(camera, np.full(camera.shape, LEVEL_PE), Conditions())
     stream = camera.frames(light, Conditions(), seed=seed)
     codes = np.stack([frame.astype(float) for frame in islice(stream, FRAMES)])[:, :, LINE_START_PX:]
     assert codes.mean() > 20.0 and codes.max() < 255.0
@@ -176,8 +176,8 @@ def _window_share(camera: slow.EventCamera) -> float:
 def test_light_switched_off_leaves_the_p20_residuals_in_the_fields_of_frames(plain, seed):
     """Frame after frame two fields: 0.48 and 0.28, 0.17 and 0.11, 0.07 of the steady light."""
     camera = IntensifiedCamera(plain(60, 90, photocathode__ebi_lm_per_cm2=0.0))
-    lit, dark = (from_photoelectrons(camera, np.full(camera.shape, pe), Conditions()) for pe in (200.0, 0.0))
-    memory = settled(camera, lit, Conditions(), seed=seed)
+    lit, dark = (mcp_input_from_photoelectrons(camera, np.full(camera.shape, pe), Conditions()) for pe in (200.0, 0.0))
+    memory = steady_state(camera, lit, Conditions(), seed=seed)
     steady, error = _fields(camera, [lit] * 16, memory, seed)
     fading, _ = _fields(camera, [dark] * 6, memory, seed)
     level = steady.mean()
@@ -186,7 +186,9 @@ def test_light_switched_off_leaves_the_p20_residuals_in_the_fields_of_frames(pla
     assert residual == pytest.approx([0.48, 0.28, 0.17, 0.11, 0.07], abs=0.006 + 4.5 * error / level)
 
 
-def _fields(camera: IntensifiedCamera, scenes: list[Light], memory: Memory, seed: int) -> tuple[NDArray[Any], float]:
+def _fields(
+    camera: IntensifiedCamera, scenes: list[StageImage], memory: ChainState, seed: int
+) -> tuple[NDArray[Any], float]:
     """Means above black of both fields of each frame, shape (frame, 2), and the scatter of such a mean, DN."""
     run = sequence(camera, scenes, Conditions(), seed=seed, memory=memory)
     frames = np.stack([frame.astype(float) for frame in run]) - 400.0
@@ -213,9 +215,9 @@ def _point(plain, halo_fraction: float) -> tuple[NDArray[np.floating], NDArray[n
     camera = IntensifiedCamera(replace(sensor, video=replace(sensor.video, interlaced=False)))
     picture = np.zeros(camera.shape)
     picture[60, 60] = 1e6
-    light = from_photoelectrons(camera, picture, Conditions())
+    light = mcp_input_from_photoelectrons(camera, picture, Conditions())
     frame = camera.mean_frame(light, Conditions()).astype(float) - 400.0
-    doubled = from_photoelectrons(camera, 2.0 * picture, Conditions())
+    doubled = mcp_input_from_photoelectrons(camera, 2.0 * picture, Conditions())
     assert camera.mean_frame(doubled, Conditions()) - 400.0 == pytest.approx(
         2.0 * frame, rel=1e-3, abs=2e-6 * frame.max()
     )
@@ -276,7 +278,7 @@ def test_spilling_keeps_every_electron_to_a_part_in_1e9(seed):
     for _ in range(20):
         column = np.full(400, 0.3) * rng.random(400)
         column[180:220] += rng.exponential(4.0, 40) * (rng.random(40) < 0.4)
-        settled_e = spilled(column, 1.0)
+        settled_e = spread_excess_charge(column, 1.0)
         assert settled_e[[0, -1]].max() < 1.0
         assert settled_e.sum() == pytest.approx(column.sum(), rel=1e-9)
         assert settled_e.max() <= 1.0 + 1e-8
@@ -289,8 +291,8 @@ def test_held_and_drained_charge_are_each_what_wells_and_drains_take(ratio, seed
     full_well = 5e4
     field = full_well * 0.2 * rng.random((300, 12))
     field[140:160] += full_well * ratio * rng.exponential(1.5, (20, 12))
-    held, drained = overflowed(field, full_well, ratio)
-    settled_e = np.stack([spilled(column, full_well * ratio) for column in field.T], axis=1)
+    held, drained = apply_column_blooming(field, full_well, ratio)
+    settled_e = np.stack([spread_excess_charge(column, full_well * ratio) for column in field.T], axis=1)
     taken = np.maximum(settled_e - full_well, 0.0)
     assert drained == pytest.approx(taken.sum(), rel=1e-9, abs=1e-9 * field.sum())
     assert held == pytest.approx(settled_e - taken, rel=1e-9)

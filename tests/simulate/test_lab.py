@@ -7,7 +7,7 @@ from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.target import Target
 from simulate.lab import LabBench
-from simulate.rig.truth import VARIED, draw_truth
+from simulate.virtual_bench.true_sensor import VARIED, draw_true_sensor
 
 LUX = Conditions(illuminance_lux=1e-4)
 
@@ -122,8 +122,8 @@ def test_progressive_camera_has_one_exposure_a_frame(plain):
 
 def test_specimens_lie_within_the_sheets_ranges_and_follow_their_seed(sheet, seed):
     known = sheet.parameters()
-    drawn = [draw_truth(sheet, seed + n) for n in range(200)]
-    assert draw_truth(sheet, seed) == drawn[0]
+    drawn = [draw_true_sensor(sheet, seed + n) for n in range(200)]
+    assert draw_true_sensor(sheet, seed) == drawn[0]
     assert any(str(seed) in note for note in drawn[0].notes)
     for path in VARIED:
         values = np.array([float(s.parameters()[path]) for s in drawn])

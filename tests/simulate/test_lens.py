@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from labdata.errors import BadInput
-from simulate.iiccd import fourier, photons, placing, warp
-from simulate.iiccd.grid import Grid, padded_grid
+from simulate.iiccd import fourier, image_placement, tube_photometry, warp
+from simulate.iiccd.grid import Grid, grid_with_margin
 from simulate.iiccd.lens import RadiometricLens, few_transfers
 from simulate.iiccd.transfer import Defocus
 from simulate.radiance.cube import RadianceCube, band_widths
@@ -17,7 +17,7 @@ BANDS_NM = np.arange(360.0, 1100.0, 5.0)
 
 
 def _grid(rows: int = 24, columns: int = 40) -> Grid:
-    return padded_grid(rows, columns, per_pixel=4, margin=10, pitch_x_mm=0.018, pitch_y_mm=0.0213)
+    return grid_with_margin(rows, columns, per_pixel=4, margin=10, pitch_x_mm=0.018, pitch_y_mm=0.0213)
 
 
 @pytest.fixture
@@ -34,7 +34,7 @@ def lens(sheet) -> RadiometricLens:
 
 
 def _lamp(level: float, rows: int = 24, columns: int = 40) -> RadianceCube:
-    spectrum = level * planck(BANDS_NM, photons.LAMP_K)
+    spectrum = level * planck(BANDS_NM, tube_photometry.LAMP_K)
     return RadianceCube(wavelength_nm=BANDS_NM, radiance=np.tile(spectrum[:, None, None], (1, rows, columns)))
 
 
@@ -50,23 +50,25 @@ def _total(lens: RadiometricLens, cube: RadianceCube) -> float:
 def test_lamp_of_known_illuminance_gives_s_over_e_photoelectrons_per_lumen(lens, sheet):
     cube = _lamp(1e-9)
     fine = np.arange(360.0, 1100.0, 1.0)
-    luminance = LUMENS_PER_WATT * np.sum(luminous_efficiency(fine) * 1e-9 * planck(fine, photons.LAMP_K))
+    luminance = LUMENS_PER_WATT * np.sum(luminous_efficiency(fine) * 1e-9 * planck(fine, tube_photometry.LAMP_K))
     lux = lens.gathering_sr * luminance
-    peak = photons.quantum_efficiency(sheet, sheet.photocathode.wavelength_nm).max()
+    peak = tube_photometry.quantum_efficiency(sheet, sheet.photocathode.wavelength_nm).max()
     cells = lens.mean(cube).values * peak / lens.grid.cell_area_cm2
     middle = cells[cells.shape[0] // 2, cells.shape[1] // 2]
-    assert middle == pytest.approx(photons.photoelectrons_per_lumen_s(sheet) * lux * 1e-4, rel=5e-4)
+    assert middle == pytest.approx(tube_photometry.photoelectrons_per_lumen_s(sheet) * lux * 1e-4, rel=5e-4)
 
 
 def test_weights_integrate_what_the_efficiency_does_between_two_bands():
     """Even photon flux between 400 and 900 nm, an efficiency of 1 in the middle 100 nm alone."""
-    weight = photons.detected_per_radiance([400.0, 900.0], [599.5, 600.5, 699.5, 700.5], [0.0, 1.0, 1.0, 0.0])
-    expected = 100.0 * 650e-9 / photons.JOULE_METRE
+    weight = tube_photometry.detection_weights([400.0, 900.0], [599.5, 600.5, 699.5, 700.5], [0.0, 1.0, 1.0, 0.0])
+    expected = 100.0 * 650e-9 / tube_photometry.JOULE_METRE
     assert weight.sum() == pytest.approx(expected, rel=1e-3)
     # The middle of the efficiency lies half way.
     assert weight[0] / weight.sum() == pytest.approx(0.5, abs=0.005)
-    even = photons.detected_per_radiance(BANDS_NM, BANDS_NM, np.ones(BANDS_NM.size))[1:-1]
-    assert even == pytest.approx((band_widths(BANDS_NM) * BANDS_NM)[1:-1] * 1e-9 / photons.JOULE_METRE, rel=1e-4)
+    even = tube_photometry.detection_weights(BANDS_NM, BANDS_NM, np.ones(BANDS_NM.size))[1:-1]
+    assert even == pytest.approx(
+        (band_widths(BANDS_NM) * BANDS_NM)[1:-1] * 1e-9 / tube_photometry.JOULE_METRE, rel=1e-4
+    )
 
 
 def test_t_number_is_the_f_number_of_a_lossless_lens_as_bright(lens):
@@ -80,7 +82,7 @@ def test_t_number_is_the_f_number_of_a_lossless_lens_as_bright(lens):
 def test_light_falls_off_with_the_fourth_power_of_the_cosine(lens):
     short = replace(lens, focal_length_mm=1.0)
     flat = short.mean(_lamp(1e-9)).values
-    x, y = warp.places(lens.grid)
+    x, y = warp.cell_centres(lens.grid)
     cosine = 1.0 / np.sqrt(1.0 + x**2 + y**2)
     inside = np.ix_(*(_picture(n, 4 * 10, 4 * size) for n, size in zip(flat.shape, (24, 40), strict=True)))
     expected = (cosine**4)[inside]
@@ -103,7 +105,7 @@ def test_blur_glare_and_defocus_lose_no_light(lens):
 def test_distortion_moves_light_without_losing_it_and_dims_what_it_stretches(lens):
     grid = _grid(96, 128)
     far = replace(lens, focal_length_mm=1e6, grid=grid)
-    x, y = warp.places(grid)
+    x, y = warp.cell_centres(grid)
     radiance = np.exp(-((x - 0.5) ** 2 + (y - 0.4) ** 2) / 0.05**2)
     spot = radiance[40 : 40 + 384, 40 : 40 + 512].reshape(96, 4, 128, 4).mean(axis=(1, 3))
     cube = RadianceCube(wavelength_nm=np.array([600.0, 700.0]), radiance=np.tile(spot, (2, 1, 1)))
@@ -146,10 +148,10 @@ def test_each_wavelength_is_blurred_by_its_own_focus(lens):
     for band, nm in enumerate((500.0, 700.0, 900.0)):
         one = point * (np.arange(3) == band)[:, None, None]
         image = lens.mean(RadianceCube(wavelength_nm=np.array([500.0, 700.0, 900.0]), radiance=one)).values
-        sharp = placing.spread(one.sum(axis=0), lens.grid, row_pairs=False)
+        sharp = image_placement.place_on_cells(one.sum(axis=0), lens.grid, row_pairs=False)
         frequency = lens.grid.frequencies()[0][0]
         near = frequency < 25.0
-        blurred, unblurred = (np.abs(fourier.forward(of)[0, near]) for of in (image, sharp))
+        blurred, unblurred = (np.abs(fourier.rfft_image(of)[0, near]) for of in (image, sharp))
         found = blurred / blurred[0] * unblurred[0] / unblurred
         assert found == pytest.approx(np.abs(lens.transfer(nm, frequency[near])), abs=1e-3)
 
@@ -176,10 +178,12 @@ def test_few_shapes_stand_for_all_bands(lens):
 @pytest.mark.parametrize("shape", [(24, 40), (48, 80), (12, 10), (31, 53)])
 def test_a_picture_of_any_size_covers_the_frame(row_pairs, shape):
     grid = _grid(25 if row_pairs else 24, 40)
-    assert placing.spread(np.full(shape, 3.0), grid, row_pairs=row_pairs) == pytest.approx(3.0, rel=1e-6)
+    assert image_placement.place_on_cells(np.full(shape, 3.0), grid, row_pairs=row_pairs) == pytest.approx(
+        3.0, rel=1e-6
+    )
     image = np.zeros(shape)
     image[shape[0] // 2, shape[1] // 2] = 1.0
-    area = placing.spread(image, grid, row_pairs=row_pairs).sum(dtype=float)
+    area = image_placement.place_on_cells(image, grid, row_pairs=row_pairs).sum(dtype=float)
     assert area == pytest.approx(24 * 40 * 16 / (shape[0] * shape[1]), rel=1e-5)
 
 
@@ -187,7 +191,7 @@ def test_a_row_of_the_picture_is_centred_on_the_row_that_reads_it():
     grid = _grid(25, 40)
     image = np.zeros((24, 40))
     image[7] = 1.0
-    on_cells = placing.spread(image, grid, row_pairs=True)
+    on_cells = image_placement.place_on_cells(image, grid, row_pairs=True)
     rows = np.arange(grid.shape[0]) + 0.5
     centre = (on_cells[:, 60] * rows).sum() / on_cells[:, 60].sum()
     # The row that reads it sums rows 7 and 8 of the chip, whose middle is their border.

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from labdata.conditions import Conditions
 from labdata.sensor import Sensor
-from simulate.iiccd import tiers
+from simulate.iiccd import sampler_choice
 from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.light import Light
+from simulate.iiccd.stage_image import StageImage
 from tests.simulate import event_by_event as slow
 
 LEVELS = (0.05, 0.5, 5.0, 50.0, 500.0)
@@ -37,7 +37,7 @@ TOLERANCE = {"mean": 1e-3, "variance": 5e-3, "skewness": 2e-2, "quantile": 5e-3}
 
 
 # Frames of 240 x 320 pixels in one block of flats that a tier can afford, by level; and what is tried of each tier.
-AFFORDED: dict[tiers.Tier, dict[float, int]] = {
+AFFORDED: dict[sampler_choice.Tier, dict[float, int]] = {
     "streamed": dict.fromkeys(LEVELS, 25),
     "by-cell": {0.5: 8, 50.0: 4},
 }
@@ -50,9 +50,11 @@ CASES = [
 ]
 
 
-def drawn(sensor: Sensor, at_plate: Light, frames: int, seed: int, tier: tiers.Tier) -> Iterator[NDArray[Any]]:
+def drawn(
+    sensor: Sensor, at_plate: StageImage, frames: int, seed: int, tier: sampler_choice.Tier
+) -> Iterator[NDArray[Any]]:
     """Yield blocks of so many frames of a steady scene by one of the simulator's tiers, DN, shape (frame, row, col)."""
-    stream = tiers.frames(IntensifiedCamera(sensor), at_plate, Conditions(), seed=seed, tier=tier)
+    stream = sampler_choice.generate_frames(IntensifiedCamera(sensor), at_plate, Conditions(), seed=seed, tier=tier)
     while True:
         codes = np.stack([frame.copy() for frame in islice(stream, frames)])
         assert codes.min() > 0 and codes.max() < 2**sensor.video.bit_depth - 1
@@ -60,13 +62,13 @@ def drawn(sensor: Sensor, at_plate: Light, frames: int, seed: int, tier: tiers.T
 
 
 def flat_frames(
-    sensor: Sensor, photoelectrons_per_pixel: float, frames: int, seed: int, tier: tiers.Tier
+    sensor: Sensor, photoelectrons_per_pixel: float, frames: int, seed: int, tier: sampler_choice.Tier
 ) -> Iterator[NDArray[Any]]:
     """Yield blocks of so many frames of a flat by one of the simulator's tiers, DN, shape (frame, row, col)."""
     camera = IntensifiedCamera(sensor)
     cells = camera.cells.per_column * camera.cells.per_row * (2 if camera.interlaced else 1)
     flat = np.full(camera.cells.shape, photoelectrons_per_pixel / cells, np.float32)
-    return drawn(sensor, Light(values=flat, grid=camera.cells), frames, seed, tier)
+    return drawn(sensor, StageImage(values=flat, grid=camera.cells), frames, seed, tier)
 
 
 def in_fine_steps(sensor: Sensor, photoelectrons: float) -> Sensor:
@@ -84,7 +86,7 @@ def in_fine_steps(sensor: Sensor, photoelectrons: float) -> Sensor:
 
 
 def measured_flat(
-    sensor: Sensor, level: float, frames: int, seed: int, tier: tiers.Tier
+    sensor: Sensor, level: float, frames: int, seed: int, tier: sampler_choice.Tier
 ) -> tuple[slow.Moments, slow.Moments, float]:
     """Moments of a flat in `BLOCKS` of so many frames, their errors, e- above black, and the digitiser's step, e-."""
     fine = in_fine_steps(sensor, level)
@@ -99,7 +101,7 @@ def flats(plain, seed):
     """Moments of flats by tier, level and shape, each drawn once."""
 
     @cache
-    def make(tier: tiers.Tier, level: float, shape: float):
+    def make(tier: sampler_choice.Tier, level: float, shape: float):
         sensor = plain(240, 320, microchannel_plate__pulse_height_shape=shape)
         frames = round(AFFORDED[tier][level] * SAMPLES)
         found, error, step_e = measured_flat(sensor, level, frames, seed, tier)
@@ -165,7 +167,7 @@ def test_single_events_have_the_moments_of_campbells_theorem(shape, level, plain
 
 # Variance from column to column under stripes eight pixels wide, a tenth of the light in their dark half: where the
 # streamed tier, which lays its noise a little wider than pulses do, is set right but for the finest detail.
-STRIPES: dict[tiers.Tier, float] = {"streamed": 0.015, "by-cell": 5e-3}
+STRIPES: dict[sampler_choice.Tier, float] = {"streamed": 0.015, "by-cell": 5e-3}
 
 
 @pytest.mark.parametrize("tier", AFFORDED)
@@ -181,7 +183,7 @@ def test_stripes_have_the_mean_and_variance_of_single_events(tier, plain, seed):
     x_px = (np.arange(cells.shape[1]) + 0.5) / cells.per_column - cells.margin_columns
     per_cell = stripes(x_px) / (2 * cells.per_row * cells.per_column)
     light = np.repeat(per_cell[None].astype(np.float32), cells.shape[0], axis=0)
-    codes = next(drawn(sensor, Light(values=light, grid=cells), 60, seed, tier))[:, :, LINE_START_PX:]
+    codes = next(drawn(sensor, StageImage(values=light, grid=cells), 60, seed, tier))[:, :, LINE_START_PX:]
     charge = (codes - BLACK_DN) / float(sensor.video.conversion_gain_dn_per_e)
     side = 96
     expected = np.repeat(stripes((np.arange(side * slow.PHASES) + 0.5) / slow.PHASES)[None] / 2.0, side, axis=0)

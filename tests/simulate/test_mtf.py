@@ -5,8 +5,8 @@ import pytest
 
 from labdata.conditions import Conditions
 from labdata.target import Target
-from simulate.iiccd import truth
-from simulate.iiccd.light import Light
+from simulate.iiccd import true_quantities
+from simulate.iiccd.stage_image import StageImage
 from simulate.iiccd.transfer import product
 from simulate.lab import LabBench
 
@@ -22,7 +22,7 @@ def bench(plain) -> LabBench:
 @pytest.fixture(scope="module")
 def full(bench) -> tuple[float, float]:
     """Dark level and full signal, DN, from the truths."""
-    q = truth.quantities(bench.camera.sensor)
+    q = true_quantities.true_quantities(bench.camera.sensor)
     dark = 400.0 + q["photoelectron_gain"] * q["ebi_per_field"]
     return dark, 1e-4 * q["photoelectrons_per_lux"] * q["photoelectron_gain"]
 
@@ -31,8 +31,8 @@ def _transfer(bench: LabBench, fx_cy_per_px: np.ndarray, fy_cy_per_px: np.ndarra
     """Transfer of the whole camera at a frequency in the plane, both components per column pitch."""
     camera = bench.camera
     pitch = camera.cells.pitch_x_mm
-    blurs = (*truth._before_gain(camera), *truth._after_gain(camera))
-    video = np.abs(truth._video(camera).low_pass.transfer(fx_cy_per_px))
+    blurs = (*true_quantities._before_gain(camera), *true_quantities._after_gain(camera))
+    video = np.abs(true_quantities._video(camera).low_pass.transfer(fx_cy_per_px))
     return product(blurs, fx_cy_per_px / pitch, fy_cy_per_px / pitch) * video
 
 
@@ -117,7 +117,7 @@ def test_blur_keeps_the_light(plain, full, bench):
     dark, signal = full
     image = (bench.mean("point", Target(pinhole_px=6.0), LUX) - dark) / signal
     plate = bench.photoelectrons("point", Target(pinhole_px=6.0), LUX)
-    q = truth.quantities(bench.camera.sensor)
+    q = true_quantities.true_quantities(bench.camera.sensor)
     # A pixel as read is two rows high and holds eight cells.
     lit = plate.values.sum(dtype=float) - plate.values.size * q["ebi_per_field"] / 8.0
     area = lit / (1e-4 * q["photoelectrons_per_lux"]) * 2.0 * RATIO
@@ -129,7 +129,9 @@ def test_paid_blur_keeps_the_sum_and_makes_no_light(bench):
     grid = bench.camera.cells
     values = np.zeros(grid.shape, np.float32)
     values[40:60, 50:70] = 100.0
-    blurred = Light(values=values, grid=grid).blurred(*truth._after_gain(bench.camera)).paid()
+    blurred = (
+        StageImage(values=values, grid=grid).blurred(*true_quantities._after_gain(bench.camera)).with_blurs_applied()
+    )
     assert blurred.values.sum(dtype=float) == pytest.approx(values.sum(), rel=1e-5)
 
 
@@ -137,13 +139,15 @@ def test_mtf_matches_the_published_cascade(sheet):
     """Table 1.12 at f_pc 5, 10, 15, 20 lp/mm, its pixel, lens, fibres and filter being ours, the halo left out."""
     no_halo = sheet.with_values({"photocathode.halo_fraction": 0.0})
     frequency = np.array([5.0, 10.0, 15.0, 20.0]) * 0.018
-    assert truth.mtf(no_halo, frequency, "vertical") == pytest.approx([0.79, 0.49, 0.23, 0.06], abs=0.03)
+    assert true_quantities.true_mtf(no_halo, frequency, "vertical") == pytest.approx([0.79, 0.49, 0.23, 0.06], abs=0.03)
     # The pixel clock's staircase lowers ours beside the analog filter of the table.
     staircase = np.sinc(frequency)
-    assert truth.mtf(no_halo, frequency) == pytest.approx(np.array([0.84, 0.64, 0.44, 0.26]) * staircase, abs=0.03)
+    assert true_quantities.true_mtf(no_halo, frequency) == pytest.approx(
+        np.array([0.84, 0.64, 0.44, 0.26]) * staircase, abs=0.03
+    )
 
 
 def test_mtf50_is_where_the_mtf_is_one_half(sheet):
     for direction in ("horizontal", "vertical"):
-        found = truth.frequency_at(sheet, 0.5, direction)
-        assert truth.mtf(sheet, found, direction) == pytest.approx(0.5, abs=1e-9)
+        found = true_quantities.true_crossing_frequency(sheet, 0.5, direction)
+        assert true_quantities.true_mtf(sheet, found, direction) == pytest.approx(0.5, abs=1e-9)

@@ -12,11 +12,11 @@ import pytest
 from scipy.integrate import quad
 
 from labdata.conditions import Conditions
-from simulate.iiccd import tiers
+from simulate.iiccd import sampler_choice
 from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.light import Light
-from simulate.iiccd.streamed.kernel import noise_kernel
-from simulate.iiccd.transfer import Flight, PixelAperture, folded_transfer
+from simulate.iiccd.fast_sampler.kernel import noise_kernel
+from simulate.iiccd.stage_image import StageImage
+from simulate.iiccd.transfer import GapSpread, PixelAperture, fold_transfer
 
 PITCH_MM = 0.02
 
@@ -34,8 +34,8 @@ def autocovariance(sigma_px: float, lag: int, height: int = 1) -> float:
     return quad(density, -reach, reach, points=inside or None)[0] / (2.0 * sigma_px * np.sqrt(np.pi))
 
 
-def blur(sigma_px: float) -> tuple[Flight, ...]:
-    return (Flight(radius_um=np.sqrt(2.0) * sigma_px * PITCH_MM * 1e3),) if sigma_px else ()
+def blur(sigma_px: float) -> tuple[GapSpread, ...]:
+    return (GapSpread(radius_um=np.sqrt(2.0) * sigma_px * PITCH_MM * 1e3),) if sigma_px else ()
 
 
 SIGMAS = (0.0, 0.02, 0.05, 0.1, 0.2, 0.35, 0.7, 1.0, 2.0)
@@ -47,7 +47,7 @@ def test_events_on_cells_have_the_covariance_of_events_anywhere(sigma_px, across
     cells = {"cell_x_mm": PITCH_MM / across, "cell_y_mm": PITCH_MM / down}
     fx, fy = (np.fft.fftfreq(32 * n, cell) for n, cell in zip((across, down), cells.values(), strict=True))
     aperture = PixelAperture(width_mm=PITCH_MM, height_mm=height * PITCH_MM)
-    power = folded_transfer(blur(sigma_px), aperture, fx, fy, **cells) ** 2
+    power = fold_transfer(blur(sigma_px), aperture, fx, fy, **cells) ** 2
     # Amount per cell averaged over the pixel: variance of the sum over the pixel, one event a pixel area.
     covariance = np.fft.ifft2(power).real * across * down * height
     variance = autocovariance(sigma_px, 0) * autocovariance(sigma_px, 0, height)
@@ -82,8 +82,8 @@ def test_flats_of_a_camera_that_does_not_blur_are_white(level, tier, plain, seed
     )  # fmt: skip
     camera = IntensifiedCamera(replace(sensor, video=replace(sensor.video, interlaced=False)))
     cells = camera.cells
-    flat = Light(values=np.full(cells.shape, level / cells.per_column / cells.per_row, np.float32), grid=cells)
-    stream = tiers.frames(camera, flat, Conditions(), seed=seed, tier=tier)
+    flat = StageImage(values=np.full(cells.shape, level / cells.per_column / cells.per_row, np.float32), grid=cells)
+    stream = sampler_choice.generate_frames(camera, flat, Conditions(), seed=seed, tier=tier)
     frames = np.stack([frame.copy() for frame in islice(stream, 32)]).astype(float)
     assert frames.min() > 0
     black = float(camera.sensor.video.black_level_dn)

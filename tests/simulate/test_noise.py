@@ -7,13 +7,13 @@ import pytest
 
 from labdata.conditions import Conditions
 from labdata.target import Target
-from simulate.iiccd import truth
+from simulate.iiccd import true_quantities
 from simulate.iiccd.chain import Chain
-from simulate.iiccd.grid import padded_grid
-from simulate.iiccd.light import Light
+from simulate.iiccd.grid import grid_with_margin
 from simulate.iiccd.microchannel import MicrochannelPlate
 from simulate.iiccd.phosphor import Phosphor
 from simulate.iiccd.pixels import Collection
+from simulate.iiccd.stage_image import StageImage
 from simulate.iiccd.taper import Taper
 from simulate.iiccd.transfer import PixelAperture, TubeShare
 from simulate.lab import LabBench
@@ -49,7 +49,7 @@ def test_blur_factor_and_correlations_are_those_of_table_5_2(row):
     share, *published = row
     for height_mm, expected in ((0.0213, published[:3]), (0.0425, published[3:])):
         blurs = (_johnson(share), GaussianFibres(), PixelAperture(width_mm=0.018, height_mm=height_mm))
-        found = truth.pulse_correlation(blurs, None, 0.018, height_mm)
+        found = true_quantities.pulse_correlation(blurs, None, 0.018, height_mm)
         assert found[0] == pytest.approx(expected[0], abs=1.5e-3)
         assert found[1:] == pytest.approx(expected[1:], abs=6e-3)
 
@@ -57,7 +57,7 @@ def test_blur_factor_and_correlations_are_those_of_table_5_2(row):
 @pytest.mark.parametrize(("row_pairs", "column"), [(False, 1), (True, 4)])
 def test_drawn_pulses_have_the_blur_factor_of_table_5_2(row_pairs, column, seed):
     share, expected, level = 0.8, TABLE[1][column], 4.0
-    grid = padded_grid(120, 160, per_pixel=2, margin=8, pitch_x_mm=0.018, pitch_y_mm=0.0213).whole_rows()
+    grid = grid_with_margin(120, 160, per_pixel=2, margin=8, pitch_x_mm=0.018, pitch_y_mm=0.0213).whole_rows()
     chain = Chain(
         (
             MicrochannelPlate(
@@ -75,7 +75,7 @@ def test_drawn_pulses_have_the_blur_factor_of_table_5_2(row_pairs, column, seed)
     per_pixel = level * 2 * (2 if row_pairs else 1)
     variances = []
     for n in range(30):
-        light = Light(values=np.full(grid.shape, level, np.float32), grid=grid)
+        light = StageImage(values=np.full(grid.shape, level, np.float32), grid=grid)
         pixels = chain.draw(light, np.random.default_rng([seed, n])).values.astype(float)
         variances.append(np.mean((pixels - per_pixel) ** 2) / (2.0 * per_pixel))
     error = np.std(variances, ddof=1) / np.sqrt(len(variances))
@@ -111,7 +111,7 @@ def _flat(sensor, seed: int) -> Flat:
     conditions = Conditions(illuminance_lux=LUX)
     frames = bench.expose("flat", Target(), conditions, frames=FRAMES, seed=seed).data.astype(float)
     mean = bench.mean("flat", Target(), conditions).astype(float)
-    return Flat(frames - mean, float(frames.mean()) - 400.0, truth.quantities(sensor))
+    return Flat(frames - mean, float(frames.mean()) - 400.0, true_quantities.true_quantities(sensor))
 
 
 @pytest.fixture(scope="module")
@@ -150,8 +150,8 @@ def _captured(sensor, rows: int, columns: int) -> float:
     for m in (-2, -1, 0, 1, 2):
         for n in (-2, -1, 0, 1, 2):
             fx, fy = np.broadcast_arrays((x[None, :] + m) / pitch_x, (y[:, None] + n) / pitch_y)
-            power += product(truth._after_gain(camera), fx, fy) ** 2
-    power *= np.abs(truth._video(camera).low_pass.transfer(x)) ** 2
+            power += product(true_quantities._after_gain(camera), fx, fy) ** 2
+    power *= np.abs(true_quantities._video(camera).low_pass.transfer(x)) ** 2
     kernel = [(np.sin(np.pi * n * f) / np.sin(np.pi * f)) ** 2 / n for n, f in ((columns, x), (rows, y))]
     return float(np.mean(power * kernel[0][None, :] * kernel[1][:, None]))
 
@@ -224,7 +224,7 @@ def test_charge_alone_has_the_system_gain_as_its_noise(plain, seed):
     from simulate.iiccd.ccd import Ccd
 
     ccd = Ccd(quantum_efficiency=0.3, full_well_e=1e6)
-    light = Light(values=np.full((200, 300), 9000.0, np.float32))
+    light = StageImage(values=np.full((200, 300), 9000.0, np.float32))
     charge = ccd.draw(light, np.random.default_rng(seed)).values.astype(float)
     spread = 2700.0 * np.sqrt(2.0 / charge.size)
     assert abs(charge.var() - 2700.0) < 4.5 * spread

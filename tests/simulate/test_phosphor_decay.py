@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from labdata.phosphors import load_phosphor
-from simulate.iiccd.phosphor import FORGOTTEN, Afterglow
+from simulate.iiccd.phosphor import FORGOTTEN, PhosphorDecay
 
 
-def _glow(name: str, field_s: float, gate_s: float | None = None) -> Afterglow:
+def _glow(name: str, field_s: float, gate_s: float | None = None) -> PhosphorDecay:
     phosphor = load_phosphor(name)
-    return Afterglow(
+    return PhosphorDecay(
         fast_fraction=float(phosphor.fast_fraction),
         fast_decay_ms=float(phosphor.fast_decay_ms),
         slow_decay_ms=float(phosphor.slow_decay_ms),
@@ -20,11 +20,11 @@ def _glow(name: str, field_s: float, gate_s: float | None = None) -> Afterglow:
     )
 
 
-def _single(tau_ms: float, field_s: float) -> Afterglow:
-    return Afterglow(fast_fraction=1.0, fast_decay_ms=tau_ms, slow_decay_ms=tau_ms, gate_s=field_s, field_s=field_s)
+def _single(tau_ms: float, field_s: float) -> PhosphorDecay:
+    return PhosphorDecay(fast_fraction=1.0, fast_decay_ms=tau_ms, slow_decay_ms=tau_ms, gate_s=field_s, field_s=field_s)
 
 
-def _variance_and_adjacent_difference(glow: Afterglow) -> tuple[float, float]:
+def _variance_and_adjacent_difference(glow: PhosphorDecay) -> tuple[float, float]:
     """Factors of the temporal variance and of half the variance of the difference of adjacent fields."""
     shares = glow.pulse_shares
     own = float(np.mean(np.sum(shares**2, axis=1)))
@@ -69,7 +69,7 @@ def test_every_screen_gives_all_its_light_at_any_rate(name, field_s):
     assert exact < FORGOTTEN
 
 
-def _late(glow: Afterglow, fields: int) -> float:
+def _late(glow: PhosphorDecay, fields: int) -> float:
     """Share of light later than so many fields, of pulses spread over the gate, by the closed integral."""
     tau = np.array([glow.fast_decay_ms, glow.slow_decay_ms]) * 1e-3
     share = np.array([glow.fast_fraction, 1.0 - glow.fast_fraction]) * tau

@@ -3,36 +3,36 @@
 import numpy as np
 import pytest
 
-from simulate.iiccd import draws, photons, truth
+from simulate.iiccd import pulse_sampling, true_quantities, tube_photometry
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.microchannel import MicrochannelPlate
-from simulate.iiccd.photons import ELEMENTARY_CHARGE_C, JOULE_METRE
+from simulate.iiccd.tube_photometry import ELEMENTARY_CHARGE_C, JOULE_METRE
 
 
 def test_gallium_arsenide_of_table_1_2_has_1996_microamperes_per_lumen(sheet):
     cathode = sheet.photocathode
     table = np.asarray(cathode.relative_quantum_efficiency)
-    assert photons.luminous_sensitivity(cathode.wavelength_nm, table) == pytest.approx(1996, rel=0.01)
+    assert tube_photometry.luminous_sensitivity(cathode.wavelength_nm, table) == pytest.approx(1996, rel=0.01)
     at_830 = np.interp(830.0, cathode.wavelength_nm, table) * ELEMENTARY_CHARGE_C * 830e-9 / JOULE_METRE
     assert at_830 * 1e3 == pytest.approx(228, rel=0.005)
 
 
 def test_scaled_quantum_efficiency_gives_the_sheets_sensitivity(sheet):
     fine = np.arange(400.0, 1000.0, 1.0)
-    found = photons.luminous_sensitivity(fine, photons.quantum_efficiency(sheet, fine))
+    found = tube_photometry.luminous_sensitivity(fine, tube_photometry.quantum_efficiency(sheet, fine))
     assert found == pytest.approx(1350, rel=1e-3)
 
 
 def test_ebi_is_1_13_photoelectrons_per_second_and_pixel_of_one_row(sheet):
-    assert truth.quantities(sheet)["ebi"] / 2.0 == pytest.approx(1.129, rel=1e-3)
+    assert true_quantities.true_quantities(sheet)["ebi"] / 2.0 == pytest.approx(1.129, rel=1e-3)
 
 
 def test_ebi_doubles_with_six_kelvin(sheet):
-    assert photons.ebi_per_s_cm2(sheet, 31.0) == pytest.approx(2.0 * photons.ebi_per_s_cm2(sheet, 25.0))
+    assert tube_photometry.ebi_per_s_cm2(sheet, 31.0) == pytest.approx(2.0 * tube_photometry.ebi_per_s_cm2(sheet, 25.0))
 
 
 def test_luminous_gain_15000_is_10229_photons_per_photoelectron(sheet):
-    assert photons.photons_per_photoelectron(sheet) == pytest.approx(10229, rel=1e-3)
+    assert tube_photometry.photons_per_photoelectron(sheet) == pytest.approx(10229, rel=1e-3)
 
 
 def test_stage_resolutions_add_in_quadrature_to_a_64_lp_per_mm_tube(sheet):
@@ -46,7 +46,7 @@ def test_stage_resolutions_add_in_quadrature_to_a_64_lp_per_mm_tube(sheet):
 
 def test_gain_doubles_within_45_to_70_volt_of_800(sheet):
     for step_v in (45.0, 70.0):
-        factor = photons.voltage_factor(sheet, 800.0 + step_v)
+        factor = tube_photometry.voltage_factor(sheet, 800.0 + step_v)
         assert (factor < 2.0) == (step_v < 57.0)
 
 
@@ -67,7 +67,10 @@ def test_excess_noise_factor_of_drawn_pulses(probability, shape, factor, level, 
     assert plate.excess_noise_factor == pytest.approx(factor, abs=0.006)
     count = 200_000
     rng = np.random.default_rng([seed, int(1000 * level), int(100 * probability), int(shape)])
-    pulses = draws.pulse_sums(rng, np.full(count, level * probability, np.float32), shape).astype(float) / probability
+    pulses = (
+        pulse_sampling.pulse_sums(rng, np.full(count, level * probability, np.float32), shape).astype(float)
+        / probability
+    )
     assert abs(pulses.mean() - level) < 4.5 * np.sqrt(level * plate.excess_noise_factor / count)
     squares = (pulses - level) ** 2
     assert abs(squares.mean() - level * plate.excess_noise_factor) < 4.5 * squares.std() / np.sqrt(count)
@@ -78,7 +81,9 @@ def test_charge_is_poisson(level, seed):
     from scipy import stats
 
     count = 200_000
-    charge = draws.poisson_charge(np.random.default_rng([seed, int(10 * level)]), np.full(count, level, np.float32))
+    charge = pulse_sampling.poisson_charge(
+        np.random.default_rng([seed, int(10 * level)]), np.full(count, level, np.float32)
+    )
     assert abs(charge.mean(dtype=float) - level) < 4.5 * np.sqrt(level / count)
     edges = stats.poisson.ppf(np.linspace(0.0, 1.0, 21)[1:-1], level)
     edges = np.unique(edges)
@@ -95,7 +100,9 @@ def test_exponential_pulse_sums_follow_the_compound_law(level, seed):
     from scipy import stats
 
     count = 100_000
-    sums = draws.pulse_sums(np.random.default_rng([seed, int(level * 8)]), np.full(count, level, np.float32), 1.0)
+    sums = pulse_sampling.pulse_sums(
+        np.random.default_rng([seed, int(level * 8)]), np.full(count, level, np.float32), 1.0
+    )
     n = np.arange(0, int(level + 12 * np.sqrt(level) + 20))
     chance = stats.poisson.pmf(n, level)
     for x in level * np.array([0.0, 0.2, 0.7, 1.0, 1.6, 2.5]):
@@ -107,11 +114,11 @@ def test_exponential_pulse_sums_follow_the_compound_law(level, seed):
 
 def test_plate_saturates_to_half_at_its_saturation_current(sheet):
     from labdata.conditions import Conditions
-    from simulate.iiccd.light import Light
+    from simulate.iiccd.stage_image import StageImage
 
     camera = IntensifiedCamera(sheet)
     plate = camera.chain(Conditions()).stages[3]
     per_s_cm2 = plate.saturation_e_per_s_cm2 / plate.gain
     cell = per_s_cm2 * camera.field_s * camera.cells.cell_area_cm2
-    light = Light(values=np.full((8, 8), cell, np.float32), grid=camera.cells)
-    assert plate.saturated_gain(light).item() == pytest.approx(plate.gain / 2.0, rel=1e-5)
+    light = StageImage(values=np.full((8, 8), cell, np.float32), grid=camera.cells)
+    assert plate.gain_under_load(light).item() == pytest.approx(plate.gain / 2.0, rel=1e-5)

@@ -7,14 +7,14 @@ import pytest
 
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from simulate.iiccd import pattern, photons
+from simulate.iiccd import pattern, tube_photometry
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.depletion import Depletion
-from simulate.iiccd.grid import padded_grid
-from simulate.iiccd.light import Light
-from simulate.iiccd.microchannel import MicrochannelPlate, stacked
+from simulate.iiccd.grid import grid_with_margin
+from simulate.iiccd.microchannel import MicrochannelPlate, stack_gain_and_shape
+from simulate.iiccd.stage_image import StageImage
 
-GRID = padded_grid(60, 80, per_pixel=2, margin=10, pitch_x_mm=0.018, pitch_y_mm=0.0213)
+GRID = grid_with_margin(60, 80, per_pixel=2, margin=10, pitch_x_mm=0.018, pitch_y_mm=0.0213)
 # Luminous gain of a published intensified camera at six control words (physics reference, 1.4; truth 18).
 CONTROL = {0: 2512, 51: 5012, 102: 9772, 153: 19055, 204: 36728, 255: 70795}
 
@@ -24,14 +24,14 @@ def _plate(**changes) -> MicrochannelPlate:
     return MicrochannelPlate(**given | {"field_s": 0.0167} | changes)
 
 
-def _flat(level: float) -> Light:
-    return Light(values=np.full(GRID.shape, level, np.float32), grid=GRID)
+def _flat(level: float) -> StageImage:
+    return StageImage(values=np.full(GRID.shape, level, np.float32), grid=GRID)
 
 
 @pytest.mark.parametrize(("word", "luminous_gain"), CONTROL.items())
 def test_control_word_follows_the_published_table(sheet, word, luminous_gain):
     """Truth 18, within 3 %."""
-    gain = float(sheet.tube.luminous_gain) * photons.control_factor(sheet, word)
+    gain = float(sheet.tube.luminous_gain) * tube_photometry.control_factor(sheet, word)
     assert gain == pytest.approx(luminous_gain, rel=0.03)
 
 
@@ -51,17 +51,17 @@ def test_stack_has_the_gain_and_variance_of_pulses_sent_through_both_plates(seed
     events = 400_000
     first = rng.poisson(rng.exponential(8.0, events))
     heights = rng.gamma(np.maximum(first, 1) * 2.0) / 2.0 * 30.0 * (first > 0)
-    gain, shape = stacked((8.0, 30.0), (8.0 / 9.0, 2.0))
+    gain, shape = stack_gain_and_shape((8.0, 30.0), (8.0 / 9.0, 2.0))
     assert heights.mean() == pytest.approx(gain, abs=4.5 * heights.std() / np.sqrt(events))
     relative = (heights - gain) ** 2 / gain**2
     assert abs(relative.mean() - 1.0 / shape) < 4.5 * relative.std() / np.sqrt(events)
 
 
 def test_first_plate_of_a_stack_decides_its_pulse_heights():
-    assert stacked((1000.0, 1000.0), (1.0, 1.0)) == pytest.approx((1e6, 1.0), rel=2e-3)
-    assert stacked((2.0, 1000.0), (1.0, 1.0))[1] == pytest.approx(1.0 / 1.5)
+    assert stack_gain_and_shape((1000.0, 1000.0), (1.0, 1.0)) == pytest.approx((1e6, 1.0), rel=2e-3)
+    assert stack_gain_and_shape((2.0, 1000.0), (1.0, 1.0))[1] == pytest.approx(1.0 / 1.5)
     with pytest.raises(BadInput, match="positive"):
-        stacked((0.0,), (1.0,))
+        stack_gain_and_shape((0.0,), (1.0,))
 
 
 def test_flat_light_sees_the_same_gain_by_place_as_over_the_whole_plate():
@@ -70,14 +70,14 @@ def test_flat_light_sees_the_same_gain_by_place_as_over_the_whole_plate():
         expected = whole.mean(_flat(level)).values
         assert local.mean(_flat(level)).values == pytest.approx(expected, rel=1e-5)
     half = 1e12 * GRID.cell_area_cm2 * 0.0167 / 50.0
-    assert local.saturated_gain(_flat(half)) == pytest.approx(25.0, rel=1e-5)
+    assert local.gain_under_load(_flat(half)) == pytest.approx(25.0, rel=1e-5)
 
 
-def _point(level: float) -> Light:
+def _point(level: float) -> StageImage:
     """A bright spot of 5 cells' width and a faint halo far from it."""
     values = np.full(GRID.shape, 1e-4 * level, np.float32)
     values[80:85, 100:105] = level
-    return Light(values=values, grid=GRID)
+    return StageImage(values=values, grid=GRID)
 
 
 def test_bright_core_compresses_while_its_halo_keeps_growing():
@@ -132,7 +132,7 @@ def test_steady_light_through_depleted_plate_is_its_steady_map():
     plate, light = _plate(depletion_blur_um=45.0), _point(300.0)
     depletion = plate.depletion
     load = depletion.load(plate.gain * light.values, GRID)
-    by_state = plate.depleted(depletion.during(load, load)).mean(light).values
+    by_state = plate.with_depletion(depletion.during(load, load)).mean(light).values
     assert by_state == pytest.approx(plate.mean(light).values, rel=1e-5)
 
 
@@ -148,8 +148,8 @@ def test_draws_under_a_local_load_average_to_its_mean(seed):
 
 
 def test_multifibre_pattern_lowers_lines_and_keeps_the_gain():
-    grid = padded_grid(480, 760, per_pixel=2, margin=10, pitch_x_mm=0.018, pitch_y_mm=0.0213)
-    lines = pattern.multifibres(grid, 0.04, 0.7, 0.02)
+    grid = grid_with_margin(480, 760, per_pixel=2, margin=10, pitch_x_mm=0.018, pitch_y_mm=0.0213)
+    lines = pattern.multifibre_gain(grid, 0.04, 0.7, 0.02)
     assert lines.mean(dtype=float) == pytest.approx(1.0, abs=1e-6)
     assert lines.max() / lines.min() == pytest.approx(1.0 / 0.96, rel=0.01)
     assert np.median(lines) > 1.0
@@ -190,8 +190,8 @@ def test_lines_narrower_than_a_cell_take_as_much_light_wherever_they_fall():
     """Lines of 6 um on cells of 10 and of 5 um: hexagons of pitch p have 2/p of border per area."""
     lost = []
     for per_pixel in (2, 4):
-        grid = padded_grid(200, 300, per_pixel=per_pixel, margin=10, pitch_x_mm=0.018, pitch_y_mm=0.0213)
-        lines = pattern.multifibres(grid, 0.5, 0.7, 0.006)
+        grid = grid_with_margin(200, 300, per_pixel=per_pixel, margin=10, pitch_x_mm=0.018, pitch_y_mm=0.0213)
+        lines = pattern.multifibre_gain(grid, 0.5, 0.7, 0.006)
         lost.append(1.0 - 1.0 / lines.max())
     # Across a line the loss is a Gaussian of 3 um standard deviation.
     assert lost == pytest.approx([0.5 * 0.003 * np.sqrt(2.0 * np.pi) * 2.0 / 0.7] * 2, rel=0.02)

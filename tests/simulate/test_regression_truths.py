@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from simulate.iiccd import draws, photons, truth
+from simulate.iiccd import pulse_sampling, true_quantities, tube_photometry
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.microchannel import MicrochannelPlate
-from simulate.iiccd.phosphor import Afterglow, lingering
-from simulate.iiccd.transfer import Halo, PixelAperture, TubeShare, product
+from simulate.iiccd.phosphor import PhosphorDecay, apply_phosphor_decay
+from simulate.iiccd.transfer import HaloBlur, PixelAperture, TubeShare, product
 
 FIELD_S = 1.0 / 59.94
 # Table 5.2 at a post-gain share of 1, single rows: tube, fibres of 80 lp/mm, pixel of 18.0 x 21.3 um at the cathode.
@@ -22,24 +22,24 @@ PIXEL_MM = (0.018, 0.0213)
 def test_truth_01_gallium_arsenide_table_has_1996_microamperes_per_lumen_and_228_milliamperes_per_watt(sheet):
     cathode = sheet.photocathode
     table_nm, table = cathode.wavelength_nm, np.asarray(cathode.relative_quantum_efficiency)
-    assert photons.luminous_sensitivity(table_nm, table) == pytest.approx(1996, rel=0.01)
-    peak = photons.quantum_efficiency(sheet, [700.0, 750.0]).max()
+    assert tube_photometry.luminous_sensitivity(table_nm, table) == pytest.approx(1996, rel=0.01)
+    peak = tube_photometry.quantum_efficiency(sheet, [700.0, 750.0]).max()
     assert peak == pytest.approx(0.27, rel=0.01)
-    responsivity = photons.quantum_efficiency(sheet, [830.0])[0] * photons.ELEMENTARY_CHARGE_C * 830e-9
-    assert 1e3 * responsivity / photons.JOULE_METRE == pytest.approx(154, rel=0.01)
+    responsivity = tube_photometry.quantum_efficiency(sheet, [830.0])[0] * tube_photometry.ELEMENTARY_CHARGE_C * 830e-9
+    assert 1e3 * responsivity / tube_photometry.JOULE_METRE == pytest.approx(154, rel=0.01)
     scale = table.max() / peak
-    assert 1e3 * scale * responsivity / photons.JOULE_METRE == pytest.approx(228, rel=0.01)
+    assert 1e3 * scale * responsivity / tube_photometry.JOULE_METRE == pytest.approx(228, rel=0.01)
 
 
 def test_truth_02_ebi_is_1_129_electrons_per_second_and_chip_pixel(sheet):
-    per_row_pair = truth.quantities(sheet)["ebi"]
+    per_row_pair = true_quantities.true_quantities(sheet)["ebi"]
     assert per_row_pair / 2.0 == pytest.approx(1.129, abs=1e-3)
     assert per_row_pair * FIELD_S == pytest.approx(0.038, abs=5e-4)
 
 
 def test_truth_03_luminous_gain_15000_is_10229_photons_per_photoelectron(sheet):
     assert float(sheet.tube.luminous_gain) == 15000.0
-    assert photons.photons_per_photoelectron(sheet) == pytest.approx(10229, rel=5e-4)
+    assert tube_photometry.photons_per_photoelectron(sheet) == pytest.approx(10229, rel=5e-4)
 
 
 def _plate(probability: float, shape: float) -> MicrochannelPlate:
@@ -69,7 +69,10 @@ def test_truth_04_excess_noise_of_drawn_pulses_is_that_of_the_table(probability,
     published, level, count = NOISE[probability][column], 10.0, 1_000_000
     assert _plate(probability, shape).excess_noise_factor == pytest.approx(published, abs=5e-3)
     rng = np.random.default_rng([seed, column, int(100 * probability)])
-    pulses = draws.pulse_sums(rng, np.full(count, level * probability, np.float32), shape).astype(float) / probability
+    pulses = (
+        pulse_sampling.pulse_sums(rng, np.full(count, level * probability, np.float32), shape).astype(float)
+        / probability
+    )
     squares = (pulses - level) ** 2
     error = squares.std() / level / np.sqrt(count)
     # The published numbers have three digits.
@@ -80,13 +83,13 @@ def test_truth_04_excess_noise_of_drawn_pulses_is_that_of_the_table(probability,
 def test_truth_05_signal_to_noise_of_the_tube_specification_is_21(sheet, seed):
     """108 microlux on a spot of 0.2 mm, 10 Hz: the photoelectrons of 50 ms, with a noise factor of 1.8."""
     area_m2 = np.pi * (0.1e-3) ** 2
-    counted = photons.photoelectrons_per_lumen_s(sheet) * 108e-6 * area_m2 / (2.0 * 10.0)
+    counted = tube_photometry.photoelectrons_per_lumen_s(sheet) * 108e-6 * area_m2 / (2.0 * 10.0)
     assert np.sqrt(counted) == pytest.approx(37.8, abs=0.05)
     assert np.sqrt(counted) / 1.8 == pytest.approx(21.0, abs=0.05)
     plate = _plate(0.62, 1.0)
-    spots = draws.pulse_sums(np.random.default_rng(seed), np.full(400_000, counted * 0.62, np.float32), 1.0).astype(
-        float
-    )
+    spots = pulse_sampling.pulse_sums(
+        np.random.default_rng(seed), np.full(400_000, counted * 0.62, np.float32), 1.0
+    ).astype(float)
     assert np.sqrt(plate.excess_noise_factor) == pytest.approx(1.8, abs=0.01)
     assert spots.mean() / spots.std() == pytest.approx(21.0, abs=0.15)
 
@@ -145,7 +148,7 @@ class _Fibres:
 
 
 def test_truth_09_blur_factor_at_share_one_is_204_thousandths():
-    blur, beside, below = truth.pulse_correlation(_share_of_one(), None, *PIXEL_MM)
+    blur, beside, below = true_quantities.pulse_correlation(_share_of_one(), None, *PIXEL_MM)
     assert blur == pytest.approx(0.204, abs=1e-3)
     assert (beside, below) == pytest.approx((0.45, 0.38), abs=6e-3)
 
@@ -172,11 +175,11 @@ LAGGING = {0.05: (0.90, 0.86), 0.1: (0.82, 0.74), 0.2: (0.67, 0.53), 0.3: (0.54,
 def test_truth_10_a_lag_takes_its_share_of_the_variance(lag, seed):
     """One exponential and pulses at the start of the field alone make fields a first-order recursion."""
     decay_ms = -1e3 * FIELD_S / np.log(lag)
-    glow = Afterglow(
+    glow = PhosphorDecay(
         fast_fraction=1.0, fast_decay_ms=decay_ms, slow_decay_ms=decay_ms, gate_s=1e-9 * FIELD_S, field_s=FIELD_S
     )
     fields = np.random.default_rng(seed).standard_normal((240, 80, 80)).astype(np.float32)
-    shown = lingering(fields, glow.weights).astype(float)
+    shown = apply_phosphor_decay(fields, glow.weights).astype(float)
     variance = shown.var()
     difference = np.diff(shown, axis=0).var() / 2.0
     assert variance == pytest.approx(LAGGING[lag][0], abs=0.006)
@@ -192,7 +195,9 @@ def test_truth_10_pulses_at_any_time_of_the_field_lose_the_variance_of_section_1
     decay_ms, rate_hz, variance, adjacent
 ):
     field_s = 1.0 / rate_hz
-    glow = Afterglow(fast_fraction=1.0, fast_decay_ms=decay_ms, slow_decay_ms=decay_ms, gate_s=field_s, field_s=field_s)
+    glow = PhosphorDecay(
+        fast_fraction=1.0, fast_decay_ms=decay_ms, slow_decay_ms=decay_ms, gate_s=field_s, field_s=field_s
+    )
     halves = np.pad(glow.halves, ((0, 0), (0, 1)))
     same = np.mean(np.sum(halves**2, axis=1))
     following = np.mean(np.sum(halves[:, 1:] * halves[:, :-1], axis=1))
@@ -214,7 +219,7 @@ def test_truth_11_halo_ends_at_two_gaps_with_the_tabulated_density(elastic_share
     """The halo's transfer turned back into a picture, 80 cells a gap, softened by one cell."""
     gap_cells, size = 80.0, 640
     fx, fy = np.broadcast_arrays(np.fft.rfftfreq(size)[None, :], np.fft.fftfreq(size)[:, None])
-    halo = Halo(fraction=1.0, gap_mm=gap_cells, elastic_share=elastic_share).transfer(fx, fy)
+    halo = HaloBlur(fraction=1.0, gap_mm=gap_cells, elastic_share=elastic_share).transfer(fx, fy)
     soft = np.exp(-2.0 * np.pi**2 * (fx**2 + fy**2))
     picture = np.fft.irfft2(halo * soft, s=(size, size))
     along = np.minimum(np.arange(size), size - np.arange(size))
@@ -230,9 +235,9 @@ def test_truth_11_halo_ends_at_two_gaps_with_the_tabulated_density(elastic_share
 
 def test_truth_11_halo_of_the_camera_is_four_gaps_wide(sheet):
     camera = IntensifiedCamera(sheet)
-    diameter_mm = truth.quantities(sheet)["halo_diameter"] * camera.cells.pitch_x_mm
+    diameter_mm = true_quantities.true_quantities(sheet)["halo_diameter"] * camera.cells.pitch_x_mm
     assert diameter_mm == pytest.approx(0.84)
-    assert truth.quantities(sheet)["halo_diameter"] == pytest.approx(47.0, abs=0.5)
+    assert true_quantities.true_quantities(sheet)["halo_diameter"] == pytest.approx(47.0, abs=0.5)
 
 
 # Section 2.1: bloom diameter, pixels of 18 um at the cathode, at overloads 10 ... 1e6; core alone and with its halo.
@@ -244,7 +249,7 @@ def _diameters(fraction: float) -> np.ndarray:
     """Diameters above clip of a Gaussian core of 1.2 px with so many times clip at its peak, and a halo of 23.6 px."""
     size, per_px, sigma_px = 720, 6, 1.2
     fx, fy = np.broadcast_arrays(np.fft.rfftfreq(size, 1 / per_px)[None, :], np.fft.fftfreq(size, 1 / per_px)[:, None])
-    halo = Halo(fraction=fraction, gap_mm=23.6 / 2.0, elastic_share=1.0).transfer(fx, fy)
+    halo = HaloBlur(fraction=fraction, gap_mm=23.6 / 2.0, elastic_share=1.0).transfer(fx, fy)
     core = np.exp(-2.0 * (np.pi * sigma_px) ** 2 * (fx**2 + fy**2))
     picture = np.fft.irfft2(halo * core, s=(size, size)) * (2.0 * np.pi * sigma_px**2) * per_px**2
     return np.array(
@@ -269,7 +274,7 @@ KNOB = {0: 2512, 51: 5012, 102: 9772, 153: 19055, 204: 36728, 255: 70795}
 @pytest.mark.parametrize("word", KNOB)
 def test_truth_18_control_word_gives_the_published_gain(word, sheet):
     """Log-linear, a factor 1.95 per 51 counts, through the published gain of word 0."""
-    gain = float(sheet.tube.luminous_gain) * photons.gain_factor(sheet, None, float(word))
+    gain = float(sheet.tube.luminous_gain) * tube_photometry.gain_factor(sheet, None, float(word))
     assert gain == pytest.approx(2512.0 * 1.95 ** (word / 51.0), rel=1e-3)
     # The table is not quite log-linear.
     assert gain == pytest.approx(KNOB[word], rel=0.025)
@@ -310,7 +315,10 @@ def _row_pairs(sheet, video) -> tuple[float, float]:
     camera = IntensifiedCamera(sheet)
     x, y = ((np.arange(n) + 0.5) / n * 4.0 for n in (1200, 900))
     pitch_x, pitch_y = camera.cells.pitch_x_mm, 2.0 * camera.cells.pitch_y_mm
-    power = product(truth._after_gain(camera), *np.broadcast_arrays(x[None, :] / pitch_x, y[:, None] / pitch_y)) ** 2
+    power = (
+        product(true_quantities._after_gain(camera), *np.broadcast_arrays(x[None, :] / pitch_x, y[:, None] / pitch_y))
+        ** 2
+    )
     power = power * np.abs(video.transfer(x)) ** 2
     beside, shared = np.cos(2.0 * np.pi * x)[None, :], np.cos(np.pi * y)[:, None]
     return float(np.sum(power * beside) / power.sum()), float(np.sum(power * shared) / power.sum())
@@ -318,7 +326,7 @@ def _row_pairs(sheet, video) -> tuple[float, float]:
 
 def test_truth_20_p20_correlates_lines_by_23_hundredths_and_pixels_2_1_times_as_much(sheet):
     """Field correlation 0.36 times row-pair overlap 0.64; the pixels' own correlation under the reference's filter."""
-    field = truth.quantities(sheet)["field_correlation"]
+    field = true_quantities.true_quantities(sheet)["field_correlation"]
     assert field == pytest.approx(0.36, abs=5e-3)
     video = sheet.video
     analog = _AnalogVideo(float(video.bandwidth_mhz) / float(video.pixel_clock_mhz))
@@ -331,12 +339,12 @@ def test_truth_20_p20_correlates_lines_by_23_hundredths_and_pixels_2_1_times_as_
 def test_truth_20_the_staircase_of_the_pixel_clock_adds_to_the_correlation_along_lines(sheet):
     """Pixels are held for a clock before the filter: along lines the chain's noise is smoother than the reference's."""
     camera = IntensifiedCamera(sheet)
-    beside, overlap = _row_pairs(sheet, truth._video(camera).low_pass)
-    assert beside == pytest.approx(truth.quantities(sheet)["correlation_horizontal"], abs=2e-3)
-    ratio = beside / (truth.quantities(sheet)["field_correlation"] * overlap)
+    beside, overlap = _row_pairs(sheet, true_quantities._video(camera).low_pass)
+    assert beside == pytest.approx(true_quantities.true_quantities(sheet)["correlation_horizontal"], abs=2e-3)
+    ratio = beside / (true_quantities.true_quantities(sheet)["field_correlation"] * overlap)
     assert 2.1 * 1.05 < ratio < 3.0
 
 
 def test_truth_20_without_decay_fields_share_nothing(sheet):
     lagless = sheet.with_values({"phosphor.fast_decay_ms": 1e-6, "phosphor.slow_decay_ms": 1e-6})
-    assert truth.quantities(lagless)["field_correlation"] == pytest.approx(0.0, abs=1e-6)
+    assert true_quantities.true_quantities(lagless)["field_correlation"] == pytest.approx(0.0, abs=1e-6)

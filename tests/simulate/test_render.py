@@ -7,15 +7,15 @@ import pytest
 
 from labdata.errors import BadInput
 from labdata.target import Target
+from simulate.radiance.bench_renderer import outline_cells, render_bench, set_up
 from simulate.radiance.cube import RadianceCube
 from simulate.radiance.photometry import luminous_efficiency, planck
-from simulate.radiance.render import mixed_cells, render, set_up
 from simulate.radiance.scene import load_scene
 from simulate.radiance.target_mesh import target_mesh
-from simulate.radiance.view import View
+from simulate.radiance.target_view import TargetView
 
 NM = np.array([500.0, 600.0, 800.0])
-VIEW = View(
+VIEW = TargetView(
     shape=(96, 160), cell_px=(0.25, 0.25 * 13 / 11), corner_px=(-20.3, -14.1), metre_per_px=7e-4, distance_m=1.0
 )
 
@@ -42,7 +42,7 @@ def _clipped_area(polygon: np.ndarray, low: tuple[float, float], size: tuple[flo
 
 def _coverage(kind, target, scene) -> np.ndarray:
     bench = set_up(scene, target_mesh(kind, target, scene.holder, 1.0 / VIEW.metre_per_px), VIEW.metre_per_px)
-    image = render(bench, VIEW, NM).radiance[1].astype(float)
+    image = render_bench(bench, VIEW, NM).radiance[1].astype(float)
     return image / (0.92 * planck(600.0, 2856.0))
 
 
@@ -65,7 +65,7 @@ def test_bars_cover_their_cells_to_1_256_of_a_cell(scene):
     ]
     target = Target(bars=4, frequency_cy_per_px=frequency, angle_deg=angle)
     found = _coverage("bars", target, scene)
-    checked = np.argwhere(mixed_cells(target_mesh("bars", target, scene.holder), VIEW))[::7]
+    checked = np.argwhere(outline_cells(target_mesh("bars", target, scene.holder), VIEW))[::7]
     exact = np.array(
         [
             sum(_clipped_area(bar, tuple(VIEW.places_px(row, col)), VIEW.cell_px) for bar in bars)
@@ -95,17 +95,19 @@ def test_light_of_bars_edge_and_pinhole_is_that_of_their_areas(scene):
 
 def test_tiles_are_the_whole_picture(scene):
     bench = set_up(scene, target_mesh("edge", Target(), scene.holder), VIEW.metre_per_px)
-    whole = render(bench, VIEW, NM).radiance
-    tiled = np.concatenate([render(bench, tile, NM).radiance for _, tile in VIEW.tiles(32)], axis=1)
+    whole = render_bench(bench, VIEW, NM).radiance
+    tiled = np.concatenate([render_bench(bench, tile, NM).radiance for _, tile in VIEW.tiles(32)], axis=1)
     # Only places of rays move, by rounding.
     assert np.abs(tiled - whole).max() < 0.02 * whole.max()
     assert np.abs(tiled - whole).mean() < 1e-5 * whole.max()
 
 
 def test_ring_of_a_pinhole_reflects_the_room_faintly(scene):
-    view = View(shape=(400, 400), cell_px=(0.6, 0.6), corner_px=(-120.0, -120.0), metre_per_px=7e-4, distance_m=1.0)
+    view = TargetView(
+        shape=(400, 400), cell_px=(0.6, 0.6), corner_px=(-120.0, -120.0), metre_per_px=7e-4, distance_m=1.0
+    )
     bench = set_up(scene, target_mesh("point", Target(pinhole_px=8.0), scene.holder, 1.0 / 7e-4), 7e-4)
-    image = render(bench, view, NM).radiance[1]
+    image = render_bench(bench, view, NM).radiance[1]
     row, col = np.indices(image.shape)
     distance = np.hypot(row + 0.5 - 200, col + 0.5 - 200) * 0.6
     ring = image[np.abs(distance - 100.0) < 8.0].mean() / image.max()

@@ -8,12 +8,12 @@ import pytest
 
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from simulate.iiccd import photons
-from simulate.iiccd.automatic import SET_LEVEL
+from simulate.iiccd import tube_photometry
+from simulate.iiccd.automatic_controls import SET_LEVEL
 from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.exposure import from_photoelectrons
-from simulate.iiccd.sequence import Memory, next_frame, rested, sequence, settled
-from simulate.iiccd.steady import steady_frames
+from simulate.iiccd.moving_scene import ChainState, initial_state, next_frame, sequence, steady_state
+from simulate.iiccd.reference_sampler import steady_frames
+from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons
 
 NONE = Conditions()
 
@@ -26,7 +26,7 @@ def camera(plain) -> IntensifiedCamera:
 def _scene(camera: IntensifiedCamera, level: float):
     image = np.full(camera.shape, level)
     image[:, : camera.shape[1] // 2] *= 0.5
-    return from_photoelectrons(camera, image, NONE)
+    return mcp_input_from_photoelectrons(camera, image, NONE)
 
 
 @pytest.mark.parametrize("local", [False, True])
@@ -35,7 +35,7 @@ def test_a_steady_sequence_is_the_steady_run(plain, local):
     camera = IntensifiedCamera(plain(30, 44, microchannel_plate__strip_current_ua_per_cm2=0.6), local_depletion=local)
     scene = _scene(camera, 20.0)
     steady = islice(steady_frames(camera, scene, NONE, seed=7), 4)
-    start = settled(camera, scene, NONE, seed=7)
+    start = steady_state(camera, scene, NONE, seed=7)
     changing = sequence(camera, [scene] * 8, NONE, seed=7, memory=start)
     for one, other in zip(steady, changing, strict=True):
         different = one.astype(int) - other
@@ -46,7 +46,7 @@ def test_a_steady_sequence_is_the_steady_run(plain, local):
 def test_a_frame_is_drawn_again_alone_from_the_memory_before_it(camera):
     scenes = [_scene(camera, level) for level in (5.0, 50.0, 0.0, 20.0, 3.0, 3.0)]
     run = list(sequence(camera, scenes, NONE, seed=7))
-    memory = rested(camera, NONE)
+    memory = initial_state(camera, NONE)
     for n in range(2):
         _, memory = next_frame(camera, scenes[2 * n : 2 * n + 2], NONE, memory, seed=7)
     alone, after = next_frame(camera, scenes[4:], NONE, memory, seed=7)
@@ -57,7 +57,7 @@ def test_a_frame_is_drawn_again_alone_from_the_memory_before_it(camera):
 def test_light_switched_off_leaves_the_screens_residuals(camera, seed):
     """Truth 19 in frames: the field residuals 0.48, 0.28, 0.17, 0.11, ... are the shares of later fields."""
     light, dark = _scene(camera, 400.0), _scene(camera, 0.0)
-    start = settled(camera, light, NONE, seed=seed)
+    start = steady_state(camera, light, NONE, seed=seed)
     frames = np.stack(list(sequence(camera, [dark] * 8, NONE, seed=seed, memory=start))).astype(float) - 400.0
     full = camera.mean_frame(light, NONE).mean() - 400.0
     residual = np.concatenate([[1.0], camera.afterglow(NONE).residuals(9)])
@@ -88,10 +88,10 @@ def test_channels_recover_after_a_flash(plain, seed):
         microchannel_plate__channel_recovery_ms=50.0,
     )
     camera = IntensifiedCamera(replace(sensor, video=replace(sensor.video, interlaced=False)), local_depletion=True)
-    flash, probe = (from_photoelectrons(camera, np.full(camera.shape, level), NONE) for level in (3e4, 20.0))
+    flash, probe = (mcp_input_from_photoelectrons(camera, np.full(camera.shape, level), NONE) for level in (3e4, 20.0))
     plate = camera.plate(NONE)
     load = plate.depletion.load(plate.gain * flash.in_whole_rows().values, flash.in_whole_rows().grid)
-    memory = replace(rested(camera, NONE), depletion=load)
+    memory = replace(initial_state(camera, NONE), depletion=load)
     frames = np.stack(list(sequence(camera, [probe] * 8, NONE, seed=seed, memory=memory))).astype(float) - 400.0
     found = frames.mean(axis=(1, 2))
     undiminished = camera.mean_frame(probe, NONE).mean() - 400.0
@@ -106,15 +106,15 @@ def test_channels_recover_after_a_flash(plain, seed):
 def test_a_lamp_that_enters_the_picture_pumps_the_tubes_brightness(plain, seed):
     sensor = plain(30, 44, photocathode__ebi_lm_per_cm2=0.0)
     camera, on = IntensifiedCamera(sensor), Conditions(brightness_control=True)
-    per_lux = photons.photoelectrons_per_lumen_s(sensor) * 1e-4 * camera.field_s
+    per_lux = tube_photometry.photoelectrons_per_lumen_s(sensor) * 1e-4 * camera.field_s
     per_lux *= 2.0 * camera.cells.pitch_x_mm * camera.cells.pitch_y_mm * 1e-2
     threshold = float(sensor.tube.brightness_control_lux) * per_lux
-    memory = rested(camera, on)
-    bright = from_photoelectrons(camera, np.full(camera.shape, 10.0 * threshold), on)
+    memory = initial_state(camera, on)
+    bright = mcp_input_from_photoelectrons(camera, np.full(camera.shape, 10.0 * threshold), on)
     for _ in range(40):
         _, memory = next_frame(camera, [bright, bright], on, memory, seed=seed)
     assert memory.automatic.brightness == pytest.approx(0.1, rel=0.03)
-    dim = from_photoelectrons(camera, np.full(camera.shape, 0.1 * threshold), on)
+    dim = mcp_input_from_photoelectrons(camera, np.full(camera.shape, 0.1 * threshold), on)
     for _ in range(40):
         _, memory = next_frame(camera, [dim, dim], on, memory, seed=seed)
     assert memory.automatic.brightness == 1.0
@@ -132,11 +132,11 @@ def test_automatic_gain_follows_the_frames_it_has_seen(plain, seed):
 
 def test_a_frame_of_the_wrong_number_of_exposures_is_refused(camera):
     with pytest.raises(BadInput, match="2 exposures, got 1"):
-        next_frame(camera, [_scene(camera, 1.0)], NONE, rested(camera, NONE), seed=1)
+        next_frame(camera, [_scene(camera, 1.0)], NONE, initial_state(camera, NONE), seed=1)
 
 
 def test_memory_of_a_rested_camera_is_dark(camera):
-    memory = rested(camera, NONE)
-    assert isinstance(memory, Memory)
+    memory = initial_state(camera, NONE)
+    assert isinstance(memory, ChainState)
     assert memory.glow.shape == (camera.afterglow(NONE).memory, 2, *camera.shape)
     assert not memory.glow.any()

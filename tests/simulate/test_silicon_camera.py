@@ -10,10 +10,10 @@ from labdata.errors import BadInput
 from labdata.sensors import load_camera
 from simulate.iiccd import pattern
 from simulate.iiccd.ccd import Ccd
-from simulate.iiccd.exposure import from_photoelectrons
-from simulate.iiccd.light import Light
 from simulate.iiccd.register import Register
+from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons
 from simulate.iiccd.solid_state import SiliconCamera
+from simulate.iiccd.stage_image import StageImage
 
 COLD = Conditions(temperature_c=-70.0)
 
@@ -27,14 +27,14 @@ def description():
 
 
 def _frames(camera: SiliconCamera, level: float, conditions: Conditions, seed: int, count: int = 20) -> np.ndarray:
-    light = from_photoelectrons(camera, np.full(camera.shape, level), conditions)
+    light = mcp_input_from_photoelectrons(camera, np.full(camera.shape, level), conditions)
     stream = camera.frames(light, conditions, seed=seed)
     return np.stack([next(stream) for _ in range(count)]).astype(float)
 
 
 def _moments(gain: float, stages: int, inputs: int, seed: int, shape: float = 1.0) -> np.ndarray:
     register = Register(gain=gain, stages=stages, pulse_height_shape=shape)
-    light = Light(values=np.full((400, 500), inputs, np.float32))
+    light = StageImage(values=np.full((400, 500), inputs, np.float32))
     return register.draw(light, np.random.default_rng(seed)).values.astype(float)
 
 
@@ -68,7 +68,7 @@ def test_register_is_that_of_electrons_multiplied_stage_by_stage(seed):
 
 def test_clamp_takes_the_mean_of_dark_and_clocked_charge_and_leaves_their_noise(seed):
     register = Register(gain=50.0, stages=536, clock_induced_e=2.0, dark_e=3.0)
-    wells = Light(values=np.random.default_rng(seed).poisson(3.0, (500, 500)).astype(np.float32))
+    wells = StageImage(values=np.random.default_rng(seed).poisson(3.0, (500, 500)).astype(np.float32))
     out = register.draw(wells, np.random.default_rng(seed + 1)).values.astype(float)
     expected = 50.0**2 * register.excess_noise_factor * 5.0
     assert abs(out.mean()) < 4.5 * np.sqrt(expected / out.size)
@@ -106,7 +106,7 @@ def test_photon_transfer_of_an_emccd(description, em_gain, level, seed):
 
 def test_frames_follow_from_their_number_alone(description):
     camera = SiliconCamera(description)
-    light = from_photoelectrons(camera, np.full(camera.shape, 2.0), COLD)
+    light = mcp_input_from_photoelectrons(camera, np.full(camera.shape, 2.0), COLD)
     run = camera.frames(light, COLD, seed=3)
     third = [next(run) for _ in range(4)][3]
     alone = next(camera.frames(light, COLD, seed=3, first_frame=3))
@@ -115,16 +115,16 @@ def test_frames_follow_from_their_number_alone(description):
 
 
 def test_dark_signal_is_fixed_positive_and_of_its_spread():
-    dark = pattern.dark_signal((400, 500), 16.0, 5.0, 9)
+    dark = pattern.dark_signal_map((400, 500), 16.0, 5.0, 9)
     assert dark.mean(dtype=float) == pytest.approx(16.0, rel=0.01)
     assert dark.std(dtype=float) == pytest.approx(5.0, rel=0.02)
     assert dark.min() > 0.0
-    assert np.array_equal(dark, pattern.dark_signal((400, 500), 16.0, 5.0, 9))
+    assert np.array_equal(dark, pattern.dark_signal_map((400, 500), 16.0, 5.0, 9))
 
 
 def test_dark_pattern_stays_from_frame_to_frame_and_is_in_the_mean(seed):
     ccd = Ccd(quantum_efficiency=0.5, full_well_e=1e5, dark_e=40.0, dsnu_e=5.0, specimen=2)
-    nothing = Light(values=np.zeros((60, 80), np.float32))
+    nothing = StageImage(values=np.zeros((60, 80), np.float32))
     rng = np.random.default_rng(seed)
     average = np.mean([ccd.draw(nothing, rng).values for _ in range(400)], axis=0)
     mean = ccd.mean(nothing).values

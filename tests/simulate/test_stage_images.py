@@ -7,10 +7,10 @@ import pytest
 
 from labdata.conditions import Conditions
 from labdata.sensors import load_camera
-from simulate.cameras import camera_of
-from simulate.iiccd import truth
+from simulate.cameras import camera_from_description
+from simulate.iiccd import true_quantities
 from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.exposure import from_photoelectrons, from_radiance
+from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons, mcp_input_from_radiance
 from simulate.iiccd.stage_images import stage_images
 from simulate.radiance.cube import RadianceCube
 from simulate.radiance.photometry import planck
@@ -21,7 +21,7 @@ CUBE = RadianceCube(wavelength_nm=NM, radiance=np.tile(1e-11 * planck(NM, 2856.0
 
 def _small(name: str):
     description = load_camera(name)
-    return camera_of(replace(description, ccd=replace(description.ccd, rows=30, columns=44)))
+    return camera_from_description(replace(description, ccd=replace(description.ccd, rows=30, columns=44)))
 
 
 @pytest.mark.parametrize("name", ["pulnix-ag5745ef3", "gen3-digital-iccd", "emccd-512"])
@@ -37,7 +37,7 @@ def test_every_stage_of_the_chain_is_shown_once_in_its_order(name):
 def test_light_at_the_plate_is_that_of_the_exposure():
     camera = _small("pulnix-ag5745ef3")
     shown = {stage: image for stage, _, image in stage_images(camera, CUBE, Conditions(), seed=1)}
-    at_plate = from_radiance(camera, CUBE, Conditions())
+    at_plate = mcp_input_from_radiance(camera, CUBE, Conditions())
     grid = at_plate.grid
     assert grid is not None
     top, left = grid.margin_rows * 2, grid.margin_columns * 2
@@ -48,7 +48,7 @@ def test_light_at_the_plate_is_that_of_the_exposure():
 def test_levels_grow_by_the_gains_of_the_stages(plain):
     sensor = plain(60, 88, phosphor__fast_decay_ms=1e-9, phosphor__slow_decay_ms=1e-9)
     camera = IntensifiedCamera(sensor)
-    light = from_photoelectrons(camera, np.full(camera.shape, 200.0), Conditions())
+    light = mcp_input_from_photoelectrons(camera, np.full(camera.shape, 200.0), Conditions())
     shown = {stage: image.mean(dtype=float) for stage, _, image in stage_images(camera, light, Conditions(), seed=1)}
     chain = {stage.name: stage for stage in camera.chain(Conditions()).stages}
     assert shown["phosphor"] / shown["microchannel plate"] == pytest.approx(
@@ -57,13 +57,13 @@ def test_levels_grow_by_the_gains_of_the_stages(plain):
     assert shown["taper"] / shown["phosphor"] == pytest.approx(chain["taper"].transmission, rel=1e-2)
     assert shown["pixels"] / shown["taper"] == pytest.approx(8.0, rel=2e-2)
     assert shown["ccd"] / shown["scan"] == pytest.approx(float(sensor.ccd.quantum_efficiency), rel=1e-2)
-    k = truth.quantities(sensor)["photoelectron_gain"]
+    k = true_quantities.true_quantities(sensor)["photoelectron_gain"]
     assert shown["video"] - 400.0 == pytest.approx(200.0 * k, rel=2e-2)
 
 
 def test_pixels_of_a_camera_without_a_tube_hold_the_photoelectrons_of_the_picture():
     camera, conditions = _small("emccd-512"), Conditions(temperature_c=-20.0)
-    light = from_photoelectrons(camera, np.full(camera.shape, 7.0), conditions)
+    light = mcp_input_from_photoelectrons(camera, np.full(camera.shape, 7.0), conditions)
     found = {stage: (what, image) for stage, what, image in stage_images(camera, light, conditions, seed=1)}
     what, image = found["pixels"]
     assert what == "photoelectrons per exposure and pixel, expected"

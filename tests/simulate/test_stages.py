@@ -10,11 +10,11 @@ from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.sensor import Sensor
 from labdata.sensors import load_camera
-from simulate.cameras import Camera, camera_of
+from simulate.cameras import Camera, camera_from_description
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.ccd import Ccd
 from simulate.iiccd.chain import Chain, Stage
-from simulate.iiccd.light import Light
+from simulate.iiccd.stage_image import StageImage
 from simulate.radiance.cube import RadianceCube
 
 DRAWS = 60
@@ -44,7 +44,7 @@ STAGES = (
 NOISY = ("microchannel plate", "ccd", "register")
 
 
-def _light_for(camera: Camera, stage: Stage) -> Light | RadianceCube:
+def _light_for(camera: Camera, stage: Stage) -> StageImage | RadianceCube:
     """An uneven image of the kind that reaches a stage, far from any limit."""
     rng = np.random.default_rng(5)
     if stage.takes == "radiance":
@@ -60,7 +60,7 @@ def _light_for(camera: Camera, stage: Stage) -> Light | RadianceCube:
     values = level * (0.5 + rng.random(shape))
     # Wells and registers hold whole electrons.
     values = np.rint(values) if stage.takes == "charge in the wells" else values
-    return Light(values=values.astype(np.float32), grid=grid)
+    return StageImage(values=values.astype(np.float32), grid=grid)
 
 
 @pytest.fixture(scope="module")
@@ -92,13 +92,15 @@ def cameras(plain, camera) -> dict[str, Camera]:
             plain(24, 40, microchannel_plate__strip_current_ua_per_cm2=0.6), local_depletion=True
         ),
         "digital tube": IntensifiedCamera(digital),
-        "silicon": camera_of(emccd.with_values({"register.em_gain": 20.0, "video.conversion_gain_dn_per_e": 0.5})),
+        "silicon": camera_from_description(
+            emccd.with_values({"register.em_gain": 20.0, "video.conversion_gain_dn_per_e": 0.5})
+        ),
         "radiometric": camera,
     }
 
 
 @pytest.fixture(params=STAGES, ids=[f"{kind}: {name}" for kind, name in STAGES])
-def found(request, cameras) -> tuple[Stage, Light | RadianceCube]:
+def found(request, cameras) -> tuple[Stage, StageImage | RadianceCube]:
     """A stage and light for it."""
     kind, name = request.param
     owner = cameras[kind]
@@ -153,7 +155,7 @@ def test_chains_of_every_kind_of_camera_are_the_stages_in_order(cameras):
     assert tuple(s.name for s in cameras["silicon"].chain(Conditions()).stages) == SILICON
 
 
-def _values(light: Light | RadianceCube) -> np.ndarray:
+def _values(light: StageImage | RadianceCube) -> np.ndarray:
     return light.radiance if isinstance(light, RadianceCube) else light.values
 
 

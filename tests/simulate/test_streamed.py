@@ -9,23 +9,23 @@ import pytest
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.sensors import load_sensor
-from simulate.iiccd import tiers, truth
+from simulate.iiccd import sampler_choice, true_quantities
 from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.exposure import from_photoelectrons
-from simulate.iiccd.light import Light
-from simulate.iiccd.phosphor import Afterglow
-from simulate.iiccd.streamed import engine, kernel, law, prepare
-from simulate.iiccd.streamed.singles import SingleLight
+from simulate.iiccd.fast_sampler import charge_distribution, frame_generator, kernel, prepare
+from simulate.iiccd.fast_sampler.sparse_events import SparseEventSampler
+from simulate.iiccd.phosphor import PhosphorDecay
+from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons
+from simulate.iiccd.stage_image import StageImage
 from simulate.iiccd.transfer import PixelAperture, product
 from tests.simulate.test_noise import _block_variance, _captured
 
 
 def _moments_of(quantiles: np.ndarray) -> list[float]:
     """First four moments of a law drawn by straight lines between the nodes of its quantiles."""
-    probability = law.node_probabilities()
+    probability = charge_distribution.node_probabilities()
     points, weights = np.polynomial.legendre.leggauss(6)
     moments = np.zeros(4)
-    for half in (quantiles[: law.HALF], quantiles[law.HALF :]):
+    for half in (quantiles[: charge_distribution.HALF], quantiles[charge_distribution.HALF :]):
         inside = half[:-1, None] + np.diff(half)[:, None] * (points + 1.0) / 2.0
         for power in range(1, 5):
             moments[power - 1] += probability[0] * half[0] ** power
@@ -46,7 +46,7 @@ def test_a_row_has_the_skewness_and_kurtosis_of_the_compound_law(shape, mean):
     variance = m2 - m1**2
     skewness = (m3 - 3 * m1 * m2 + 2 * m1**3) / variance**1.5
     kurtosis = (m4 - 4 * m1 * m3 + 6 * m1**2 * m2 - 3 * m1**4) / variance**2
-    found = _moments_of(law.standardised_quantiles(shape, mean))
+    found = _moments_of(charge_distribution.unit_variance_quantiles(shape, mean))
     assert found[0] == pytest.approx(0.0, abs=1e-9)
     assert found[1] == pytest.approx(1.0, abs=1e-9)
     # Narrow pulses make a staircase of the law, whose steps straight lines between nodes round off.
@@ -57,8 +57,8 @@ def test_a_row_has_the_skewness_and_kurtosis_of_the_compound_law(shape, mean):
 
 def _kernels(sensor, divisions):
     camera = IntensifiedCamera(sensor)
-    stages = prepare.Stages.of(camera.chain(Conditions()), camera.fields_per_frame)
-    blurs = stages.behind_plate.mean(Light(values=np.zeros((1, 1), np.float32))).owed
+    stages = prepare.CameraStages.of(camera.chain(Conditions()), camera.fields_per_frame)
+    blurs = stages.behind_plate.mean(StageImage(values=np.zeros((1, 1), np.float32))).pending_blurs
     known = kernel.DIVISIONS
     try:
         kernel.DIVISIONS = (divisions,)
@@ -82,7 +82,7 @@ def _far_of_cell(made, row, col, shape):
     """What the far wing alone brings of it."""
     coarse = np.zeros([-(-(n + 2 * kernel.REACH) // kernel.COARSE) for n in shape], np.float32)
     coarse[row // kernel.COARSE, col // kernel.COARSE] = 1.0
-    wide, places = engine.far_wing(made, coarse, shape)
+    wide, places = frame_generator.far_wing(made, coarse, shape)
     above = places.astype(int)
     share = (places - above)[:, None].astype(float)
     return wide[above] + share * (wide[above + 1].astype(float) - wide[above])
@@ -119,8 +119,8 @@ def test_the_kernel_keeps_all_light_and_the_covariance_of_the_continuous_blur(sh
 def test_single_pulses_light_pixels_as_the_continuous_blur_does(name):
     """Sums of powers of what a pixel sees of pulses anywhere, and of all it sees: integrals over the plane."""
     camera = IntensifiedCamera(load_sensor(name))
-    stages = prepare.Stages.of(camera.chain(Conditions()), camera.fields_per_frame)
-    blurs = stages.behind_plate.mean(Light(values=np.zeros((1, 1), np.float32))).owed
+    stages = prepare.CameraStages.of(camera.chain(Conditions()), camera.fields_per_frame)
+    blurs = stages.behind_plate.mean(StageImage(values=np.zeros((1, 1), np.float32))).pending_blurs
     made = kernel.pulse_kernel(blurs, camera.cells, stages.height)
     places = made.shares.shape[0] * made.shares.shape[1]
     assert made.shares.sum() / places + made.wing.sum() * kernel.COARSE**2 == pytest.approx(stages.height, rel=1e-5)
@@ -147,11 +147,11 @@ def sparse(plain):
     sensor = plain(48, 64, photocathode__ebi_lm_per_cm2=0.0, microchannel_plate__ion_event_rate_per_s_cm2=300.0)
     camera = IntensifiedCamera(sensor, geometry=True)
     image = np.where(np.arange(64) < 32, 0.02, 0.4) * np.ones((48, 1))
-    return camera, from_photoelectrons(camera, image, Conditions())
+    return camera, mcp_input_from_photoelectrons(camera, image, Conditions())
 
 
 def test_sparse_frames_follow_from_seed_and_number_whoever_draws_them(sparse, monkeypatch):
-    monkeypatch.setattr(engine, "SEGMENT_FRAMES", 4)
+    monkeypatch.setattr(frame_generator, "SEGMENT_FRAMES", 4)
     run = _frames(sparse, 11)
     assert run.tobytes() == _frames(sparse, 11, threads=2).tobytes()
     for first in (1, 4, 6):
@@ -160,24 +160,26 @@ def test_sparse_frames_follow_from_seed_and_number_whoever_draws_them(sparse, mo
 
 def test_sparse_frames_average_to_the_mean_frame(sparse, seed):
     camera, light = sparse
-    stream = tiers.frames(camera, light, Conditions(), seed=seed)
+    stream = sampler_choice.generate_frames(camera, light, Conditions(), seed=seed)
     frames = np.stack(list(islice(stream, 2000))).astype(float) - camera.mean_frame(light, Conditions())
-    assert isinstance(_made(camera, light).light, SingleLight)
+    assert isinstance(_made(camera, light).light, SparseEventSampler)
     blocks = frames.mean(axis=1).reshape(40, 50, -1).mean(axis=1)
     error = blocks.std(axis=0, ddof=1) / np.sqrt(len(blocks))
     assert np.all(np.abs(blocks.mean(axis=0)) < 5.0 * error + 5e-3)
 
 
 def _made(camera, light):
-    return prepare.made_ready(prepare.Stages.of(camera.chain(Conditions()), camera.fields_per_frame), light)
+    return prepare.prepare_static_scene(
+        prepare.CameraStages.of(camera.chain(Conditions()), camera.fields_per_frame), light
+    )
 
 
 def test_single_pulses_fall_evenly_within_a_pixel(plain, seed):
     """The share of its light that a pulse gives to its brightest pixel is as often as low as by all places alike."""
     sensor = plain(32, 32, phosphor__fast_decay_ms=1e-6, phosphor__slow_decay_ms=1e-6)
     camera = IntensifiedCamera(replace(sensor, video=replace(sensor.video, interlaced=False)))
-    light = _made(camera, Light(values=np.full(camera.cells.shape, 1e-3, np.float32), grid=camera.cells)).light
-    assert isinstance(light, SingleLight)
+    light = _made(camera, StageImage(values=np.full(camera.cells.shape, 1e-3, np.float32), grid=camera.cells)).light
+    assert isinstance(light, SparseEventSampler)
     expected = np.zeros_like(light.expected)
     # The cells of one pixel amid the frame, in which there is hardly ever more than one pulse.
     expected[42:44, 42:44] = 0.01
@@ -200,8 +202,8 @@ def test_single_pulses_fall_evenly_within_a_pixel(plain, seed):
 def test_single_pulses_arrive_evenly_while_the_gate_is_open(plain, seed):
     """Their light in their own field has the mean and the mean square of the screen's decay."""
     camera = IntensifiedCamera(plain(64, 64, photocathode__ebi_lm_per_cm2=0.0))
-    light = _made(camera, Light(values=np.full(camera.cells.shape, 0.05, np.float32), grid=camera.cells)).light
-    assert isinstance(light, SingleLight)
+    light = _made(camera, StageImage(values=np.full(camera.cells.shape, 0.05, np.float32), grid=camera.cells)).light
+    assert isinstance(light, SparseEventSampler)
     pulses = light.screen(seed)._drawn(0, np.float32(1.0))
     own = 1.0 - pulses.later.sum(axis=0) / pulses.charge
     truth = camera.afterglow(Conditions()).pulse_shares[:, 0]
@@ -213,14 +215,14 @@ def test_single_pulses_arrive_evenly_while_the_gate_is_open(plain, seed):
 def test_sharpened_light_keeps_its_sum_and_even_light_stays(sheet):
     _, _, made = _kernels(sheet, (1, 1))
     assert made.sharpening.sum() == pytest.approx(1.0, abs=1e-9)
-    even = prepare._sharpened(np.full((40, 60), 3.0), made)
+    even = prepare._sharpen(np.full((40, 60), 3.0), made)
     assert np.allclose(even, 3.0)
 
 
 @pytest.mark.parametrize("gate_s", [1e-6, 4e-3, 16.6e-3])
 def test_what_a_pulse_leaves_is_what_the_screen_shows_later(gate_s):
     """Shares over the fields agree with the pulse shares of the decay itself, in mean and in mean square."""
-    glow = Afterglow(fast_fraction=0.95, fast_decay_ms=1.45, slow_decay_ms=35.0, gate_s=gate_s, field_s=1 / 59.94)
+    glow = PhosphorDecay(fast_fraction=0.95, fast_decay_ms=1.45, slow_decay_ms=35.0, gate_s=gate_s, field_s=1 / 59.94)
     (later, spread, kept), _, memory = prepare.decay_of(glow)
     truth = glow.pulse_shares
     assert 1.0 - later.sum() == pytest.approx(truth[:, 0].mean(), abs=2e-4)
@@ -239,21 +241,26 @@ def scene(sheet):
     camera = IntensifiedCamera(small, geometry=True, local_depletion=True)
     image = 2.0 + 2.0 * np.sin(np.arange(84) / 9.0)[None, :] * np.ones((60, 1))
     image[30, 40] = 5e4
-    return camera, from_photoelectrons(camera, image, Conditions())
+    return camera, mcp_input_from_photoelectrons(camera, image, Conditions())
 
 
 def _frames(scene, count, **more):
-    return np.stack(list(islice(tiers.frames(*scene, Conditions(), seed=9, **more), count)))
+    return np.stack(list(islice(sampler_choice.generate_frames(*scene, Conditions(), seed=9, **more), count)))
 
 
 @pytest.mark.parametrize("tier", ["streamed", "normal"])
 def test_frames_follow_from_seed_and_number_whoever_draws_them_and_in_whatever_order(scene, tier, monkeypatch):
-    monkeypatch.setattr(engine, "SEGMENT_FRAMES", 4)
+    monkeypatch.setattr(frame_generator, "SEGMENT_FRAMES", 4)
     run = _frames(scene, 11, tier=tier)
     assert run.tobytes() == _frames(scene, 11, tier=tier, threads=2).tobytes()
     for first in (1, 4, 6, 8):
         assert run[first : first + 2].tobytes() == _frames(scene, 2, tier=tier, first_frame=first).tobytes()
-    assert run.tobytes() != np.stack(list(islice(tiers.frames(*scene, Conditions(), seed=10, tier=tier), 11))).tobytes()
+    assert (
+        run.tobytes()
+        != np.stack(
+            list(islice(sampler_choice.generate_frames(*scene, Conditions(), seed=10, tier=tier), 11))
+        ).tobytes()
+    )
 
 
 def test_every_tier_averages_to_the_mean_frame(scene, seed):
@@ -261,8 +268,8 @@ def test_every_tier_averages_to_the_mean_frame(scene, seed):
     conditions = Conditions(mcp_v=700.0)
     mean = camera.mean_frame(light, conditions)
     dark_side = mean < 60.0
-    for tier in tiers.TIERS:
-        stream = tiers.frames(camera, light, conditions, seed=seed, tier=tier)
+    for tier in sampler_choice.TIERS:
+        stream = sampler_choice.generate_frames(camera, light, conditions, seed=seed, tier=tier)
         frames = np.stack(list(islice(stream, 160))).astype(float)
         profiles = np.where(dark_side, frames - mean, 0.0).sum(axis=1) / np.maximum(dark_side.sum(axis=0), 1)
         blocks = profiles.reshape(20, 8, -1).mean(axis=1)
@@ -275,7 +282,7 @@ def test_the_screen_glows_into_the_next_frame_as_by_cell(scene, seed):
     camera, light = scene
     found = []
     for tier in ("by-cell", "streamed"):
-        stream = tiers.frames(camera, light, Conditions(mcp_v=730.0), seed=seed, tier=tier)
+        stream = sampler_choice.generate_frames(camera, light, Conditions(mcp_v=730.0), seed=seed, tier=tier)
         frames = np.stack(list(islice(stream, 220)))[:, :20].astype(float)
         noise = frames - frames.mean(axis=0)
         share = (noise[1:] * noise[:-1]).mean(axis=(1, 2)) / (noise**2).mean()
@@ -291,9 +298,12 @@ def test_brightness_control_dims_streamed_frames_as_by_cell(sheet):
         {"ccd.full_well_e": 1e7, "video.conversion_gain_dn_per_e": 4e-4}
     )
     camera, on = IntensifiedCamera(small), Conditions(brightness_control=True)
-    light = from_photoelectrons(camera, np.full(camera.shape, 800.0), on)
+    light = mcp_input_from_photoelectrons(camera, np.full(camera.shape, 800.0), on)
     levels = [
-        [float(frame.mean()) for frame in islice(tiers.frames(camera, light, on, seed=1, tier=tier), 12)]
+        [
+            float(frame.mean())
+            for frame in islice(sampler_choice.generate_frames(camera, light, on, seed=1, tier=tier), 12)
+        ]
         for tier in ("by-cell", "streamed")
     ]
     assert levels[1][0] > levels[1][-1] + 5.0
@@ -304,19 +314,21 @@ def test_light_that_is_no_number_and_an_unknown_tier_are_refused(scene):
     camera, light = scene
     broken = light.with_values(np.where(light.values > 1.0, np.nan, light.values))
     with pytest.raises(BadInput, match="photoelectrons at the plate must be finite"):
-        tiers.frames(camera, broken, Conditions(), seed=1)
+        sampler_choice.generate_frames(camera, broken, Conditions(), seed=1)
     with pytest.raises(BadInput, match="a tier must be one of by-cell, streamed, normal, got 'best'"):
-        tiers.frames(camera, light, Conditions(), seed=1, tier="best")  # pyright: ignore[reportArgumentType]
+        sampler_choice.generate_frames(camera, light, Conditions(), seed=1, tier="best")  # pyright: ignore[reportArgumentType]
 
 
-@pytest.mark.parametrize("tier", tiers.TIERS)
+@pytest.mark.parametrize("tier", sampler_choice.TIERS)
 def test_six_decibels_of_camera_gain_double_signal_and_noise(sheet, tier, seed):
     small = replace(sheet, ccd=replace(sheet.ccd, rows=60, columns=84), video=replace(sheet.video, bit_depth=16))
     camera = IntensifiedCamera(small)
-    light = from_photoelectrons(camera, np.full(camera.shape, 5.0), Conditions())
+    light = mcp_input_from_photoelectrons(camera, np.full(camera.shape, 5.0), Conditions())
     black, found = float(sheet.video.black_level_dn), []
     for gain_db in (0.0, 20.0 * np.log10(2.0)):
-        stream = tiers.frames(camera, light, Conditions(camera_gain_db=float(gain_db)), seed=seed, tier=tier)
+        stream = sampler_choice.generate_frames(
+            camera, light, Conditions(camera_gain_db=float(gain_db)), seed=seed, tier=tier
+        )
         frames = np.stack(list(islice(stream, 24))).astype(float)
         found.append((frames.mean() - black, frames.std(axis=0).mean()))
     (level, noise), (doubled_level, doubled_noise) = found
@@ -326,16 +338,19 @@ def test_six_decibels_of_camera_gain_double_signal_and_noise(sheet, tier, seed):
 
 def test_rows_between_exact_ones_have_the_law_s_skewness_too():
     for row in (3, 152, 298, 451, 603, 748):
-        mean = law.LOWEST_ROW * float(np.exp(law.ROW_STEP * row))
-        between, exact = _moments_of(law.row_quantiles(1.0, row)), _moments_of(law.standardised_quantiles(1.0, mean))
-        assert row % law.EXACT_EVERY
+        mean = charge_distribution.LOWEST_ROW * float(np.exp(charge_distribution.ROW_STEP * row))
+        between, exact = (
+            _moments_of(charge_distribution.row_quantiles(1.0, row)),
+            _moments_of(charge_distribution.unit_variance_quantiles(1.0, mean)),
+        )
+        assert row % charge_distribution.EXACT_EVERY
         assert between[1] == pytest.approx(1.0, abs=1e-9)
         assert between[2] == pytest.approx(exact[2], rel=1.5e-3)
         assert between[3] == pytest.approx(exact[3], rel=3e-3)
 
 
 def test_a_screen_far_faster_than_the_gate_s_end_leaves_nothing():
-    glow = Afterglow(fast_fraction=0.95, fast_decay_ms=3.6e-5, slow_decay_ms=1.9e-3, gate_s=1e-4, field_s=1 / 30)
+    glow = PhosphorDecay(fast_fraction=0.95, fast_decay_ms=3.6e-5, slow_decay_ms=1.9e-3, gate_s=1e-4, field_s=1 / 30)
     (later, spread, _), lateness, memory = prepare.decay_of(glow)
     assert later.sum() < 1e-6 > abs(spread.sum())
     assert np.isfinite(lateness)
@@ -346,15 +361,15 @@ def test_sums_over_blocks_vary_as_the_continuous_blur_says(plain, seed):
     """What spreads beyond the compact kernel adds up, too: a covariance gain is read from such sums."""
     sensor = plain(120, 320)
     camera, level, blocks = IntensifiedCamera(sensor), 10.0, ((2, 4), (5, 10), (10, 20))
-    light = Light(values=np.full(camera.cells.shape, level / 8.0, np.float32), grid=camera.cells)
+    light = StageImage(values=np.full(camera.cells.shape, level / 8.0, np.float32), grid=camera.cells)
     mean = camera.mean_frame(light, Conditions())[0::2, 20:]
     found = []
-    for frame in islice(tiers.frames(camera, light, Conditions(), seed=seed), 1600):
+    for frame in islice(sampler_choice.generate_frames(camera, light, Conditions(), seed=seed), 1600):
         field = frame[0::2, 20:] - mean
         found.append([_block_variance(field[None], rows, columns)[0] for rows, columns in blocks])
     batches = np.array(found).reshape(40, 40, len(blocks)).mean(axis=1)
     error = batches.std(axis=0, ddof=1) / np.sqrt(len(batches))
-    q = truth.quantities(sensor)
+    q = true_quantities.true_quantities(sensor)
     shot = q["field_covariance_gain"] * level * q["photoelectron_gain"]
     expected = np.array([_captured(sensor, *block) * shot + q["read_noise"] ** 2 for block in blocks])
     assert np.all(error < 0.01 * expected)
@@ -364,6 +379,6 @@ def test_sums_over_blocks_vary_as_the_continuous_blur_says(plain, seed):
 @pytest.mark.parametrize(("level", "tier"), [(0.3, "streamed"), (3.0, "by-cell")])
 def test_the_most_literal_tier_is_the_one_that_draws_every_pulse(sheet, level, tier):
     camera = IntensifiedCamera(replace(sheet, ccd=replace(sheet.ccd, rows=24, columns=32)))
-    light = Light(values=np.full(camera.cells.shape, level / 8.0, np.float32), grid=camera.cells)
-    assert tiers.most_literal(camera, light) == tier
-    assert isinstance(_made(camera, light).light, SingleLight) == (tier == "streamed")
+    light = StageImage(values=np.full(camera.cells.shape, level / 8.0, np.float32), grid=camera.cells)
+    assert sampler_choice.most_exact_tier(camera, light) == tier
+    assert isinstance(_made(camera, light).light, SparseEventSampler) == (tier == "streamed")

@@ -7,8 +7,8 @@ from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from simulate.iiccd.bright_source import BrightSourceProtection
 from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.light import Light
 from simulate.iiccd.photocathode import Photocathode
+from simulate.iiccd.stage_image import StageImage
 
 
 @pytest.fixture
@@ -22,11 +22,11 @@ def _transfer(blur, frequency: float) -> float:
 
 @pytest.mark.parametrize(("voltage_v", "radius_um", "at_64"), [(800.0, 4.7, 0.41), (400.0, 6.6, 0.17)])
 def test_flight_across_the_gap_is_that_of_table_1_5(supply, voltage_v, radius_um, at_64):
-    from simulate.iiccd.transfer import Flight
+    from simulate.iiccd.transfer import GapSpread
 
     radius = supply.flight_um(voltage_v)
     assert radius == pytest.approx(radius_um, abs=0.05)
-    assert _transfer(Flight(radius_um=radius), 64.0) == pytest.approx(at_64, abs=0.005)
+    assert _transfer(GapSpread(radius_um=radius), 64.0) == pytest.approx(at_64, abs=0.005)
 
 
 def test_voltage_falls_linearly_with_light_to_its_floor(supply):
@@ -42,7 +42,7 @@ def test_only_what_the_full_voltage_does_not_explain_is_a_further_blur(supply):
 def test_gap_keeps_all_electrons_under_protection(plain):
     camera = IntensifiedCamera(plain(24, 40))
     rng = np.random.default_rng(1)
-    light = Light(values=rng.random(camera.scene_cells.shape, np.float32), grid=camera.scene_cells)
+    light = StageImage(values=rng.random(camera.scene_cells.shape, np.float32), grid=camera.scene_cells)
     free, bright = (camera.chain(Conditions(), cathode_lux=lux).part("gap", "gap").mean(light) for lux in (0.0, 1.0))
     assert bright.values.sum(dtype=float) == pytest.approx(free.values.sum(dtype=float), rel=1e-3)
     assert bright.values.std() < 0.99 * free.values.std()
@@ -52,7 +52,7 @@ def test_gap_keeps_all_electrons_under_protection(plain):
 def test_shut_gate_passes_light_and_dark_by_its_ratio(ratio):
     gate = Photocathode(quantum_efficiency=0.2, gate_s=1e-6, ebi_per_s_cm2=3e5, on_off_ratio=ratio, field_s=0.016)
     assert gate.open_s == pytest.approx(1e-6 + (0.016 - 1e-6) / ratio, rel=1e-12)
-    assert gate.mean(Light(values=np.array([[5.0]]))).values.item() == pytest.approx(gate.open_s, rel=1e-9)
+    assert gate.mean(StageImage(values=np.array([[5.0]]))).values.item() == pytest.approx(gate.open_s, rel=1e-9)
 
 
 def test_gate_open_all_the_field_has_nothing_to_leak(sheet):

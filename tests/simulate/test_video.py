@@ -5,9 +5,9 @@ import pytest
 
 from labdata.errors import BadInput
 from simulate.iiccd.back_end import DigitalBackEnd, Unfiltered
-from simulate.iiccd.light import Light
+from simulate.iiccd.stage_image import StageImage
 from simulate.iiccd.transfer import CORRECTED_MHZ, VideoFilter
-from simulate.iiccd.video import Video, filtered, shifted
+from simulate.iiccd.video import Video, filter_lines, shift_lines
 
 CLOCK_MHZ = 14.318
 
@@ -32,7 +32,7 @@ def test_corrected_mtf_may_exceed_one_and_the_line_keeps_its_level():
     corrected = _filter(6.0, bandwidth_mhz=10.0)
     assert np.abs(corrected.transfer(np.linspace(0.0, 0.5, 100))).max() > 1.3
     assert corrected.impulse_response().sum() == pytest.approx(1.0)
-    assert filtered(np.full((2, 60), 7.0), corrected.impulse_response()) == pytest.approx(7.0, rel=1e-6)
+    assert filter_lines(np.full((2, 60), 7.0), corrected.impulse_response()) == pytest.approx(7.0, rel=1e-6)
 
 
 def test_a_shifted_line_is_late_by_its_part_of_a_pixel():
@@ -40,14 +40,14 @@ def test_a_shifted_line_is_late_by_its_part_of_a_pixel():
     line = np.sin(2.0 * np.pi * 0.08 * col)[None, :].astype(np.float32)
     for late in (-0.2, 0.05, 0.3):
         exact = np.sin(2.0 * np.pi * 0.08 * (col - late))
-        found = shifted(line, np.array([[late]], np.float32))[0]
+        found = shift_lines(line, np.array([[late]], np.float32))[0]
         assert found[5:-5] == pytest.approx(exact[5:-5], abs=0.012)
 
 
 def test_jitter_moves_whole_lines_by_its_standard_deviation(seed):
     ramp = np.tile(100.0 * np.arange(300, dtype=np.float32), (2000, 1))
-    frame = _video(sync_jitter_px=0.05, bit_depth=16).draw(Light(values=ramp), np.random.default_rng(seed)).values
-    steady = _video().mean(Light(values=ramp)).values
+    frame = _video(sync_jitter_px=0.05, bit_depth=16).draw(StageImage(values=ramp), np.random.default_rng(seed)).values
+    steady = _video().mean(StageImage(values=ramp)).values
     late = -(frame - steady)[:, 50:250].mean(axis=1) / 100.0
     assert late.std(ddof=1) == pytest.approx(0.05, rel=4.5 / np.sqrt(2 * 2000))
     within = ((frame - steady)[:, 50:250] + 100.0 * late[:, None]).std()
@@ -55,7 +55,7 @@ def test_jitter_moves_whole_lines_by_its_standard_deviation(seed):
 
 
 def test_line_noise_is_common_to_a_line_and_new_on_the_next(seed):
-    flat = Light(values=np.full((3000, 40), 500.0, np.float32))
+    flat = StageImage(values=np.full((3000, 40), 500.0, np.float32))
     frame = _video(line_noise_dn=3.0).draw(flat, np.random.default_rng(seed)).values.astype(float)
     assert np.ptp(frame, axis=1).max() == 0.0
     offset = frame[:, 0] - 1500.0
@@ -65,7 +65,7 @@ def test_line_noise_is_common_to_a_line_and_new_on_the_next(seed):
 
 def test_gain_of_the_video_multiplies_signal_and_noise_alike(seed):
     rng = np.random.default_rng(seed)
-    light = Light(values=(500.0 + 20.0 * rng.standard_normal((100, 200))).astype(np.float32))
+    light = StageImage(values=(500.0 + 20.0 * rng.standard_normal((100, 200))).astype(np.float32))
     once, twice = (_video(gain=g).mean(light).values - 1000.0 for g in (1.0, 2.0))
     assert twice == pytest.approx(2.0 * once, rel=1e-5)
 
@@ -76,7 +76,7 @@ def test_digital_back_end_leaves_neighbours_alone():
     digital = DigitalBackEnd(conversion_gain_dn_per_e=0.5, black_level_dn=200.0, bit_depth=12)
     expected = np.full((5, 9), 200)
     expected[2, 4] = 250
-    drawn = digital.draw(Light(values=spot), np.random.default_rng(0)).values
+    drawn = digital.draw(StageImage(values=spot), np.random.default_rng(0)).values
     assert np.array_equal(drawn, expected)
     assert drawn.dtype == np.uint16
     assert Unfiltered().impulse_response() == pytest.approx([1.0])
@@ -86,13 +86,13 @@ def test_digital_back_end_leaves_neighbours_alone():
 @pytest.mark.parametrize("bits", [1, 8, 10, 16])
 def test_codes_end_at_full_scale(bits):
     digital = DigitalBackEnd(conversion_gain_dn_per_e=1.0, black_level_dn=0.0, bit_depth=bits)
-    ends = Light(values=np.array([[-50.0, 1e9]], np.float32))
+    ends = StageImage(values=np.array([[-50.0, 1e9]], np.float32))
     assert digital.draw(ends, np.random.default_rng(0)).values.tolist() == [[0, 2**bits - 1]]
 
 
 def test_gamma_bends_the_signal_above_black_alone():
     digital = DigitalBackEnd(conversion_gain_dn_per_e=1.0, black_level_dn=55.0, bit_depth=8, gamma=0.5)
-    level = digital.mean(Light(values=np.array([[0.0, 50.0, 200.0]], np.float32))).values
+    level = digital.mean(StageImage(values=np.array([[0.0, 50.0, 200.0]], np.float32))).values
     assert level[0] == pytest.approx([55.0, 155.0, 255.0])
 
 

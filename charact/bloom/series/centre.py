@@ -17,7 +17,7 @@ LEAST_RINGS = 6
 FARTHEST_PX = 3.0
 
 
-def centred(
+def refine_centre(
     images: Sequence[Array],
     row: float,
     col: float,

@@ -6,8 +6,8 @@ Veiling glare is even over the frame, so its background rises as fast far from t
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.bloom.series.spread import glare
-from charact.bloom.spot import Spot
+from charact.bloom.point_stack import PointStack
+from charact.bloom.series.derived_halo import glare
 from labdata.flags import Finding
 
 Array = NDArray[np.float64]
@@ -19,8 +19,8 @@ DIFFERENT_SD, DIFFERENT = 4.0, 0.3
 REMEDY = "a target that is opaque around its pinhole, or a series with the pinhole covered"
 
 
-def leak(
-    group: tuple[Spot, ...], light: Array, reach_px: float, area_px2: float, beside: tuple[float, float]
+def find_leak(
+    group: tuple[PointStack, ...], light: Array, reach_px: float, area_px2: float, beside: tuple[float, float]
 ) -> list[Finding]:
     """Return a finding where the background beside the source rises faster with its light than far from it does.
 
@@ -54,7 +54,7 @@ def leak(
     return [Finding(flag="model-misfit", effect=effect, remedy=REMEDY)]
 
 
-def _far(spot: Spot, reach_px: float) -> tuple[float, float] | None:
+def _far(spot: PointStack, reach_px: float) -> tuple[float, float] | None:
     """Return the median of the pixels far from all sources and its standard error, DN; None of too few."""
     rows, cols = np.ogrid[: spot.image.shape[0], : spot.image.shape[1]]
     far = np.hypot((rows - spot.row) * spot.row_pitch, cols - spot.col) > reach_px

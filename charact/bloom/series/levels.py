@@ -22,11 +22,11 @@ INNERMOST = 4
 # Share of samples at the highest code from which on a ring's scatter says nothing of its noise.
 HARDLY_CUT = 1e-3
 # Rings beside a cut core into which a streak reaches before it is seen as one.
-BESIDE = 2
+ADJACENT_RINGS = 2
 
 
 @dataclass(frozen=True, kw_only=True)
-class Level:
+class LevelRings:
     """Ring means of one stack.
 
     Parameters
@@ -58,15 +58,15 @@ class Level:
     frames: int
     sector_sd: Array
 
-    def without_core(self, reach_px: float) -> "Level":
+    def without_core(self, reach_px: float) -> "LevelRings":
         """Return the level without its cut rings, those next to them, and all within a radius."""
         cut = np.flatnonzero(self.cut_share > HARDLY_CUT)
         lost = self.geometry.lost | (self.geometry.radius_px < reach_px)
-        lost[: int(cut[-1]) + 1 + BESIDE if len(cut) else 0] = True
+        lost[: int(cut[-1]) + 1 + ADJACENT_RINGS if len(cut) else 0] = True
         return replace(self, geometry=replace(self.geometry, lost=lost))
 
 
-def level_of(label: str, frames: NDArray, geometry: Geometry, *, full_dn: float) -> Level:
+def level_of(label: str, frames: NDArray, geometry: Geometry, *, full_dn: float) -> LevelRings:
     """Average a stack over rings, shape (frame, row, col), DN."""
     pixels = geometry.pixels(frames)
     image = pixels.mean(axis=0)
@@ -79,7 +79,7 @@ def level_of(label: str, frames: NDArray, geometry: Geometry, *, full_dn: float)
     else:
         scatter = np.nan_to_num(off) / np.sqrt(SECTORS * (SECTORS - 1))
         variance = geometry.means((image - _along(geometry, mean)) ** 2)
-    return Level(
+    return LevelRings(
         label=label,
         geometry=geometry,
         mean_dn=mean,
@@ -97,7 +97,7 @@ def _along(geometry: Geometry, mean: Array) -> Array:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Noise:
+class RingNoise:
     """Noise of a series as its frames show it.
 
     Parameters
@@ -150,11 +150,11 @@ class Noise:
         return (vectors * np.maximum(values, LEAST_EIGENVALUE)) @ vectors.T
 
 
-def noise_of(levels: tuple[Level, ...], *, dark_dn: float) -> Noise:
+def noise_of(levels: tuple[LevelRings, ...], *, dark_dn: float) -> RingNoise:
     """Estimate the noise that all levels of a series share."""
     free = np.array([(level.cut_share < HARDLY_CUT) & ~level.geometry.lost for level in levels])
     floor, slope = _variance_law(levels, free, dark_dn)
-    bare = Noise(
+    bare = RingNoise(
         floor_dn2=floor, slope_dn=slope, dark_dn=dark_dn, sharing=np.ones(1), correlation=np.ones(1), fewer=1.0
     )
     scaled = [
@@ -163,19 +163,19 @@ def noise_of(levels: tuple[Level, ...], *, dark_dn: float) -> Noise:
     ]
     freedom = np.array([max(level.frames - 1, 1) for level in levels])
     square = np.sum([np.nansum(one**2, axis=0) for one in scaled], axis=0)
-    sharing = _smoothed(square, freedom @ free)
+    sharing = _smooth_over_rings(square, freedom @ free)
     alike = [one / np.sqrt(sharing) for one in scaled]
-    return Noise(
+    return RingNoise(
         floor_dn2=floor,
         slope_dn=slope,
         dark_dn=dark_dn,
         sharing=sharing,
         correlation=_correlation(alike),
-        fewer=_fewer(alike, levels),
+        fewer=_frames_per_independent_frame(alike, levels),
     )
 
 
-def _variance_law(levels: tuple[Level, ...], free: NDArray[np.bool_], dark_dn: float) -> tuple[float, float]:
+def _variance_law(levels: tuple[LevelRings, ...], free: NDArray[np.bool_], dark_dn: float) -> tuple[float, float]:
     """Floor and slope of the pixels' variance over the level, the weights being those of variances."""
     mean = np.concatenate([level.mean_dn[use] for level, use in zip(levels, free, strict=True)]) - dark_dn
     variance = np.concatenate([level.pixel_variance[use] for level, use in zip(levels, free, strict=True)])
@@ -191,7 +191,7 @@ def _variance_law(levels: tuple[Level, ...], free: NDArray[np.bool_], dark_dn: f
     return float(max(floor, 1e-3)), float(max(slope, 0.0))
 
 
-def _smoothed(square: Array, seen: Array) -> Array:
+def _smooth_over_rings(square: Array, seen: Array) -> Array:
     """Mean squares over neighbouring rings; where none is seen, the mean of all."""
     kernel = np.ones(SMOOTHED)
     total, number = (np.convolve(np.pad(one, SMOOTHED // 2), kernel, mode="valid") for one in (square, seen))
@@ -212,7 +212,7 @@ def _correlation(alike: list[Array]) -> Array:
     return np.clip(np.array(out), -0.5, 1.0)
 
 
-def _fewer(alike: list[Array], levels: tuple[Level, ...]) -> float:
+def _frames_per_independent_frame(alike: list[Array], levels: tuple[LevelRings, ...]) -> float:
     """How many frames are worth one: 1 + 2 x the correlation of successive ones, freed of its bias."""
     top = bottom = 0.0
     frames = []

@@ -12,11 +12,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.bloom.series.forms import Form
+from charact.bloom.series.halo_models import HaloModel
 from charact.bloom.series.hankel import onto_nodes
-from charact.bloom.series.levels import HARDLY_CUT, Level, Noise
-from charact.bloom.series.misfit import FIRST_MISFIT, Misfit, Modes, about_core, likeliest, modes_of
-from charact.bloom.series.ring_loops import best_step, left_over, lost_at_top, ring_means, whitened
+from charact.bloom.series.levels import HARDLY_CUT, LevelRings, RingNoise
+from charact.bloom.series.misfit import FIRST_MISFIT, Misfit, Modes, about_core, modes_of, most_likely_misfit
+from charact.bloom.series.ring_loops import best_step, lost_at_top, ring_means, whiten_rings, whitened_residuals
 from charact.bloom.series.rings import Geometry
 
 Array = NDArray[np.float64]
@@ -33,7 +33,7 @@ SETTLED = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)
-class Series:
+class RingSeries:
     """All levels of one source.
 
     Parameters
@@ -108,20 +108,20 @@ class Series:
 PER_LEVEL = ("data", "cut", "own_covariance", "node_sd", "sector_sd", "averages")
 
 
-def some(series: Series, which: NDArray[np.bool_]) -> Series:
+def select_levels(series: RingSeries, which: NDArray[np.bool_]) -> RingSeries:
     """Return some levels of a series."""
     labels = tuple(label for label, one in zip(series.labels, which, strict=True) if one)
     return replace(series, labels=labels, **{name: getattr(series, name)[which] for name in PER_LEVEL})
 
 
-def series_of(levels: tuple[Level, ...], noise: Noise, *, full_dn: float, rings: int) -> Series:
+def series_of(levels: tuple[LevelRings, ...], noise: RingNoise, *, full_dn: float, rings: int) -> RingSeries:
     """Gather the innermost rings of all levels."""
     within = {id(level.geometry): level.geometry.within(rings) for level in levels}
     geometries = [within[id(level.geometry)] for level in levels]
     first = geometries[0]
     data = np.array([level.mean_dn[:rings] for level in levels])
     nodes = np.array([np.interp(first.node_px, first.radius_px, one) for one in data])
-    return Series(
+    return RingSeries(
         labels=tuple(level.label for level in levels),
         data=data,
         cut=np.array([level.cut_share[:rings] > HARDLY_CUT for level in levels]),
@@ -140,13 +140,13 @@ def series_of(levels: tuple[Level, ...], noise: Noise, *, full_dn: float, rings:
     )
 
 
-def _own_covariance(data: Array, frames: int, geometry: Geometry, noise: Noise) -> Array:
+def _own_covariance(data: Array, frames: int, geometry: Geometry, noise: RingNoise) -> Array:
     out = noise.covariance(data, geometry.count, frames)
     return out + np.diag(np.where(geometry.lost, LOST_DN**2, 0.0))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Solved:
+class AmplitudeSolution:
     """What a form says of every level at some points.
 
     Parameters
@@ -173,14 +173,14 @@ class Solved:
         """Curvature of chi2/2 in the amplitudes, shape (level, amplitude, amplitude, point)."""
         return _normal(self.slopes)
 
-    def at(self, points: NDArray[np.intp]) -> "Solved":
+    def at(self, points: NDArray[np.intp]) -> "AmplitudeSolution":
         """Return what is said at some of the points."""
         arrays = {name: getattr(self, name)[..., points] for name in ("amplitudes", "residual", "slopes")}
         return replace(self, **arrays)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Parts:
+class ModelParts:
     """What a form gives at some points, before levels have their light.
 
     Parameters
@@ -197,7 +197,7 @@ class Parts:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Problem:
+class SeriesLikelihood:
     """A form put to a series.
 
     Parameters
@@ -210,8 +210,8 @@ class Problem:
         Most steps to the best amplitudes.
     """
 
-    series: Series
-    form: Form
+    series: RingSeries
+    form: HaloModel
     misfit: Misfit = FIRST_MISFIT
     steps: int = STEPS
 
@@ -252,24 +252,24 @@ class Problem:
         inside = np.isfinite(prior)
         out = np.full(len(points), -np.inf)
         if inside.any():
-            out[inside] = prior[inside] - 0.5 * self.solved(points[inside]).chi2.sum(axis=0)
+            out[inside] = prior[inside] - 0.5 * self.solve_amplitudes(points[inside]).chi2.sum(axis=0)
         return out
 
-    def parts(self, points: Array) -> Parts:
+    def parts(self, points: Array) -> ModelParts:
         """Return what the form gives at points."""
-        return Parts(**self.straight_parts((self.form.transform(points) @ self.series.onto_nodes).T))
+        return ModelParts(**self.straight_parts((self.form.transform(points) @ self.series.onto_nodes).T))
 
     def straight_parts(self, straight: Array) -> dict[str, Array]:
         """Average light at the nodes, shape (node, point), over rings."""
         rings = self.series.ring_means(np.broadcast_to(straight, (len(self.series.labels), *straight.shape)))
-        white, uncut = whitened(rings, self.whitener), self.uncut_weight[..., None] * rings
+        white, uncut = whiten_rings(rings, self.whitener), self.uncut_weight[..., None] * rings
         return {"straight": straight, "white": white, "uncut": uncut}
 
-    def solved(self, points: Array) -> Solved:
+    def solve_amplitudes(self, points: Array) -> AmplitudeSolution:
         """Find the best amplitudes of all levels at points."""
-        return self.solved_of(self.parts(points))
+        return self.solve_amplitudes_of(self.parts(points))
 
-    def solved_of(self, parts: Parts) -> Solved:
+    def solve_amplitudes_of(self, parts: ModelParts) -> AmplitudeSolution:
         """Find the best amplitudes of all levels for what a form gives."""
         amplitudes = self._of_uncut_rings(parts.uncut)
         residual, slopes = self.whitened(parts, amplitudes)
@@ -279,29 +279,29 @@ class Problem:
                 break
             amplitudes = amplitudes + step
             residual, slopes = self.whitened(parts, amplitudes)
-        return Solved(amplitudes=amplitudes, residual=residual, slopes=slopes)
+        return AmplitudeSolution(amplitudes=amplitudes, residual=residual, slopes=slopes)
 
     def _of_uncut_rings(self, uncut: Array) -> Array:
         """First amplitudes, from the rings that are not cut, each with its own variance alone."""
         even, data = (np.broadcast_to(one[..., None], uncut.shape) for one in (self.uncut_even, self.uncut_data))
         return best_step(uncut, even, data)[0]
 
-    def whitened(self, parts: Parts, amplitudes: Array) -> tuple[Array, Array]:
+    def whitened(self, parts: ModelParts, amplitudes: Array) -> tuple[Array, Array]:
         """Whitened residuals, shape (level, ring, point), and slopes of the rings, (amplitude, level, ring, point)."""
         lost = self.lost(parts, amplitudes)
         levels, nodes, parts_lost, points = lost.shape
         of_rings = self.series.ring_means(lost.reshape(levels, nodes, parts_lost * points))
         lost = of_rings.reshape(levels, of_rings.shape[1], parts_lost, points)
-        return left_over(parts.white, self.white_even, self.white_data, amplitudes, lost, self.whitener)
+        return whitened_residuals(parts.white, self.white_even, self.white_data, amplitudes, lost, self.whitener)
 
-    def lost(self, parts: Parts, amplitudes: Array) -> Array:
+    def lost(self, parts: ModelParts, amplitudes: Array) -> Array:
         """Light that is not read and how it follows the amplitudes, shape (level, node, 1 + amplitude, point).
 
         Nodes end where nothing is lost any more.
         """
         return lost_at_top(parts.straight, amplitudes, self.series.node_sd, self.series.full_dn, NEAR_TOP)
 
-    def light(self, parts: Parts, amplitudes: Array) -> Array:
+    def light(self, parts: ModelParts, amplitudes: Array) -> Array:
         """Light at the nodes, shape (level, node, point), DN."""
         return parts.straight * amplitudes[:, :1] + amplitudes[:, 1:]
 
@@ -327,7 +327,7 @@ class Problem:
     def light_at(self, points: Array) -> Array:
         """Light at the nodes with every level's own at its best, shape (level, node, point), DN."""
         parts = self.parts(points)
-        return self.light(parts, self.solved_of(parts).amplitudes)
+        return self.light(parts, self.solve_amplitudes_of(parts).amplitudes)
 
     def likeliest_misfit(self, point: Array) -> tuple[Misfit, float]:
         """Shares of the light by which rings are off that make a point most likely, and the log-likelihood then."""
@@ -335,7 +335,9 @@ class Problem:
         residual = (self.series.data - self.rings(point[None])[..., 0]) / light
         near = about_core(self.series.radius_px)
         core, beyond = self.series.own_modes
-        misfit, value = likeliest(core.log_likelihoods(residual[:, near]), beyond.log_likelihoods(residual[:, ~near]))
+        misfit, value = most_likely_misfit(
+            core.log_likelihoods(residual[:, near]), beyond.log_likelihoods(residual[:, ~near])
+        )
         return misfit, value - float(np.log(light).sum())
 
 

@@ -75,7 +75,7 @@ def modes_of(covariance: Array) -> Modes:
     return Modes(variance=np.maximum(variance, 0.0), modes=modes)
 
 
-def likeliest(of_core: Array, beyond: Array) -> tuple[Misfit, float]:
+def most_likely_misfit(of_core: Array, beyond: Array) -> tuple[Misfit, float]:
     """Return the likeliest shares of the rings about the core and of those beyond, and the log-likelihood of both.
 
     Parameters

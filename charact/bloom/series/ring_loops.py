@@ -43,7 +43,7 @@ def ring_means(light: Array, averages: Array, begin: Places, end: Places) -> Arr
 
 
 @njit(cache=True)
-def whitened(rings: Array, whitener: Array) -> Array:
+def whiten_rings(rings: Array, whitener: Array) -> Array:
     """Multiply rings, shape (level, ring, column), by lower triangles, shape (level, ring, ring)."""
     levels, count, columns = rings.shape
     out = np.zeros((levels, count, columns))
@@ -57,7 +57,7 @@ def whitened(rings: Array, whitener: Array) -> Array:
 
 
 @njit(cache=True)
-def left_over(white: Array, even: Array, data: Array, amplitudes: Array, lost: Array, whitener: Array
+def whitened_residuals(white: Array, even: Array, data: Array, amplitudes: Array, lost: Array, whitener: Array
               ) -> tuple[Array, Array]:  # fmt: skip
     """Return what light leaves of the measured rings, and how that falls with source and background.
 

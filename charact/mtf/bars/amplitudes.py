@@ -7,14 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.mtf.bars.target import BarTarget, amplitude
-from charact.mtf.memory import Memory
+from charact.mtf.image_lag import ImageLagModel
 
 Array = NDArray[np.float64]
 
 # From this many frames on, their own scatter says what the noise is.
-ENOUGH_FRAMES = 4
+MIN_COVARIANCE_FRAMES = 4
 # Frames from which on pixels tell how long light lingers.
-LINGERS_FRAMES = 7
+MIN_LAG_FRAMES = 7
 SLAB_PX = 4.0
 
 
@@ -66,7 +66,7 @@ def amplitudes_of(
     target: BarTarget,
     window: NDArray[np.bool_],
     beyond: NDArray[np.bool_],
-    memory: Memory | None = None,
+    memory: ImageLagModel | None = None,
 ) -> Amplitudes:
     """Reduce frames (frame, row, col) of a target in a window; the pedestal is the mean of the pixels beyond it.
 
@@ -84,19 +84,19 @@ def amplitudes_of(
     across, _ = target.coordinates(data.shape[1:])
     wave = np.exp(-2j * np.pi * target.frequency * across[window])
     odd = (np.nonzero(window)[0] % 2).astype(bool)
-    sums = [_sums(target.sign * frame.astype(float), window, beyond, wave, odd) for frame in data]
+    sums = [_frame_sums(target.sign * frame.astype(float), window, beyond, wave, odd) for frame in data]
     light, halves = np.array([one[0] for one in sums]), np.array([one[1] for one in sums])
     fundamental = halves.sum(axis=1)
     phase = float(np.angle(fundamental.mean()))
     turned = np.real(fundamental * np.exp(-1j * phase))
-    lag = _lingering(data, window, memory)
-    if len(data) >= ENOUGH_FRAMES:
-        covariance, freedom = _of_frames(light, turned, lag)
+    lag = _image_lag_factor(data, window, memory)
+    if len(data) >= MIN_COVARIANCE_FRAMES:
+        covariance, freedom = _frame_covariance(light, turned, lag)
     else:
         covariance, freedom = _slab_covariance(data.mean(axis=0), target, window, beyond, phase)
     mean = data.mean(axis=0, dtype=np.float64)
     zeros = [abs(_amplitude(mean, target, window, beyond, order)) for order in (target.bars - 1, target.bars + 1)]
-    apart, apart_sd = _fields(halves, target, float(np.sqrt(covariance[1, 1])))
+    apart, apart_sd = _field_offset(halves, target, float(np.sqrt(covariance[1, 1])))
     return Amplitudes(
         light=float(light.mean()),
         fundamental=float(turned.mean()),
@@ -114,7 +114,7 @@ def amplitudes_of(
     )
 
 
-def _lingering(data: NDArray, window: NDArray[np.bool_], memory: Memory | None) -> float:
+def _image_lag_factor(data: NDArray, window: NDArray[np.bool_], memory: ImageLagModel | None) -> float:
     """Return by how much lingering light widens the variance of the mean of sums.
 
     A pixel sees light of the frame before, sums that of the field before, too: as much more as the screen's decay says.
@@ -122,11 +122,11 @@ def _lingering(data: NDArray, window: NDArray[np.bool_], memory: Memory | None) 
     seen = frame_correlation(data, window)
     if memory is None:
         return seen
-    told = seen if len(data) >= LINGERS_FRAMES else memory.widening
+    told = seen if len(data) >= MIN_LAG_FRAMES else memory.widening
     return max(told * memory.widening_of_sums / memory.widening, 1.0)
 
 
-def _of_frames(light: NDArray, turned: NDArray, lag: float) -> tuple[NDArray, float]:
+def _frame_covariance(light: NDArray, turned: NDArray, lag: float) -> tuple[NDArray, float]:
     """Return the covariance of the means of light and fundamental over frames, and its degrees of freedom.
 
     Two means with the covariance S of n frames have a Student's t of freedom n - 2 and shape S (n - 1)/(n - 2)
@@ -138,7 +138,7 @@ def _of_frames(light: NDArray, turned: NDArray, lag: float) -> tuple[NDArray, fl
     return np.cov(light, turned) * lag / count * (count - 1.0) / (count - 2.0), freedom
 
 
-def _sums(frame: NDArray, window, beyond, wave: NDArray, odd: NDArray) -> tuple[float, NDArray]:
+def _frame_sums(frame: NDArray, window, beyond, wave: NDArray, odd: NDArray) -> tuple[float, NDArray]:
     """Return light and the fundamental of even and odd rows of one frame over its own pedestal."""
     values = frame[window] - frame[beyond].mean()
     terms = values * wave
@@ -149,7 +149,7 @@ def _amplitude(mean: Array, target: BarTarget, window, beyond, order: float) -> 
     return amplitude(mean - mean[beyond].mean(), target, target.frequency * order / target.bars, window)
 
 
-def _fields(halves: NDArray, target: BarTarget, sd: float) -> tuple[float, float]:
+def _field_offset(halves: NDArray, target: BarTarget, sd: float) -> tuple[float, float]:
     """Return how far apart the bars lie in the two fields, and the standard error."""
     even, odd = halves.mean(axis=0)
     if min(abs(even), abs(odd)) == 0:
@@ -169,7 +169,7 @@ def frame_correlation(data: NDArray, window: NDArray[np.bool_]) -> float:
     died out from lag 4 on. All pixels of the window speak, so that a dozen frames are enough.
     """
     count = len(data)
-    if count < LINGERS_FRAMES:
+    if count < MIN_LAG_FRAMES:
         return 1.0
     pixels = data[:, window].astype(np.float32)
     halves = [0.5 * float(np.mean((pixels[lag:] - pixels[:-lag]) ** 2)) for lag in range(1, count - 1)]

@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.bars.fit import Fit
-from charact.mtf.bars.picture import Picture, Problem
+from charact.mtf.bars.bar_image_model import BarImageModel, BarLikelihood
+from charact.mtf.bars.fit import BarFit
 
 Array = NDArray[np.float64]
 
@@ -14,7 +14,7 @@ STEP_SHAPE, STEP_PERIODS, STEP_PX = 0.1, 0.06, 0.25
 SURE = 0.015
 
 
-def mtf_bias(fit: Fit, problem: Problem) -> float:
+def mtf_bias(fit: BarFit, problem: BarLikelihood) -> float:
     """Return by how much the MTF of a fitted picture exceeds the truth on the average of the noise.
 
     Notes
@@ -47,7 +47,7 @@ def mtf_bias(fit: Fit, problem: Problem) -> float:
     return float(first @ off[own] + 0.5 * np.sum(second * covariance[np.ix_(own, own)]))
 
 
-def rounding_sd(fit: Fit) -> float:
+def rounding_sd(fit: BarFit) -> float:
     """Return the standard deviation that the digitiser's steps leave in the MTF, as a share of it."""
     rounding = fit.noise.rounding
     if rounding is None or not len(rounding):
@@ -57,7 +57,7 @@ def rounding_sd(fit: Fit) -> float:
     return float(np.sqrt(np.mean(moved**2))) / fit.shape.mtf
 
 
-def _mtf_slopes(fit: Fit) -> tuple[Array, Array]:
+def _mtf_slopes(fit: BarFit) -> tuple[Array, Array]:
     """Return the MTF's first and second derivatives by log attenuation and departure."""
     attenuation = np.exp(fit["log_attenuation"])
     family = fit.shape.pixel * np.exp(-attenuation)
@@ -67,12 +67,12 @@ def _mtf_slopes(fit: Fit) -> tuple[Array, Array]:
     return np.array([-attenuation * whole, family]), second
 
 
-def _bends(fit: Fit, problem: Problem) -> dict[tuple[int, int], Array]:
+def _bends(fit: BarFit, problem: BarLikelihood) -> dict[tuple[int, int], Array]:
     """Return the picture's second derivatives over the pixels by pair of parameters, in the order of the parameters.
 
     Level, ground and departure enter linearly: they bend with another parameter alone.
     """
-    picture, index = Picture(problem, fit.target), fit.names.index
+    picture, index = BarImageModel(problem, fit.target), fit.names.index
     here = {**fit.values, **{name: 0.0 for name in ("across_px", "along_px") if name in fit.names}}
     bends: dict[tuple[int, int], Array] = {}
     for name, step in _steps(fit, picture).items():
@@ -86,7 +86,7 @@ def _bends(fit: Fit, problem: Problem) -> dict[tuple[int, int], Array]:
     return bends
 
 
-def _steps(fit: Fit, picture: Picture) -> dict[str, float]:
+def _steps(fit: BarFit, picture: BarImageModel) -> dict[str, float]:
     """Return how far to step each parameter that bends the picture, place and direction over some of a period."""
     reach = picture.reach
     move = min(STEP_PERIODS / fit.target.frequency, STEP_PX)

@@ -4,17 +4,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.mtf.bars.amplitudes import Amplitudes
-from charact.mtf.bars.findings import REGION, misfit
-from charact.mtf.bars.fit import Fit
-from charact.mtf.bars.sharpened import sharpening
+from charact.mtf.bars.findings import REGION, misfit_finding
+from charact.mtf.bars.fit import BarFit
+from charact.mtf.bars.sharpening_test import sharpening
 from charact.mtf.bars.target import BarTarget, core_margin_px
 from charact.mtf.bars.thresholds import (
     DEPARTED,
     DOUBTFUL,
     FIELD_OFFSET_PX,
-    LEAST_FLANK,
-    LEAST_TRAVEL_PX,
-    LOBES_APART,
+    MIN_ALIAS_DISTANCE,
+    MIN_FLANK,
+    MIN_TRAVEL_PX,
     MISFIT,
     SIGNIFICANT,
     STRAIGHT,
@@ -30,14 +30,14 @@ def findings_of_sums(target: BarTarget, amplitudes: Amplitudes, second: float) -
     """Return what the sums over a whole target give away: other bars, motion between fields, a curved response."""
     found = []
     noise = SIGNIFICANT / amplitudes.signal_to_noise
-    if amplitudes.zeros > DOUBTFUL + noise or amplitudes.flank < LEAST_FLANK - noise:
+    if amplitudes.zeros > DOUBTFUL + noise or amplitudes.flank < MIN_FLANK - noise:
         effect = f"{100 * amplitudes.zeros:.0f} % of the fundamental lies where {target.bars} bars have no light"
-        found.append(misfit(f"{effect}: the MTF may be off by as much", f"--bars, --frequency; {REGION}"))
+        found.append(misfit_finding(f"{effect}: the MTF may be off by as much", f"--bars, --frequency; {REGION}"))
     apart = abs(amplitudes.fields_apart_px)
     # Bars that lie along rows are aliased in each field alone, which looks like motion.
     upright = abs(np.sin(target.angle_rad)) < UPRIGHT
     if upright and apart > max(SIGNIFICANT * amplitudes.fields_apart_sd_px, FIELD_OFFSET_PX):
-        found.append(_of_fields(apart, target.frequency))
+        found.append(_field_motion(apart, target.frequency))
     if abs(second) > STRAIGHT + STRAIGHT_SD / amplitudes.signal_to_noise:
         effect = (
             f"the second harmonic of the bars is {100 * abs(second):.1f} % of the first: the MTF may be off by as much"
@@ -47,35 +47,39 @@ def findings_of_sums(target: BarTarget, amplitudes: Amplitudes, second: float) -
     return found
 
 
-def findings_of_fit(fit: Fit) -> list[Finding]:
+def findings_of_fit(fit: BarFit) -> list[Finding]:
     """Return what a fitted picture gives away: another object, motion between fields, a fundamental under the noise."""
     found = []
-    left = _left_over(fit)
+    left = _profile_residual_rms(fit)
     if left > 0.0:
         share = 100.0 * left / abs(fit["level_dn"])
-        found.append(misfit(f"the profile departs by {share:.1f} % of the bars' height: the MTF may be off by as much"))
+        found.append(
+            misfit_finding(f"the profile departs by {share:.1f} % of the bars' height: the MTF may be off by as much")
+        )
     away, known = abs(fit["departure"]), 1.0 / np.sqrt(fit.precision[fit.names.index("departure")])
     if away > DEPARTED * known:
         found.append(
-            misfit(f"the MTF of the bars lies {100 * away:.0f} % off the form that fits the rest of the picture")
+            misfit_finding(
+                f"the MTF of the bars lies {100 * away:.0f} % off the form that fits the rest of the picture"
+            )
         )
     taken_off = sharpening(fit)
     if taken_off > 0.0:
         effect = f"{100 * taken_off:.1f} % of the light about the bars is taken off: the MTF may be too high by as much"
         found.append(Finding(flag="processed", effect=effect, remedy="frames without sharpening, raw"))
     upright = abs(np.sin(fit.target.angle_rad)) < UPRIGHT
-    apart = _fields_apart(fit) if fit.strip and upright else 0.0
-    return [*found, _of_fields(apart, fit.target.frequency)] if apart else found
+    apart = _field_offset_px(fit) if fit.strip and upright else 0.0
+    return [*found, _field_motion(apart, fit.target.frequency)] if apart else found
 
 
-def _of_fields(apart_px: float, frequency: float) -> Finding:
+def _field_motion(apart_px: float, frequency: float) -> Finding:
     """Return that odd rows show the bars elsewhere than even ones: their mean is as much lower."""
     lowered = 1.0 - np.cos(np.pi * frequency * apart_px)
     effect = f"odd rows show the bars {apart_px:.2f} px beside even ones: the MTF is {100 * lowered:.2g} % too low"
     return Finding(flag="interlace-motion", effect=effect, remedy="one field alone, or a target that stands still")
 
 
-def light_in_standard_errors(fit: Fit) -> float:
+def light_in_standard_errors(fit: BarFit) -> float:
     """Return the bars' light over its standard error, their shape and place taken as known: are there any?"""
     slope = fit.slope[[fit.names.index("level_dn"), fit.names.index("pedestal_dn")]]
     weighed = slope / fit.noise.variance
@@ -83,7 +87,7 @@ def light_in_standard_errors(fit: Fit) -> float:
     return abs(fit["level_dn"]) / float(np.sqrt(fit.noise.spread(estimator, fit.window)[0, 0]))
 
 
-def fundamental_in_standard_errors(fit: Fit) -> float:
+def fundamental_in_standard_errors(fit: BarFit) -> float:
     """Return the modulus of the fundamental over the standard error of its parts, asked of the bars' core alone."""
     target, pixels = fit.target, fit.model_dn + fit.residual_dn - fit["pedestal_dn"]
     across, _ = target.coordinates((fit.window.shape[0], fit.window.shape[1]))
@@ -95,7 +99,7 @@ def fundamental_in_standard_errors(fit: Fit) -> float:
     return modulus / max(sd, 1e-12 * modulus + 1e-30)
 
 
-def _left_over(fit: Fit) -> float:
+def _profile_residual_rms(fit: BarFit) -> float:
     """Return the mean residual across the bars, DN rms, where it is more than noise and forms that are not quite exact.
 
     Residuals of single pixels may have told the noise; along the bars noise averages away and a wrong picture stays.
@@ -113,7 +117,7 @@ def _left_over(fit: Fit) -> float:
     return float(np.sqrt(square)) if square > (MISFIT * fit["level_dn"]) ** 2 + noise else 0.0
 
 
-def _fields_apart(fit: Fit) -> float:
+def _field_offset_px(fit: BarFit) -> float:
     """Return how far odd rows lie from even ones across the bars, px, where it is beyond the noise."""
     odd = 1.0 - 2.0 * (np.nonzero(fit.window)[0] % 2)
     slope = fit.slope[fit.names.index("across_px")] * odd
@@ -138,7 +142,7 @@ def not_identifiable(target: BarTarget, length_px: float) -> str | None:
         (target.frequency * sine * ratio, length_px * cosine / ratio),
     ]
     for sampled, travel in cases:
-        if 1.0 - 2.0 * sampled < LOBES_APART * target.frequency / target.bars and travel < LEAST_TRAVEL_PX:
+        if 1.0 - 2.0 * sampled < MIN_ALIAS_DISTANCE * target.frequency / target.bars and travel < MIN_TRAVEL_PX:
             return (
                 f"not identifiable: {sampled:.3g} cycles per sample have their alias at {1.0 - sampled:.3g}, and the "
                 f"bars travel only {travel:.2g} px over their length; tilt them by a few degrees"

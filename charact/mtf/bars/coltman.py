@@ -8,21 +8,21 @@ from numpy.typing import NDArray
 
 import charact
 from charact.method import Context, register
-from charact.mtf.bars.sight import Seen, target_in
+from charact.mtf.bars.sight import LocatedBars, target_in
 from charact.mtf.bars.target import BarTarget
 from charact.mtf.bars.window import fitting_margin
-from charact.mtf.codes import code_flags
+from charact.mtf.quantisation_checks import clipping_flags
 from charact.mtf.region import Region
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
-from labdata.measurement import Provenance, Result, from_sd, refused
+from labdata.measurement import Provenance, Result, make_refusal, measurement_from_sd
 
 Array = NDArray[np.float64]
 
 METHOD = "bars-coltman"
 # Terms of the series go up to this order.
 HIGHEST_ORDER = 201
-LEAST_SIGNAL = 6.0
+MIN_MODULATION_SD = 6.0
 # Pixels this near the middle of a bar or gap, periods, and within this share of the bars' length.
 NEAR, INNER = 0.06, 0.3
 
@@ -73,14 +73,14 @@ def bars_coltman(
     mean = used.data.mean(axis=0, dtype=np.float64)
     seen = target_in(mean, bars=bars, frequency=frequency_cy_per_px, pitch_ratio=context.pitch_ratio)
     read = None if seen is None else _read(seen.target.sign * mean, seen)
-    if read is None or not read[0] > LEAST_SIGNAL * read[1]:
+    if read is None or not read[0] > MIN_MODULATION_SD * read[1]:
         reason = "no target: no modulation by bars stands out of the noise; --bars and --frequency say what to look for"
-        return Result(measurements=(refused("mtf", "1", reason, flags=("no-target",), **common),))
+        return Result(measurements=(make_refusal("mtf", "1", reason, flags=("no-target",), **common),))
     common["frequency_cy_per_px"] = read[2].frequency
     value, sd, target = read
     near = target.box((mean.shape[0], mean.shape[1]), 1.0)
-    clipped = code_flags(used.data[:, near], context.full_scale_dn or used.full_scale_dn)
-    one = from_sd(
+    clipped = clipping_flags(used.data[:, near], context.full_scale_dn or used.full_scale_dn)
+    one = measurement_from_sd(
         "mtf", "1", value, sd, flags=("model-misfit", *clipped),
         notes=("First term of Coltman's series, for comparison only.",),
         orientation_deg=float(np.rad2deg(target.angle_rad)) % 180.0, **common,
@@ -88,7 +88,7 @@ def bars_coltman(
     return Result(measurements=(one,))
 
 
-def _read(mean: Array, seen: Seen) -> tuple[float, float, BarTarget] | None:
+def _read(mean: Array, seen: LocatedBars) -> tuple[float, float, BarTarget] | None:
     """Return the reading from bars that are bright, its standard error and the target."""
     target, through = seen.target, seen.through
     bars, frequency = target.bars, target.frequency

@@ -5,20 +5,20 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.bars.fit import Fit
-from charact.mtf.bars.picture import Picture, Problem
+from charact.mtf.bars.bar_image_model import BarImageModel, BarLikelihood
+from charact.mtf.bars.fit import BarFit
 
 Array = NDArray[np.float64]
 
 # Attenuation and the form's first number are tabulated over this many standard deviations at so many places each, and
 # drawn through polynomials of this degree.
-REACH_SD, PLACES, DEGREE = 4.0, 7, 4
+RANGE_SD, PLACES, DEGREE = 4.0, 7, 4
 TABULATED, PLACE = ("log_attenuation", "form_one"), ("across_px", "along_px")
 # What has no prior is as good as unknown over so many of its standard deviations.
 FLAT_SD = 100.0
 
 
-def compressed(fit: Fit, problem: Problem) -> Callable[[Array], Array]:
+def shape_log_density(fit: BarFit, problem: BarLikelihood) -> Callable[[Array], Array]:
     """Return the log-probability of (log_attenuation, form_one, departure), all else marginalised.
 
     Notes
@@ -27,9 +27,9 @@ def compressed(fit: Fit, problem: Problem) -> Callable[[Array], Array]:
     covariance E S E' that the fit already knows, correlation between pixels included. Level, ground, place and
     departure enter it linearly and are marginalised exactly; attenuation and exponent as far from a plane as they are.
     """
-    picture = Picture(problem, fit.target)
+    picture = BarImageModel(problem, fit.target)
     centre = {**fit.values, **{name: 0.0 for name in PLACE if name in fit.names}}
-    low, high = _ends(fit, problem)
+    low, high = _tabulated_range(fit, problem)
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     axis = np.cos(np.pi * (np.arange(PLACES) + 0.5) / PLACES)
     places = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -55,11 +55,11 @@ def compressed(fit: Fit, problem: Problem) -> Callable[[Array], Array]:
     return log_probability
 
 
-def _ends(fit: Fit, problem: Problem) -> tuple[Array, Array]:
+def _tabulated_range(fit: BarFit, problem: BarLikelihood) -> tuple[Array, Array]:
     """Return lowest and highest attenuation and exponent to tabulate."""
     value, sd = np.array([fit[name] for name in TABULATED]), np.array([fit.sd(name) for name in TABULATED])
     low, high = np.array([problem.bounds[name] for name in TABULATED]).T
-    return np.maximum(low, value - REACH_SD * sd), np.minimum(high, value + REACH_SD * sd)
+    return np.maximum(low, value - RANGE_SD * sd), np.minimum(high, value + RANGE_SD * sd)
 
 
 def _powers(places: Array) -> Array:
@@ -68,7 +68,7 @@ def _powers(places: Array) -> Array:
     return np.stack(terms, axis=1)
 
 
-def _marginal(fit: Fit) -> tuple[Array, Array, Array]:
+def _marginal(fit: BarFit) -> tuple[Array, Array, Array]:
     """Return the inverse covariance of the numbers with all that enters linearly marginalised.
 
     With it what one unit of departure adds to them, and what the priors of the others do.

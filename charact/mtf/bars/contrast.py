@@ -10,16 +10,16 @@ from charact.method import Context, register
 from charact.mtf.bars.sight import target_in
 from charact.mtf.bars.target import BarTarget
 from charact.mtf.bars.window import fitting_margin
-from charact.mtf.codes import code_flags
+from charact.mtf.quantisation_checks import clipping_flags
 from charact.mtf.region import Region
 from labdata.frames import FrameStack
-from labdata.measurement import Provenance, Result, from_sd, refused
+from labdata.measurement import Provenance, Result, make_refusal, measurement_from_sd
 
 Array = NDArray[np.float64]
 
 METHOD = "bars-contrast"
 # Three bars' worth of contrast in standard errors; below it peaks are peaks of noise.
-LEAST_SIGNAL = 12.0
+MIN_CONTRAST_SD = 12.0
 
 
 @register(
@@ -67,13 +67,13 @@ def bars_contrast(
     mean = used.data.mean(axis=0, dtype=np.float64)
     seen = target_in(mean, bars=bars, frequency=frequency_cy_per_px, pitch_ratio=context.pitch_ratio)
     read = None if seen is None else _read(seen.target.sign * mean, seen.target)
-    if seen is None or read is None or read[0] < LEAST_SIGNAL * read[1]:
+    if seen is None or read is None or read[0] < MIN_CONTRAST_SD * read[1]:
         reason = "no target: no contrast of bars stands out of the noise; --bars and --frequency say what to look for"
-        return Result(measurements=(refused("mtf", "1", reason, flags=("no-target",), **common),))
+        return Result(measurements=(make_refusal("mtf", "1", reason, flags=("no-target",), **common),))
     (value, sd), target = read, seen.target
     common["frequency_cy_per_px"] = target.frequency
-    flags = ("model-misfit", *code_flags(used.data[:, target.box(mean.shape, 1.0)], context.full_scale_dn))
-    one = from_sd(
+    flags = ("model-misfit", *clipping_flags(used.data[:, target.box(mean.shape, 1.0)], context.full_scale_dn))
+    one = measurement_from_sd(
         "mtf", "1", value, sd, flags=flags, notes=("Contrast reading, for comparison only.",),
         orientation_deg=float(np.rad2deg(target.angle_rad)) % 180.0, **common,
     )  # fmt: skip

@@ -9,18 +9,18 @@ from numpy.typing import NDArray
 from charact.method import Context
 from charact.mtf.bars.amplitudes import Amplitudes
 from charact.mtf.bars.bias import rounding_sd
-from charact.mtf.bars.fit import Fit
+from charact.mtf.bars.fit import BarFit
 from charact.mtf.bars.target import BarTarget
-from charact.mtf.bars.thresholds import COARSE, OTHER_SHARE, STILL_DN, STILL_SHARE, TOLD_FREQUENCY
-from charact.mtf.codes import code_flags
-from charact.mtf.wander import Wander
+from charact.mtf.bars.thresholds import COARSE, FREQUENCY_TOLERANCE, OTHER_FRACTION, STILL_DN, STILL_FRACTION
+from charact.mtf.quantisation_checks import clipping_flags
+from charact.mtf.target_motion import TargetMotion
 from labdata.flags import Finding
 from labdata.frames import FrameStack
 
 Mask = NDArray[np.bool_]
 
 REGION = "--roi around this group alone, with one period of its ground on every side"
-OF_POSTERIOR = {
+POSTERIOR_FINDINGS = {
     "not-converged": ("the interval comes from the curvature and may be a third too narrow", "another --seed"),
     "several-modes": ("the draws have two peaks as far apart as the interval is wide", "--bars and --frequency"),
     "model-misfit": (
@@ -30,12 +30,12 @@ OF_POSTERIOR = {
 }
 
 
-def misfit(effect: str, remedy: str = REGION) -> Finding:
+def misfit_finding(effect: str, remedy: str = REGION) -> Finding:
     """Return that the picture is not the model's."""
     return Finding(flag="model-misfit", effect=effect, remedy=remedy)
 
 
-def window(margin_px: float, least_px: float) -> list[Finding]:
+def margin_findings(margin_px: float, least_px: float) -> list[Finding]:
     """Return that the region ends within a core's blur of the bars."""
     if margin_px >= least_px:
         return []
@@ -43,25 +43,25 @@ def window(margin_px: float, least_px: float) -> list[Finding]:
     return [Finding(flag="window-too-small", effect=effect, remedy="a larger --roi")]
 
 
-def crowding(crowded: bool) -> list[Finding]:
+def crowding_findings(crowded: bool) -> list[Finding]:
     """Return that other light reaches into the window."""
     if not crowded:
         return []
     effect = (
-        f"other light, over {100 * OTHER_SHARE:.0f} % of the bars' height, lies near: the MTF may be off by as much"
+        f"other light, over {100 * OTHER_FRACTION:.0f} % of the bars' height, lies near: the MTF may be off by as much"
     )
     return [Finding(flag="several-targets", effect=effect, remedy=REGION)]
 
 
-def number(other: int | None, asked: int) -> list[Finding]:
+def bar_count_findings(other: int | None, asked: int) -> list[Finding]:
     """Return that the picture is rather that of another number of bars."""
     if other is None:
         return []
     effect = f"the picture is rather that of {other} bars than of {asked}: the light of a bar is that of another number"
-    return [misfit(effect, f"--bars {other}")]
+    return [misfit_finding(effect, f"--bars {other}")]
 
 
-def rounding(fit: Fit) -> list[Finding]:
+def rounding_findings(fit: BarFit) -> list[Finding]:
     """Return that the digitiser's steps may move the MTF beyond what a first order tells."""
     moved = rounding_sd(fit)
     if moved <= COARSE:
@@ -70,52 +70,54 @@ def rounding(fit: Fit) -> list[Finding]:
     return [Finding(flag="quantised", effect=effect, remedy="more gain or light, so that noise spans a code")]
 
 
-def codes(used: FrameStack, windows: Iterable[Mask], context: Context, fit: Fit | None = None) -> list[Finding]:
+def clipping_findings(
+    used: FrameStack, windows: Iterable[Mask], context: Context, fit: BarFit | None = None
+) -> list[Finding]:
     """Return that pixels of a window pile up at an end of the scale.
 
     Where a fit shows that the picture has hardly any noise its plateaus are still by themselves: only a scale that is
     stated tells then that they are cut off.
     """
     full_scale_dn = context.full_scale_dn or used.full_scale_dn
-    if fit is not None and _quiet(used, fit) and (full_scale_dn is None or used.data.max() < full_scale_dn):
+    if fit is not None and _is_noise_hidden(used, fit) and (full_scale_dn is None or used.data.max() < full_scale_dn):
         return []
-    if not any(chain.from_iterable(code_flags(used.data[:, one], full_scale_dn) for one in windows)):
+    if not any(chain.from_iterable(clipping_flags(used.data[:, one], full_scale_dn) for one in windows)):
         return []
     effect = "levels beyond the scale are lost: the MTF may be off by the share of the bars' height that is cut off"
     return [Finding(flag="clipped", effect=effect, remedy="less light or gain, or a higher black level")]
 
 
-def _quiet(used: FrameStack, fit: Fit) -> bool:
+def _is_noise_hidden(used: FrameStack, fit: BarFit) -> bool:
     """Tell whether a frame's noise is hidden by whole codes, or is as small as what the picture's table is off by."""
     sd = float(np.sqrt(np.median(fit.noise.variance) * len(used.data)))
-    return sd < (STILL_DN if used.data.dtype.kind in "ui" else STILL_SHARE * abs(fit["level_dn"]))
+    return sd < (STILL_DN if used.data.dtype.kind in "ui" else STILL_FRACTION * abs(fit["level_dn"]))
 
 
-def motion(wander: Wander, frequency: float) -> Finding:
+def motion_finding(wander: TargetMotion, frequency: float) -> Finding:
     """Return that bars move from frame to frame."""
-    effect = f"the bars move by {wander.rms_px:.2g} px rms: the MTF is {100 * wander.lowers(frequency):.2g} % too low"
+    effect = f"the bars move by {wander.rms_px:.2g} px rms: the MTF is {100 * wander.mtf_loss(frequency):.2g} % too low"
     return Finding(flag="drift", effect=effect, remedy="one frame alone, or frames in which the target stands still")
 
 
-def faintness(mtf: float, sd: float) -> Finding:
+def faintness_finding(mtf: float, sd: float) -> Finding:
     """Return that an MTF is hardly more than its error."""
     effect = f"the MTF is {mtf / max(sd, 1e-30):.1f} standard errors: an upper limit"
     return Finding(flag="low-signal", effect=effect, remedy="more frames or more light")
 
 
-def of_posterior(flags: Iterable[str]) -> list[Finding]:
+def posterior_findings(flags: Iterable[str]) -> list[Finding]:
     """Return what a posterior says of itself; a form's exponent may lean on its bound without harm."""
     return [
-        Finding(flag=flag, effect=OF_POSTERIOR[flag][0], remedy=OF_POSTERIOR[flag][1])
+        Finding(flag=flag, effect=POSTERIOR_FINDINGS[flag][0], remedy=POSTERIOR_FINDINGS[flag][1])
         for flag in flags
-        if flag in OF_POSTERIOR
+        if flag in POSTERIOR_FINDINGS
     ]
 
 
-def notes_of_sums(target: BarTarget, wanted: BarTarget, amplitudes: Amplitudes, *, stated: bool) -> tuple[str, ...]:
+def sum_notes(target: BarTarget, wanted: BarTarget, amplitudes: Amplitudes, *, stated: bool) -> tuple[str, ...]:
     """Return what to know of sums over a target: its own frequency, and light that lingers."""
     notes = []
-    if stated and abs(target.frequency / wanted.frequency - 1.0) > TOLD_FREQUENCY:
+    if stated and abs(target.frequency / wanted.frequency - 1.0) > FREQUENCY_TOLERANCE:
         notes.append(f"The bars repeat at {target.frequency:.4g} cy/px, asked were {wanted.frequency:.4g}.")
     if amplitudes.frame_correlation > 1.2:
         factor = np.sqrt(amplitudes.frame_correlation)

@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.bars.forms import FORMS
-from charact.mtf.bars.model import Shape
-from charact.mtf.bars.noise import Noise, noise_of, noise_of_one
-from charact.mtf.bars.picture import Picture, Problem, priors, start_of
+from charact.mtf.bars.bar_image_model import BarImageModel, BarLikelihood, initial_parameters, priors
+from charact.mtf.bars.bar_spectrum import BarShape
+from charact.mtf.bars.forms import BLUR_MODELS
+from charact.mtf.bars.noise import BarWindowNoise, noise_of, noise_of_one
 from charact.mtf.bars.target import BarTarget
 from charact.mtf.rounding import rounding_shifts
 
@@ -17,19 +17,19 @@ Mask = NDArray[np.bool_]
 
 ITERATIONS, SETTLED, ROUGHLY, NEAR_END = 12, 3e-3, 0.1, 2
 # Shares of a step that are tried until one betters the fit.
-SHARES = (1.0, 0.4, 0.1, 0.02)
+STEP_FRACTIONS = (1.0, 0.4, 0.1, 0.02)
 # Standard errors by which the pixels must ask for another form before there is one: it costs others their certainty.
-ASKED_SD = 3.0
+MIN_PREFERENCE_SD = 3.0
 # A form of less weight than this changes no interval.
-LEAST_WEIGHT = 0.01
+MIN_WEIGHT = 0.01
 # Forms begin where they are most like the one fitted, over these multiples of the bars' frequency.
 LIKE, LIKE_PLACES = (0.02, 3.0), 40
 # Least variance of a pixel, on the square of the bars' height: the table of the picture is no better.
-LEAST_VARIANCE = 1e-8
+MIN_VARIANCE = 1e-8
 
 
 @dataclass(frozen=True, kw_only=True)
-class Fit:
+class BarFit:
     """A picture fitted.
 
     Parameters
@@ -63,7 +63,7 @@ class Fit:
     """
 
     target: BarTarget
-    shape: Shape
+    shape: BarShape
     names: tuple[str, ...]
     value: Array
     covariance: Array
@@ -76,7 +76,7 @@ class Fit:
     prior_mean: Array
     precision: Array
     window: Mask
-    noise: Noise
+    noise: BarWindowNoise
     strip: bool
     cost: float
 
@@ -102,15 +102,15 @@ class Fit:
         return slope
 
 
-def fitted(
-    problem: Problem,
+def fit_bars(
+    problem: BarLikelihood,
     target: BarTarget,
     start: dict[str, float],
-    noise: Noise | None = None,
+    noise: BarWindowNoise | None = None,
     *,
     tolerance: float = SETTLED,
     hopeless: float = np.inf,
-) -> Fit:
+) -> BarFit:
     """Fit the picture by damped Gauss-Newton steps, given up where they lead to no less than a hopeless cost.
 
     The noise, if known, tells the covariance.
@@ -120,23 +120,23 @@ def fitted(
     Weighted least squares is a linear estimator near its answer, E = (J' W J + P)^-1 J' W: whatever the correlation
     between pixels, its covariance is E S E' + the priors' part.
     """
-    picture, names = Picture(problem, target), problem.names
+    picture, names = BarImageModel(problem, target), problem.names
     theta = np.array([start[name] for name in names])
-    here = _reached(picture, theta, picture.shape(start).pixel)
+    here = _evaluate_point(picture, theta, picture.shape(start).pixel)
     bounds = np.array([problem.bounds.get(name, (-np.inf, np.inf)) for name in names])
     for step in range(ITERATIONS):
-        there, expected = _stepped(picture, here, bounds)
+        there, expected = _gauss_newton_step(picture, here, bounds)
         if there is None:
             break
         gained, here = here.cost - there.cost, there
         # Near its end a fit gains by a step at least as much as by all that follow it.
         if expected < tolerance or (step >= NEAR_END and here.cost - max(gained, expected) > hopeless):
             break
-    return _told(problem, target, picture, here, noise)
+    return _fit_at(problem, target, picture, here, noise)
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Reached:
+class _FitPoint:
     """A point on the way to a fit: the picture there, its slopes, its cost and the priors in it."""
 
     theta: Array
@@ -148,17 +148,17 @@ class _Reached:
     pixel: float
 
 
-def _reached(picture: Picture, theta: Array, pixel: float) -> _Reached:
+def _evaluate_point(picture: BarImageModel, theta: Array, pixel: float) -> _FitPoint:
     """Return the picture at a point; `pixel` is the aperture's transfer, which the priors need for the MTF."""
     problem = picture.problem
     model, slope = picture(dict(zip(problem.names, theta, strict=True)))
     mean, precision = priors(problem, float(pixel * np.exp(-np.exp(theta[0]))))
     left = (problem.image[problem.window] - model) ** 2
     cost = float(np.sum(left / problem.variance) + precision @ (theta - mean) ** 2)
-    return _Reached(theta=theta, model=model, slope=slope, cost=cost, mean=mean, precision=precision, pixel=pixel)
+    return _FitPoint(theta=theta, model=model, slope=slope, cost=cost, mean=mean, precision=precision, pixel=pixel)
 
 
-def _stepped(picture: Picture, here: _Reached, bounds: Array) -> tuple[_Reached | None, float]:
+def _gauss_newton_step(picture: BarImageModel, here: _FitPoint, bounds: Array) -> tuple[_FitPoint | None, float]:
     """Return a better point along the Gauss-Newton step, None if there is none, and the gain that was expected."""
     problem = picture.problem
     weighed = here.slope / problem.variance
@@ -168,24 +168,26 @@ def _stepped(picture: Picture, here: _Reached, bounds: Array) -> tuple[_Reached 
     felt = np.diag(normal)
     scale = 1.0 / np.sqrt(np.where(felt > 0.0, felt, 1.0))
     step = scale * np.linalg.solve(normal * np.outer(scale, scale) + 1e-9 * np.eye(len(scale)), scale * gradient)
-    for share in SHARES:
-        there = _reached(picture, np.clip(here.theta + share * step, bounds[:, 0], bounds[:, 1]), here.pixel)
+    for share in STEP_FRACTIONS:
+        there = _evaluate_point(picture, np.clip(here.theta + share * step, bounds[:, 0], bounds[:, 1]), here.pixel)
         if there.cost < here.cost:
             return there, float(gradient @ step)
     return None, 0.0
 
 
-def _told(problem: Problem, target: BarTarget, picture: Picture, here: _Reached, noise: Noise | None) -> Fit:
+def _fit_at(
+    problem: BarLikelihood, target: BarTarget, picture: BarImageModel, here: _FitPoint, noise: BarWindowNoise | None
+) -> BarFit:
     """Return the fit at a point with its covariance."""
     weighed = here.slope / problem.variance
     normal = weighed @ here.slope.T + np.diag(here.precision)
     inverse = np.asarray(np.linalg.pinv(normal, rcond=1e-14, hermitian=True), dtype=np.float64)
     estimator = inverse @ weighed
-    noise = noise or Noise(variance=problem.variance, correlation=np.ones((1, 1)))
+    noise = noise or BarWindowNoise(variance=problem.variance, correlation=np.ones((1, 1)))
     spread = noise.spread(estimator, problem.window)
     point = dict(zip(problem.names, here.theta.tolist(), strict=True))
-    return Fit(
-        target=_moved(target, point),
+    return BarFit(
+        target=_target_at(target, point),
         shape=picture.shape(point),
         names=problem.names,
         value=here.theta,
@@ -205,7 +207,7 @@ def _told(problem: Problem, target: BarTarget, picture: Picture, here: _Reached,
     )
 
 
-def _moved(target: BarTarget, point: dict[str, float]) -> BarTarget:
+def _target_at(target: BarTarget, point: dict[str, float]) -> BarTarget:
     """Return the target where the fit has put it."""
     cosine, sine = np.cos(point["angle_rad"]), np.sin(point["angle_rad"])
     across, along = point["across_px"], point.get("along_px", 0.0)
@@ -218,7 +220,9 @@ def _moved(target: BarTarget, point: dict[str, float]) -> BarTarget:
     )
 
 
-def measured(frames: Array, problem: Problem, target: BarTarget, *, inflation: float = 1.0) -> tuple[Fit, Problem]:
+def fit_frames(
+    frames: Array, problem: BarLikelihood, target: BarTarget, *, inflation: float = 1.0
+) -> tuple[BarFit, BarLikelihood]:
     """Fit the mean of frames with the noise that is in them; return the problem with each pixel's variance too.
 
     Parameters
@@ -228,7 +232,7 @@ def measured(frames: Array, problem: Problem, target: BarTarget, *, inflation: f
     inflation
         Factor by which light that lingers widens the error of the mean, on its square.
     """
-    first = fitted(problem, target, start_of(problem, target), tolerance=ROUGHLY)
+    first = fit_bars(problem, target, initial_parameters(problem, target), tolerance=ROUGHLY)
     window, ground = problem.window, first["pedestal_dn"]
     if len(frames) > 1:
         noise = noise_of(frames, first.model_dn, window, ground_dn=ground, inflation=inflation)
@@ -243,12 +247,12 @@ def measured(frames: Array, problem: Problem, target: BarTarget, *, inflation: f
         if frames.dtype.kind in "ui":
             noise = replace(noise, rounding=rounding_shifts(first.model_dn, noise.variance))
     # No pixel weighs more than the average one: steep weights carry the noise of the first fit into the second.
-    least = max(float(noise.variance.mean()), LEAST_VARIANCE * first["level_dn"] ** 2)
+    least = max(float(noise.variance.mean()), MIN_VARIANCE * first["level_dn"] ** 2)
     weighed = replace(problem, variance=np.maximum(noise.variance, least))
-    return fitted(weighed, target, first.values, noise), weighed
+    return fit_bars(weighed, target, first.values, noise), weighed
 
 
-def of_all_forms(fit: Fit, problem: Problem) -> list[tuple[float, Fit, Problem]]:
+def fit_all_models(fit: BarFit, problem: BarLikelihood) -> list[tuple[float, BarFit, BarLikelihood]]:
     """Return the fits of all forms that count, the weight of each and what it fits, the one that stands first.
 
     Parameters
@@ -270,7 +274,7 @@ def of_all_forms(fit: Fit, problem: Problem) -> list[tuple[float, Fit, Problem]]
     core = np.exp(shape.form.ln(places, *now))
     attenuation = -float(shape.form.ln(np.log([ratio]), *now)[0])
     fits, least = [], fit.cost
-    for form in FORMS:
+    for form in BLUR_MODELS:
         own = replace(problem, form=form)
         if form is shape.form and ratio == 1.0:
             fits.append((fit, own))
@@ -278,25 +282,25 @@ def of_all_forms(fit: Fit, problem: Problem) -> list[tuple[float, Fit, Problem]]
         scale, (log_attenuation, one, two) = form.nearest(places - np.log(ratio), core, attenuation)
         start = {**fit.values, "across_px": 0.0, "along_px": 0.0, "level_dn": scale * fit["level_dn"]}
         start |= {"log_attenuation": float(log_attenuation), "form_one": float(one), "form_two": float(two)}
-        hopeless = least - 2.0 * fit.noise.tied * np.log(LEAST_WEIGHT)
-        fits.append((fitted(own, fit.target, start, fit.noise, hopeless=hopeless), own))
+        hopeless = least - 2.0 * fit.noise.tied * np.log(MIN_WEIGHT)
+        fits.append((fit_bars(own, fit.target, start, fit.noise, hopeless=hopeless), own))
         least = min(least, fits[-1][0].cost)
-    asked = min(one.cost for one, _ in fits[1:]) < fits[0][0].cost - ASKED_SD**2 * fit.noise.tied
-    weighed = [(share, *one) for share, one in zip(_weights(fits), fits, strict=True) if share > LEAST_WEIGHT]
+    asked = min(one.cost for one, _ in fits[1:]) < fits[0][0].cost - MIN_PREFERENCE_SD**2 * fit.noise.tied
+    weighed = [(share, *one) for share, one in zip(_weights(fits), fits, strict=True) if share > MIN_WEIGHT]
     if not asked:
         plain = (_weights(fits)[0], *fits[0])
         return [plain, *(one for one in weighed if one[1] is not fits[0][0])]
     return sorted(weighed, key=lambda one: -one[0])
 
 
-def _weights(fits: list[tuple[Fit, Problem]]) -> list[float]:
+def _weights(fits: list[tuple[BarFit, BarLikelihood]]) -> list[float]:
     """Return the evidence of each fit over their sum."""
     ln_evidence = np.array([_ln_evidence(fit, problem) for fit, problem in fits])
     weight = np.exp(ln_evidence - ln_evidence.max())
     return (weight / weight.sum()).tolist()
 
 
-def _ln_evidence(fit: Fit, problem: Problem) -> float:
+def _ln_evidence(fit: BarFit, problem: BarLikelihood) -> float:
     """Return ln of how likely the picture is, and of what the pixels leave of the priors of its form."""
     left = [
         min(fit.sd(name) / prior[1], 1.0)

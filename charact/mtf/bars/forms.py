@@ -14,7 +14,7 @@ Bounds = tuple[float, float]
 Normal = tuple[float, float]
 
 # Transfers under this are none.
-LEAST_LN = -60.0
+MIN_LN = -60.0
 # Places in ln of a frequency at which a form is tabulated, and the steps of its slopes.
 PLACES, STEP = np.linspace(-9.0, 6.0, 1501), 1e-3
 # Steps towards the member of a form that is most like a transfer.
@@ -23,7 +23,7 @@ NONE: Normal = (0.0, 1e-3)
 
 
 @dataclass(frozen=True)
-class Form:
+class BarBlurModel:
     """A family of transfers, what is believed of its two numbers, and where to begin.
 
     Parameters
@@ -104,14 +104,14 @@ class Form:
         return best
 
 
-def _scaled(attenuation_of: Callable[[Array], Array]) -> Callable[[Array, float], Array]:
+def _one_scale_model(attenuation_of: Callable[[Array], Array]) -> Callable[[Array, float], Array]:
     """Return a form of one scale as a function of ln(r/f) and the attenuation at f: where it reaches that lies f."""
     wide = np.linspace(-14.0, 8.0, 2201)
     values = np.maximum.accumulate(attenuation_of(np.exp(wide)))
 
     def ln(ln_ratio: Array, attenuation: float) -> Array:
         here = float(np.interp(attenuation, values, wide))
-        return -np.interp(ln_ratio + here, wide, values, left=0.0, right=-LEAST_LN)
+        return -np.interp(ln_ratio + here, wide, values, left=0.0, right=-MIN_LN)
 
     return ln
 
@@ -120,7 +120,7 @@ def _tube(ln_ratio: Array, attenuation: float, log_exponent: float, gaussian_sha
     """c^((1 - s) (r/f)^n + s (r/f)^2), ln n and s: a tube, and what lens, screen and pixel do to it."""
     power = np.exp(np.exp(log_exponent) * ln_ratio)
     both = (1.0 - gaussian_share) * power + gaussian_share * np.exp(2.0 * ln_ratio)
-    return np.maximum(-attenuation * both, LEAST_LN)
+    return np.maximum(-attenuation * both, MIN_LN)
 
 
 def _pupil(ln_ratio: Array, attenuation: float, gaussian_share: float, _: float) -> Array:
@@ -129,10 +129,10 @@ def _pupil(ln_ratio: Array, attenuation: float, gaussian_share: float, _: float)
     def pupil(x: Array) -> Array:
         inside = np.minimum(x, 1.0)
         open_ = 2.0 / np.pi * (np.arccos(inside) - inside * np.sqrt(1.0 - inside**2))
-        return -np.log(np.maximum(open_, np.exp(LEAST_LN)))
+        return -np.log(np.maximum(open_, np.exp(MIN_LN)))
 
-    lens = _scaled(pupil)(ln_ratio, (1.0 - gaussian_share) * attenuation)
-    return np.maximum(lens - gaussian_share * attenuation * np.exp(2.0 * ln_ratio), LEAST_LN)
+    lens = _one_scale_model(pupil)(ln_ratio, (1.0 - gaussian_share) * attenuation)
+    return np.maximum(lens - gaussian_share * attenuation * np.exp(2.0 * ln_ratio), MIN_LN)
 
 
 def _moffat(ln_ratio: Array, attenuation: float, log_wings: float, _: float) -> Array:
@@ -147,7 +147,7 @@ def _moffat(ln_ratio: Array, attenuation: float, log_wings: float, _: float) -> 
             (1.0 - order) * np.log(2.0) - gammaln(order) + order * np.log(near) + np.log(kve(order, near)) - near, 0.0
         )
 
-    return _scaled(lambda x: np.minimum(own(x), -LEAST_LN))(ln_ratio, attenuation)
+    return _one_scale_model(lambda x: np.minimum(own(x), -MIN_LN))(ln_ratio, attenuation)
 
 
 def _two_gaussians(ln_ratio: Array, attenuation: float, share: float, log_wider: float) -> Array:
@@ -155,27 +155,27 @@ def _two_gaussians(ln_ratio: Array, attenuation: float, share: float, log_wider:
     wider = float(np.exp(2.0 * log_wider))
 
     def own(x: Array) -> Array:
-        square = np.minimum(x**2, -LEAST_LN)
-        core = (1.0 - share) * np.exp(-square) + share * np.exp(-np.minimum(wider * square, -LEAST_LN))
+        square = np.minimum(x**2, -MIN_LN)
+        core = (1.0 - share) * np.exp(-square) + share * np.exp(-np.minimum(wider * square, -MIN_LN))
         return -np.log(core)
 
-    return _scaled(own)(ln_ratio, attenuation)
+    return _one_scale_model(own)(ln_ratio, attenuation)
 
 
-TUBE = Form(
+TUBE = BarBlurModel(
     "a tube", one=(float(np.log(1.5)), 0.8), two=NONE, bounds=((float(np.log(0.3)), float(np.log(4.0))), (0.0, 1.0)),
     start=(float(np.log(1.6)), 0.0), ln=_tube,
 )  # fmt: skip
-STAGES = Form(
+STAGES = BarBlurModel(
     "a tube and a lens", one=TUBE.one, two=(0.2, 0.25), bounds=TUBE.bounds, start=(float(np.log(1.4)), 0.2), ln=_tube
 )
-PUPIL = Form("a lens", one=(0.2, 0.4), two=NONE, bounds=((0.0, 0.95), (-1.0, 1.0)), start=(0.1, 0.0), ln=_pupil)
-MOFFAT = Form(
+PUPIL = BarBlurModel("a lens", one=(0.2, 0.4), two=NONE, bounds=((0.0, 0.95), (-1.0, 1.0)), start=(0.1, 0.0), ln=_pupil)
+MOFFAT = BarBlurModel(
     "a Moffat", one=(float(np.log(2.5)), 0.7), two=NONE,
     bounds=((float(np.log(0.2)), float(np.log(15.0))), (-1.0, 1.0)), start=(float(np.log(2.5)), 0.0), ln=_moffat,
 )  # fmt: skip
-WINGS = Form(
+WINGS = BarBlurModel(
     "two Gaussians", one=(0.1, 0.2), two=(float(np.log(3.0)), 0.5),
     bounds=((0.0, 0.6), (float(np.log(1.3)), float(np.log(20.0)))), start=(0.1, float(np.log(3.0))), ln=_two_gaussians,
 )  # fmt: skip
-FORMS = (TUBE, STAGES, PUPIL, MOFFAT, WINGS)
+BLUR_MODELS = (TUBE, STAGES, PUPIL, MOFFAT, WINGS)

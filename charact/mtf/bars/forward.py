@@ -5,14 +5,14 @@ import numpy as np
 import charact
 from charact.method import Context, register
 from charact.mtf.bars import findings
-from charact.mtf.bars.found import Asked, Nothing, found_in
-from charact.mtf.bars.motion import wander_of_bars
-from charact.mtf.bars.profile import profile
-from charact.mtf.bars.thresholds import LEAST_FUNDAMENTAL_SD
+from charact.mtf.bars.bar_measurement import BarRefusal, StatedBars, measure_bars_in
+from charact.mtf.bars.motion import measure_bar_motion
+from charact.mtf.bars.profile import bar_profile
+from charact.mtf.bars.thresholds import MIN_FUNDAMENTAL_SD
 from charact.mtf.region import Region
-from charact.mtf.wander import UNTOLD
+from charact.mtf.target_motion import MAX_UNFLAGGED_SD
 from labdata.frames import FrameStack
-from labdata.measurement import Provenance, Result, from_draws, refused
+from labdata.measurement import Provenance, Result, make_refusal, measurement_from_draws
 
 METHOD = "bars-forward"
 
@@ -72,19 +72,21 @@ def bars_forward(
     """
     used = stack if region is None else stack.region(*region)
     where = region or (0, 0, *used.shape[1:])
-    asked = Asked(bars=bars, frequency=frequency_cy_per_px)
-    found = found_in(used, asked, context)
-    if isinstance(found, Nothing):
+    asked = StatedBars(bars=bars, frequency=frequency_cy_per_px)
+    found = measure_bars_in(used, asked, context)
+    if isinstance(found, BarRefusal):
         return _nothing(found, where, asked, context)
-    doubts = [*found.findings, *findings.of_posterior(found.posterior.flags)]
+    doubts = [*found.findings, *findings.posterior_findings(found.posterior.flags)]
     if np.quantile(found.mtf, 0.025) > 1.0:
-        doubts.append(findings.misfit(f"the MTF is {100 * found.mtf.mean() - 100:.1f} % over one, which no blur has"))
-    if found.mtf.mean() < LEAST_FUNDAMENTAL_SD * found.mtf.std():
-        doubts.append(findings.faintness(float(found.mtf.mean()), float(found.mtf.std())))
-    wander = wander_of_bars(used, found.target)
-    if wander.moves and wander.lowers(found.target.frequency) * found.mtf.mean() > UNTOLD * found.mtf.std():
-        doubts.append(findings.motion(wander, found.target.frequency))
-    measurement = from_draws(
+        doubts.append(
+            findings.misfit_finding(f"the MTF is {100 * found.mtf.mean() - 100:.1f} % over one, which no blur has")
+        )
+    if found.mtf.mean() < MIN_FUNDAMENTAL_SD * found.mtf.std():
+        doubts.append(findings.faintness_finding(float(found.mtf.mean()), float(found.mtf.std())))
+    wander = measure_bar_motion(used, found.target)
+    if wander.moves and wander.mtf_loss(found.target.frequency) * found.mtf.mean() > MAX_UNFLAGGED_SD * found.mtf.std():
+        doubts.append(findings.motion_finding(wander, found.target.frequency))
+    measurement = measurement_from_draws(
         "mtf",
         "1",
         found.mtf,
@@ -100,12 +102,14 @@ def bars_forward(
             settings={"quick": context.quick, "bars": found.target.bars, "margin_px": found.margin_px},
         ),
     ).with_(findings=dict.fromkeys(doubts))
-    return Result(measurements=(measurement,), evidence={"bars": profile(used, found.target, measurement.value or 0.0)})
+    return Result(
+        measurements=(measurement,), evidence={"bars": bar_profile(used, found.target, measurement.value or 0.0)}
+    )
 
 
-def _nothing(found: Nothing, where: Region, asked: Asked, context: Context) -> Result:
+def _nothing(found: BarRefusal, where: Region, asked: StatedBars, context: Context) -> Result:
     provenance = Provenance(version=charact.__version__, seed=context.seed)
-    one = refused(
+    one = make_refusal(
         "mtf", "1", found.reason, method=METHOD, flags=(found.flag,), region=where,
         frequency_cy_per_px=asked.frequency, provenance=provenance,
     )  # fmt: skip

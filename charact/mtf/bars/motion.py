@@ -3,20 +3,20 @@
 import numpy as np
 
 from charact.mtf.bars.target import BarTarget
-from charact.mtf.wander import Wander, wander_across
+from charact.mtf.target_motion import TargetMotion, measure_line_motion
 from labdata.frames import FrameStack
 
 # How far beyond the outer bars pixels tell where they stand, periods.
 BEYOND = 0.5
 
 
-def wander_of_bars(used: FrameStack, target: BarTarget) -> Wander:
+def measure_bar_motion(used: FrameStack, target: BarTarget) -> TargetMotion:
     """Return how a target moves across its bars through a stack."""
     across, along = target.coordinates(used.data.shape[1:])
     inside = (np.abs(across) < target.width_px / 2.0 + BEYOND / target.frequency) & (
         np.abs(along) < target.length_px / 2.0
     )
     if not inside.any():
-        return Wander()
+        return TargetMotion()
     line = np.floor(along).astype(np.int64)
-    return wander_across(list(used.data), across, line - line[inside].min(), inside)
+    return measure_line_motion(list(used.data), across, line - line[inside].min(), inside)

@@ -14,13 +14,13 @@ Mask = NDArray[np.bool_]
 NEAR_PX, FAR_PX, SHARED = 2, 4, 0.2
 # Lags along a row at which only what a row has in common ties pixels, standard errors from which on it does, share of
 # the bars' height up to which pixels are ground, and how many must be.
-ALONG_ROWS, ROWS_SD, GROUND, LEAST_GROUND = (8, 12, 16), 6.0, 0.1, 300
+ALONG_ROWS, ROWS_SD, GROUND, MIN_GROUND = (8, 12, 16), 6.0, 0.1, 300
 # Frames whose scatter tells the correlation.
-MOST_FRAMES = 6
+MAX_FRAMES = 6
 
 
 @dataclass(frozen=True, kw_only=True)
-class Noise:
+class BarWindowNoise:
     """Noise of the pixels of a window.
 
     Parameters
@@ -33,7 +33,7 @@ class Noise:
         Factor on all variances: light that lingers from frame to frame.
     rounding
         By how much the digitiser's steps may shift the pixels, shape (place, pixel), DN; each place is as likely.
-    of_rows
+    row_variance
         Variance of an offset that all pixels of a row share, DN^2.
     """
 
@@ -41,7 +41,7 @@ class Noise:
     correlation: Array
     inflation: float = 1.0
     rounding: Array | None = None
-    of_rows: float = 0.0
+    row_variance: float = 0.0
 
     @property
     def tied(self) -> float:
@@ -78,15 +78,15 @@ class Noise:
         power = np.maximum(np.real(np.asarray(rfft2(kernel))), 0.0)
         spectrum = np.asarray(rfft2(fields)) * power
         shared = self.inflation * scale * np.asarray(irfft2(spectrum, size))[:, rows, cols]
-        if self.of_rows:
+        if self.row_variance:
             of_row = np.stack([np.bincount(rows, one) for one in estimator])
-            shared = shared + self.of_rows * of_row[:, rows]
+            shared = shared + self.row_variance * of_row[:, rows]
         if self.rounding is None or not len(self.rounding):
             return shared
         return shared + (estimator @ self.rounding.T) @ self.rounding / len(self.rounding)
 
 
-def noise_of(frames: Array, model: Array, window: Mask, *, ground_dn: float, inflation: float) -> Noise:
+def noise_of(frames: Array, model: Array, window: Mask, *, ground_dn: float, inflation: float) -> BarWindowNoise:
     """Return the noise of the mean of frames, from their scatter.
 
     Parameters
@@ -103,18 +103,18 @@ def noise_of(frames: Array, model: Array, window: Mask, *, ground_dn: float, inf
     left = frames - frames.mean(axis=0)
     share = len(frames) / (len(frames) - 1.0)
     variance = variance_of(model, share * np.mean(left[:, window] ** 2, axis=0))
-    field = np.zeros((min(len(frames), MOST_FRAMES), *window.shape))
+    field = np.zeros((min(len(frames), MAX_FRAMES), *window.shape))
     field[:, window] = left[: len(field), window] / np.sqrt(variance)
-    return Noise(
+    return BarWindowNoise(
         variance=variance / len(frames),
         correlation=correlation_of(field, window),
         inflation=inflation,
         rounding=rounding_shifts(model, variance) if frames.dtype.kind in "ui" else None,
-        of_rows=share * of_rows(left, np.abs(model - ground_dn), window) / len(frames),
+        row_variance=share * row_offset_variance(left, np.abs(model - ground_dn), window) / len(frames),
     )
 
 
-def noise_of_one(residual: Array, model: Array, absorbed: Array, window: Mask, *, ground_dn: float) -> Noise:
+def noise_of_one(residual: Array, model: Array, absorbed: Array, window: Mask, *, ground_dn: float) -> BarWindowNoise:
     """Return the noise of one frame from what a fit left over.
 
     Parameters
@@ -131,11 +131,11 @@ def noise_of_one(residual: Array, model: Array, absorbed: Array, window: Mask, *
     fields[1:, window] = absorbed * scale
     left = np.zeros((1, *window.shape))
     left[0, window] = residual
-    shared = of_rows(left, np.abs(model - ground_dn), window)
-    return Noise(variance=variance, correlation=correlation_of(fields, window), of_rows=shared)
+    shared = row_offset_variance(left, np.abs(model - ground_dn), window)
+    return BarWindowNoise(variance=variance, correlation=correlation_of(fields, window), row_variance=shared)
 
 
-def of_rows(left: Array, height: Array, window: Mask) -> float:
+def row_offset_variance(left: Array, height: Array, window: Mask) -> float:
     """Return the variance of an offset that pixels of a row share, DN^2; 0 where it is not there for sure.
 
     Parameters
@@ -153,7 +153,7 @@ def of_rows(left: Array, height: Array, window: Mask) -> float:
     """
     ground = np.zeros(window.shape, bool)
     ground[window] = height <= GROUND * height.max()
-    if np.count_nonzero(ground) < LEAST_GROUND:
+    if np.count_nonzero(ground) < MIN_GROUND:
         return 0.0
     left = np.where(ground, left - left[:, ground].mean(axis=1)[:, None, None], 0.0)
     products = []
@@ -162,7 +162,7 @@ def of_rows(left: Array, height: Array, window: Mask) -> float:
         pairs = ground[:, :last] & ground[:, lag:]
         products.append(np.mean(left[:, :, :last] * left[:, :, lag:], axis=0)[pairs])
     told = np.concatenate(products)
-    if told.size < LEAST_GROUND:
+    if told.size < MIN_GROUND:
         return 0.0
     mean = float(told.mean())
     return mean if mean > ROWS_SD * float(told.std()) / np.sqrt(told.size) else 0.0

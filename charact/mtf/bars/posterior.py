@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.mtf.bars.amplitudes import Amplitudes
-from charact.mtf.bars.compressed import compressed
-from charact.mtf.bars.fit import Fit
-from charact.mtf.bars.picture import Problem
-from charact.posterior import draw, laplace, sample, weighed
+from charact.mtf.bars.bar_image_model import BarLikelihood
+from charact.mtf.bars.compressed import shape_log_density
+from charact.mtf.bars.fit import BarFit
+from charact.posterior import importance_sample, laplace, sample, sample_posterior
 from labdata.measurement import Posterior
 
 Array = NDArray[np.float64]
@@ -19,13 +19,13 @@ LARGEST_MTF = 1.5
 # What straight lines between the places of a picture's table make of the MTF without any noise, as a share of it.
 TABLE_SD = 3e-4
 # Effective draws by importance where an answer is wanted quickly.
-QUICK_ENOUGH = 500.0
+QUICK_ESS = 500.0
 # Standard deviations of its draws by which a full posterior may lie beside the fit that it began from.
-APART_SD = 2.0
+MAX_OFFSET_SD = 2.0
 SHAPE = ("log_attenuation", "form_one", "departure")
 
 
-def of_fit(fit: Fit, problem: Problem, context: Context, bias: float) -> Posterior:
+def sample_fit(fit: BarFit, problem: BarLikelihood, context: Context, bias: float) -> Posterior:
     """Draw the transfer's shape: attenuation and exponent of the family, and the departure from it at the bars.
 
     Noise squared lifts or lowers the fitted MTF M = p exp(-a) (1 + departure) by a bias on the average: ln(a) is moved
@@ -45,14 +45,14 @@ def of_fit(fit: Fit, problem: Problem, context: Context, bias: float) -> Posteri
     }
     if context.quick:
         return laplace(lambda theta: np.zeros(len(theta)), **asked)
-    density = compressed(fit, problem)
+    density = shape_log_density(fit, problem)
     posterior = sample(lambda theta: density(theta - shift), **asked)
-    if not _departs(posterior, fit, shift):
+    if not _differs_from_fit(posterior, fit, shift):
         return posterior
     return replace(posterior, flags=(*posterior.flags, "model-misfit"))
 
 
-def _departs(posterior: Posterior, fit: Fit, shift: Array) -> bool:
+def _differs_from_fit(posterior: Posterior, fit: BarFit, shift: Array) -> bool:
     """Tell whether draws lie where the fit does not: pixels' weights and the numbers' ask for different blurs.
 
     Both are efficient under the model, and agree within a part of their error; priors that the pixels contradict, as
@@ -61,17 +61,17 @@ def _departs(posterior: Posterior, fit: Fit, shift: Array) -> bool:
     start = np.array([fit[name] for name in SHAPE]) + shift
     fitted = np.log1p(start[2]) - np.exp(start[0])
     drawn = np.log1p(posterior["departure"]) - np.exp(posterior["log_attenuation"])
-    return bool(abs(drawn.mean() - fitted) > APART_SD * drawn.std())
+    return bool(abs(drawn.mean() - fitted) > MAX_OFFSET_SD * drawn.std())
 
 
-def mtf_of(posterior: Posterior, fit: Fit, context: Context) -> Array:
+def mtf_of(posterior: Posterior, fit: BarFit, context: Context) -> Array:
     """Return the MTF of each draw at the reference frequency, pixel included, as surely as the picture is tabulated."""
     core = np.exp(-np.exp(posterior["log_attenuation"]))
     table = 1.0 + TABLE_SD * np.random.default_rng([context.seed, len(core)]).standard_normal(len(core))
     return fit.shape.pixel * core * (1.0 + posterior["departure"]) * table
 
 
-def of_sums(found: Amplitudes, lost: tuple[float, float], context: Context) -> Posterior:
+def sample_sums(found: Amplitudes, lost: tuple[float, float], context: Context) -> Posterior:
     """Draw light, MTF and the share of light lost beyond the window.
 
     Priors: light and MTF even over (0, 2 I(0)) and (0, 1.5); the share lost normal as the camera's ranges say, not
@@ -106,7 +106,7 @@ def of_sums(found: Amplitudes, lost: tuple[float, float], context: Context) -> P
         "covariance": spread[:count, :count],
     }
     if context.quick:
-        return weighed(
-            log_probability, **asked, seed=context.seed, bounds=bounds, enough=QUICK_ENOUGH, first_draws=1000
+        return importance_sample(
+            log_probability, **asked, seed=context.seed, bounds=bounds, enough=QUICK_ESS, first_draws=1000
         )
-    return draw(log_probability, **asked, seed=context.seed, bounds=bounds)
+    return sample_posterior(log_probability, **asked, seed=context.seed, bounds=bounds)

@@ -3,10 +3,10 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.mtf.bars.bar_spectrum import BarShape, table_of
 from charact.mtf.bars.forms import TUBE
-from charact.mtf.bars.model import Shape, table_of
 from charact.mtf.bars.target import BarTarget
-from charact.mtf.forms import transfer as forms
+from charact.mtf.blur_models import transfer as forms
 from labdata.frames import FrameStack
 
 Array = NDArray[np.float64]
@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 TUBE_EXPONENT = 1.2
 
 
-def profile(used: FrameStack, target: BarTarget, mtf: float) -> dict:
+def bar_profile(used: FrameStack, target: BarTarget, mtf: float) -> dict:
     """Return the mean profile across the bars and the model through the measured MTF, as numbers for a figure.
 
     The figure's model has the form exp(-(f/fc)^1.2) of a tube with the measured value at the fundamental: one point
@@ -29,7 +29,7 @@ def profile(used: FrameStack, target: BarTarget, mtf: float) -> dict:
     filled = count > 0
     value = np.bincount(place, mean[near], minlength=len(edges) + 1)[1:-1][filled] / count[filled]
     distance = (0.5 * (edges[1:] + edges[:-1]))[filled]
-    shape = _modelled(distance, target, mtf)
+    shape = _model_profile(distance, target, mtf)
     scale, level = np.polyfit(shape, value, 1) if shape.std() > 0 else (0.0, float(value.mean()))
     model = level + scale * shape
     return {
@@ -43,12 +43,12 @@ def profile(used: FrameStack, target: BarTarget, mtf: float) -> dict:
     }
 
 
-def _modelled(distance: Array, target: BarTarget, mtf: float) -> Array:
+def _model_profile(distance: Array, target: BarTarget, mtf: float) -> Array:
     """Return N blurred bars at distances from their centre, 1 on a wide bar."""
     frequency = target.frequency
     pixel = float(forms.aperture(np.array([frequency]), target.angle_rad)[0])
     core = float(np.clip(mtf / pixel, 1e-3, 0.999))
-    shape = Shape(
+    shape = BarShape(
         bars=target.bars, frequency=frequency, length_px=np.inf, reference=frequency, form=TUBE,
         log_attenuation=float(np.log(-np.log(core))), form_one=float(np.log(TUBE_EXPONENT)), form_two=0.0,
         departure=0.0, angle_rad=target.angle_rad,

@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.bars.place import runs_through, strip_of
-from charact.mtf.bars.target import BarTarget, find, ground_level, settled
+from charact.mtf.bars.strip_location import spans_region, strip_of
+from charact.mtf.bars.target import BarTarget, detect_bars, ground_level, refine_target
 from charact.mtf.bars.thresholds import (
-    LEAST_EXPLAINED,
-    MOST_BARS,
+    COUNT_RANGE,
+    MAX_BARS,
+    MIN_EXPLAINED,
     NEARLY,
-    NUMBERS_BESIDE,
     PATCH_LEVEL,
     PEAKS,
     SMOOTHED_PERIODS,
@@ -26,20 +26,20 @@ Mask = NDArray[np.bool_]
 # of the peak.
 BLURS, FREQUENCIES = (0.08, 0.16, 0.24, 0.34, 0.44), np.linspace(0.92, 1.08, 9)
 # Points of the profile a period, ground beside the bars and the inner share of their length that are looked at.
-POINTS_A_PERIOD, BESIDE_PERIODS, INNER = 12.0, 1.2, 0.4
+POINTS_A_PERIOD, BACKGROUND_PERIODS, INNER = 12.0, 1.2, 0.4
 # Ground that must be seen beyond the last gap on either side, periods: without it nobody can count.
-LEAST_BESIDE = 0.0
+MIN_BACKGROUND_PERIODS = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Seen:
+class LocatedBars:
     """A target of a region, and whether its bars run through it from border to border."""
 
     target: BarTarget
     through: bool
 
 
-def bars_in(image: Array, *, bars: int | None, frequency: float | None, pitch_ratio: float) -> Seen | None:
+def bars_in(image: Array, *, bars: int | None, frequency: float | None, pitch_ratio: float) -> LocatedBars | None:
     """Return the bars that a region shows; None where it shows none.
 
     Parameters
@@ -56,18 +56,18 @@ def bars_in(image: Array, *, bars: int | None, frequency: float | None, pitch_ra
     even ground by least squares, N, frequency, blur, middle and sign free. Of those that explain about as much of it
     the strongest wave is the bars': the others are side lobes of the patch's own light.
     """
-    looked: list[tuple[float, Seen]] = []
+    looked: list[tuple[float, LocatedBars]] = []
     for wave, angle_rad in _waves(image, frequency, pitch_ratio):
         blank = BarTarget(
             bars=bars or 0, frequency=wave, angle_rad=angle_rad, row=0.0, col=0.0, pitch_ratio=pitch_ratio,
             length_px=0.0, sign=1,
         )  # fmt: skip
         patch = _patch(image, blank)
-        found = _counted(image, patch, blank, bars)
+        found = _count_bars(image, patch, blank, bars)
         if found is not None:
-            looked.append((found[0], Seen(target=found[1], through=_runs_through(patch, angle_rad))))
+            looked.append((found[0], LocatedBars(target=found[1], through=_runs_through(patch, angle_rad))))
     most = max((explained for explained, _ in looked), default=0.0)
-    return next((seen for explained, seen in looked if explained > max(LEAST_EXPLAINED, NEARLY * most)), None)
+    return next((seen for explained, seen in looked if explained > max(MIN_EXPLAINED, NEARLY * most)), None)
 
 
 def _waves(image: Array, frequency: float | None, pitch_ratio: float) -> Iterator[tuple[float, float]]:
@@ -112,10 +112,10 @@ def _patch(image: Array, wave: BarTarget) -> Mask:
     width = SMOOTHED_PERIODS / wave.frequency
     sigma = (width / wave.pitch_ratio, width)
 
-    def smoothed(part: Array) -> Array:
+    def smooth(part: Array) -> Array:
         return np.asarray(gaussian_filter(part, sigma, mode="constant"))
 
-    amplitude = np.hypot(smoothed(np.real(turned)), smoothed(np.imag(turned))) / smoothed(np.ones(image.shape))
+    amplitude = np.hypot(smooth(np.real(turned)), smooth(np.imag(turned))) / smooth(np.ones(image.shape))
     parts = np.zeros(image.shape, np.int32)
     label(amplitude > PATCH_LEVEL * amplitude.max(), output=parts)
     return parts == parts.flat[int(np.argmax(amplitude))]
@@ -127,12 +127,12 @@ def _runs_through(patch: Mask, angle_rad: float) -> bool:
     return bool(ends[0].any() and ends[-1].any())
 
 
-def _counted(image: Array, patch: Mask, wave: BarTarget, bars: int | None) -> tuple[float, BarTarget] | None:
+def _count_bars(image: Array, patch: Mask, wave: BarTarget, bars: int | None) -> tuple[float, BarTarget] | None:
     """Return how much of the profile across a patch N blurred bars explain, and those that explain it best."""
     across, along = wave.coordinates((image.shape[0], image.shape[1]))
     middle = 0.5 * (across[patch].min() + across[patch].max()), 0.5 * (along[patch].min() + along[patch].max())
     width, length = np.ptp(across[patch]), np.ptp(along[patch])
-    near = (np.abs(across - middle[0]) < 0.5 * width + BESIDE_PERIODS / wave.frequency) & (
+    near = (np.abs(across - middle[0]) < 0.5 * width + BACKGROUND_PERIODS / wave.frequency) & (
         np.abs(along - middle[1]) < max(INNER * length, 1.0)
     )
     step = max(1.0 / (POINTS_A_PERIOD * wave.frequency), 0.5)
@@ -142,15 +142,15 @@ def _counted(image: Array, patch: Mask, wave: BarTarget, bars: int | None) -> tu
     place = (np.bincount(index, across[near])[filled] / count[filled] - middle[0]) * wave.frequency
     value = np.bincount(index, image[near])[filled] / count[filled]
     guess = round(width * wave.frequency)
-    numbers = [bars] if bars else [n for n in range(guess - NUMBERS_BESIDE, guess + NUMBERS_BESIDE + 1) if n > 1]
-    if place.size < 8 or not numbers or numbers[0] > MOST_BARS:
+    numbers = [bars] if bars else [n for n in range(guess - COUNT_RANGE, guess + COUNT_RANGE + 1) if n > 1]
+    if place.size < 8 or not numbers or numbers[0] > MAX_BARS:
         return None
     inside = np.abs(place) < 0.5 * width * wave.frequency
     phase = float(np.angle(np.sum((value - value[inside].mean())[inside] * np.exp(2j * np.pi * place[inside]))))
     explained, number, ratio, shift, sign = max(
-        (_compared(place, value, number, phase / (2.0 * np.pi)) for number in numbers), key=lambda one: one[0]
+        (_match_profile(place, value, number, phase / (2.0 * np.pi)) for number in numbers), key=lambda one: one[0]
     )
-    seen = 0.5 * number / ratio + LEAST_BESIDE
+    seen = 0.5 * number / ratio + MIN_BACKGROUND_PERIODS
     if place[0] > shift - seen or place[-1] < shift + seen:
         return None
     x = middle[0] + shift / wave.frequency
@@ -167,7 +167,7 @@ def _counted(image: Array, patch: Mask, wave: BarTarget, bars: int | None) -> tu
     return explained, target
 
 
-def _compared(place: Array, value: Array, bars: int, peak: float) -> tuple[float, int, float, float, int]:
+def _match_profile(place: Array, value: Array, bars: int, peak: float) -> tuple[float, int, float, float, int]:
     """Return the share of a profile that so many bars explain, their number, frequency, middle and sign.
 
     Parameters
@@ -200,7 +200,7 @@ def _compared(place: Array, value: Array, bars: int, peak: float) -> tuple[float
     return float(gain[best]) / total, bars, own, float(middle[best]), 1 if inner[best] > 0 else -1
 
 
-def target_in(image: Array, *, bars: int | None, frequency: float | None, pitch_ratio: float) -> Seen | None:
+def target_in(image: Array, *, bars: int | None, frequency: float | None, pitch_ratio: float) -> LocatedBars | None:
     """Return the target of a region, what nobody states of it found from the picture; None where there is none.
 
     Parameters
@@ -214,10 +214,10 @@ def target_in(image: Array, *, bars: int | None, frequency: float | None, pitch_
         seen = bars_in(image, bars=bars, frequency=frequency, pitch_ratio=pitch_ratio)
         if seen is None or seen.through:
             return seen
-        return replace(seen, target=settled(image, seen.target))
-    if runs_through(image, bars=bars, frequency=frequency):
+        return replace(seen, target=refine_target(image, seen.target))
+    if spans_region(image, bars=bars, frequency=frequency):
         target = strip_of(image, bars=bars, frequency=frequency, pitch_ratio=pitch_ratio)
         if target is not None:
-            return Seen(target=target, through=True)
-    target = find(image, bars=bars, frequency=frequency, pitch_ratio=pitch_ratio)
-    return None if target is None else Seen(target=target, through=False)
+            return LocatedBars(target=target, through=True)
+    target = detect_bars(image, bars=bars, frequency=frequency, pitch_ratio=pitch_ratio)
+    return None if target is None else LocatedBars(target=target, through=False)

@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 
 DIRECTIONS_DEG = np.arange(0.0, 180.0, 10.0)
 # The tallest response of noise alone over a whole frame, in its own robust standard deviations, stays below this.
-LEAST_RESPONSE = 8.0
+MIN_RESPONSE = 8.0
 RAYLEIGH_TENTH = float(np.sqrt(-2.0 * np.log(0.9)))
 # Longest departure of the bars' own frequency from the one asked for.
 FREQUENCY_SLACK = 0.06
@@ -92,7 +92,7 @@ def amplitude(image: Array, target: BarTarget, frequency: float, window: NDArray
     return complex(np.sum(image[window] * np.exp(-2j * np.pi * frequency * across[window])))
 
 
-def find(image: Array, *, bars: int, frequency: float, pitch_ratio: float) -> BarTarget | None:
+def detect_bars(image: Array, *, bars: int, frequency: float, pitch_ratio: float) -> BarTarget | None:
     """Return the target that answers best to a filter of as many cycles, or None if nothing rises above noise.
 
     Parameters
@@ -118,9 +118,9 @@ def find(image: Array, *, bars: int, frequency: float, pitch_ratio: float) -> Ba
         quiet = min(quiet, float(np.quantile(response, 0.1)) / RAYLEIGH_TENTH)
         if best is None or height > best[0]:
             best = (height, replace(turned, row=float(row), col=float(col)))
-    if best is None or not best[0] > LEAST_RESPONSE * quiet + 1e-9 * np.abs(image).max():
+    if best is None or not best[0] > MIN_RESPONSE * quiet + 1e-9 * np.abs(image).max():
         return None
-    return settled(image, best[1])
+    return refine_target(image, best[1])
 
 
 def _response(spectrum: NDArray, size: tuple[int, int], target: BarTarget, reach: int, shape: tuple) -> Array:
@@ -137,20 +137,20 @@ def _response(spectrum: NDArray, size: tuple[int, int], target: BarTarget, reach
     return np.hypot(real, imaginary)
 
 
-def settled(image: Array, target: BarTarget) -> BarTarget:
+def refine_target(image: Array, target: BarTarget) -> BarTarget:
     """Centre the target on its light, turn it until its fundamental is strongest, and take its length, twice."""
     for step_deg in (2.0, 0.5):
-        target = _centred(image, target)
+        target = _centre_on_light(image, target)
         window = target.box(image.shape, core_margin_px(target.frequency))
         level = ground_level(image)
         angles = target.angle_rad + np.deg2rad(step_deg * np.arange(-6, 7))
         tried = [replace(target, angle_rad=float(angle)) for angle in angles]
         height = [abs(amplitude(image - level, one, one.frequency, window)) for one in tried]
-        target = _as_long(image, replace(target, angle_rad=_vertex(angles, np.array(height))))
-    return _centred(image, target)
+        target = _fit_length(image, replace(target, angle_rad=_vertex(angles, np.array(height))))
+    return _centre_on_light(image, target)
 
 
-def _centred(image: Array, target: BarTarget) -> BarTarget:
+def _centre_on_light(image: Array, target: BarTarget) -> BarTarget:
     """Move the centre to the centroid of the light on the target, or of what is missing there."""
     window = target.box(image.shape, core_margin_px(target.frequency))
     light = np.where(window, image - ground_level(image), 0.0)
@@ -166,7 +166,7 @@ def _centred(image: Array, target: BarTarget) -> BarTarget:
     return replace(target, row=row, col=col)
 
 
-def _as_long(image: Array, target: BarTarget) -> BarTarget:
+def _fit_length(image: Array, target: BarTarget) -> BarTarget:
     """Return the target as long as its fundamental reaches: the stretch along the bars that matches it best.
 
     Of white noise the square of a stretch's sum over its length is its likelihood; the standard length is kept where
@@ -203,7 +203,7 @@ def _vertex(x: Array, y: Array) -> float:
     return float(x[peak] + np.clip(shift, -1.0, 1.0) * (x[1] - x[0]))
 
 
-def own_frequency(image: Array, target: BarTarget, margin_px: float) -> float:
+def measure_frequency(image: Array, target: BarTarget, margin_px: float) -> float:
     """Return the frequency at which the spectrum of N bars has its zeros, next to the one asked for.
 
     Notes

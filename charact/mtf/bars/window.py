@@ -5,21 +5,21 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.mtf.bars.target import BarTarget
-from charact.mtf.forms import transfer as forms
-from charact.mtf.optics import halo_diameters_px
+from charact.mtf.blur_models import transfer as forms
+from charact.mtf.known_transfer import halo_diameters_px
 from labdata.parameter import Parameter
 
 Array = NDArray[np.float64]
 
 BEYOND_HALO_PX = 12.0
-LEAST_MARGIN_PX = 12.0
+WINDOW_MARGIN_PX = 12.0
 PRIOR_DRAWS = 200
 SD_OF_RANGE = 2.0 * 1.959964
 
 
 def margin_px(context: Context, frequency: float) -> float:
     """Return how far the window should reach beyond the bars: over the halo, where the camera has one."""
-    own = max(LEAST_MARGIN_PX, 1.5 / frequency)
+    own = max(WINDOW_MARGIN_PX, 1.5 / frequency)
     if context.sensor is None:
         return own
     return max(own, 0.5 * halo_diameters_px(context, transposed=False)[1] + BEYOND_HALO_PX)
@@ -38,7 +38,7 @@ def fitting_margin(target: BarTarget, shape: tuple[int, int], wanted: float) -> 
     return 2.0, True
 
 
-def lost_share(context: Context, margin: float) -> tuple[float, float]:
+def lost_fraction(context: Context, margin: float) -> tuple[float, float]:
     """Return the share of the light that the tails carry beyond the window, and its standard deviation.
 
     Parameters
@@ -58,11 +58,11 @@ def lost_share(context: Context, margin: float) -> tuple[float, float]:
     sensor = context.sensor
     rng = np.random.default_rng(0)
     pitch_mm = float(sensor.ccd.pitch_x_um) * 1e-3 * float(sensor.taper.demagnification)
-    corner = _drawn(sensor.tube.mtf_frequency_lp_per_mm, rng) * pitch_mm
-    exponent = _drawn(sensor.tube.mtf_exponent, rng)
-    diameter = 4.0 * _drawn(sensor.photocathode.gap_mm, rng) / pitch_mm
-    share = _drawn(sensor.photocathode.halo_fraction, rng)
-    elastic = _drawn(sensor.photocathode.halo_elastic_share, rng)
+    corner = _draw_parameter(sensor.tube.mtf_frequency_lp_per_mm, rng) * pitch_mm
+    exponent = _draw_parameter(sensor.tube.mtf_exponent, rng)
+    diameter = 4.0 * _draw_parameter(sensor.photocathode.gap_mm, rng) / pitch_mm
+    share = _draw_parameter(sensor.photocathode.halo_fraction, rng)
+    elastic = _draw_parameter(sensor.photocathode.halo_elastic_share, rng)
     f = np.asarray((np.arange(16384) + 0.5) / 8192.0, dtype=np.float64)
     kernel = np.sin(2.0 * np.pi * f * margin) / f * (f[1] - f[0])
     core = np.exp(-((f / corner[:, None]) ** exponent[:, None]))
@@ -71,7 +71,7 @@ def lost_share(context: Context, margin: float) -> tuple[float, float]:
     return float(outside.mean()), float(max(outside.std(), 0.25 * abs(outside.mean())))
 
 
-def _drawn(parameter: Parameter, rng: np.random.Generator) -> Array:
+def _draw_parameter(parameter: Parameter, rng: np.random.Generator) -> Array:
     if parameter.low is None or parameter.high is None:
         return np.full(PRIOR_DRAWS, parameter.value)
     sd = (parameter.high - parameter.low) / SD_OF_RANGE

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from charact.mtf.edge.checks import noise_of
-from charact.mtf.edge.pixels.find import FoundEdge
-from charact.mtf.edge.response import Response, contrast, lift_of
+from charact.mtf.edge.nonlinearity import CurvatureEstimate, contrast, max_bias_of
+from charact.mtf.edge.pixels.prepare_edge import PreparedEdge
 from charact.mtf.edge.sharpening import noise_gain_of, overshoot_of
 from labdata.flags import FLAGS, Finding
 from labdata.measurement import Measurement
@@ -31,9 +31,9 @@ class Facts:
         Largest departure of the profile from its model, share of the step; None: there is no model.
     """
 
-    edge: FoundEdge
+    edge: PreparedEdge
     half: float
-    response: Response | None = None
+    response: CurvatureEstimate | None = None
     misfit: float | None = None
 
     @property
@@ -49,13 +49,13 @@ def with_findings(found: Measurement, facts: Facts) -> Measurement:
     )
 
 
-def sharpening_flags(edge: FoundEdge, half: float) -> tuple[str, ...]:
+def sharpening_flags(edge: PreparedEdge, half: float) -> tuple[str, ...]:
     """Return `processed` where an edge overshoots or its noise was differenced."""
     sharpened = noise_gain_of(edge.picture, edge.profile) > 1.0 or (half > 0 and overshoot_of(edge.profile, half) > 0.0)
     return ("processed",) if sharpened else ()
 
 
-def _clipped(facts: Facts) -> str:
+def _clipping(facts: Facts) -> str:
     data = facts.edge.used.data
     top, bottom = (100.0 * float(np.mean(data == end)) for end in (data.max(), data.min()))
     return (
@@ -65,7 +65,7 @@ def _clipped(facts: Facts) -> str:
 
 
 def _gamma(facts: Facts) -> str:
-    most = 100.0 * lift_of(facts.response, contrast(facts.edge.profile))
+    most = 100.0 * max_bias_of(facts.response, contrast(facts.edge.profile))
     return f"a curved response may have moved MTF50 by up to {most:.1f} %"
 
 
@@ -94,7 +94,7 @@ def _low_signal(facts: Facts) -> str:
     return f"the step is {facts.step / noise:.1f} times the noise of a pixel: the interval's own ends are unsure"
 
 
-def _quantised(facts: Facts) -> str:
+def _quantisation(facts: Facts) -> str:
     return f"either plateau may lie half a code off, {50.0 / facts.step:.2g} % of the step, and MTF50 about as much"
 
 
@@ -104,16 +104,18 @@ def _window(facts: Facts) -> str:
 
 
 def _drift(facts: Facts) -> str:
-    wander = facts.edge.wander
-    return f"the edge moves by {wander.rms_px:.2g} px rms: MTF50 is {100.0 * wander.lowers(facts.half):.2g} % low"
+    wander = facts.edge.target_motion
+    return f"the edge moves by {wander.rms_px:.2g} px rms: MTF50 is {100.0 * wander.mtf_loss(facts.half):.2g} % low"
 
 
-def _curved(facts: Facts) -> str:
+def _edge_roughness(facts: Facts) -> str:
     rough = facts.edge.roughness
-    return f"an edge that wanders by {rough.rms_px:.2g} px rms lowers MTF50 by {100.0 * rough.lowers(facts.half):.2g} %"
+    return (
+        f"an edge that wanders by {rough.rms_px:.2g} px rms lowers MTF50 by {100.0 * rough.mtf_loss(facts.half):.2g} %"
+    )
 
 
-def _processed(facts: Facts) -> str:
+def _processing(facts: Facts) -> str:
     edge, half = facts.edge, facts.half
     over = overshoot_of(edge.profile, half) if half > 0 else 0.0
     gain = noise_gain_of(edge.picture, edge.profile)
@@ -123,7 +125,7 @@ def _processed(facts: Facts) -> str:
             "larger for it; MTF50 is the processed picture's, and may be as many percent above the camera's"
         )
     return (
-        f"noise on the edge is {edge.on_slopes.ratio:.1f} times that of its plateaus: noise reduction sparing edges "
+        f"noise on the edge is {edge.slope_noise.ratio:.1f} times that of its plateaus: noise reduction sparing edges "
         "may have sharpened or blurred this one"
     )
 
@@ -150,17 +152,17 @@ def _chain(facts: Facts) -> str:
 
 
 EFFECTS: dict[str, Callable[[Facts], str]] = {
-    "clipped": _clipped,
+    "clipped": _clipping,
     "gamma": _gamma,
     "model-misfit": _misfit,
     "defects": _defects,
     "gradient": _gradient,
     "low-signal": _low_signal,
-    "quantised": _quantised,
+    "quantised": _quantisation,
     "window-too-small": _window,
     "drift": _drift,
-    "curved-edge": _curved,
-    "processed": _processed,
+    "curved-edge": _edge_roughness,
+    "processed": _processing,
     "interlace-motion": _interlace,
     "tilt-too-small": _tilt,
     "several-targets": _several,

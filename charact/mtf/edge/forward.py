@@ -8,14 +8,21 @@ from numpy.typing import NDArray
 from charact.method import Context, register
 from charact.mtf.edge import checks as edge_checks
 from charact.mtf.edge.forward_fit import EdgeFit, curvature, fit, refit
-from charact.mtf.edge.noise import bending_ln_odds
-from charact.mtf.edge.pixels.find import WIDEST_PX, FoundEdge, NoEdge, find_edge, no_edge, too_blurred
-from charact.mtf.edge.pixels.profile import refined, with_shading
-from charact.mtf.edge.response import bent
-from charact.mtf.edge.result import Outcome, nothing, result_of, within_note
-from charact.mtf.optics import halo_of, known_of
+from charact.mtf.edge.nonlinearity import marginalise_nonlinearity
+from charact.mtf.edge.photon_transfer import edge_ln_bayes_factor_nonlinear
+from charact.mtf.edge.pixels.prepare_edge import (
+    WIDEST_PX,
+    EdgeRefusal,
+    PreparedEdge,
+    blur_refusal,
+    edge_refusal,
+    prepare_edge,
+)
+from charact.mtf.edge.pixels.profile import refine_noise, with_shading
+from charact.mtf.edge.result import EdgeFitOutput, edge_refusals, edge_result, window_normalisation_note
+from charact.mtf.known_transfer import halo_of, known_transfer
 from charact.mtf.region import Region
-from charact.posterior import draw, weighed
+from charact.posterior import importance_sample, sample_posterior
 from labdata.frames import FrameStack
 from labdata.measurement import Posterior, Result
 
@@ -63,17 +70,19 @@ def edge_forward(stack: FrameStack, *, region: Region | None = None, context: Co
     Mean of a pixel at distance d: level + step (E(d) - 1/2) + slopes, E the edge spread of
     aperture x video x exp(-ln 2 (f/f2)^n) x departure x halo. Levels, step and slopes are marginalised in closed form.
     """
-    edge = find_edge(stack, region, context, fields_apart=True)
-    if isinstance(edge, NoEdge):
-        return nothing(METHOD, edge.reason, edge.where, context)
-    found = _fitted(edge, context)
+    edge = prepare_edge(stack, region, context, fields_apart=True)
+    if isinstance(edge, EdgeRefusal):
+        return edge_refusals(METHOD, edge.reason, edge.where, context)
+    found = _fit_edge(edge, context)
     if isinstance(found, str):
-        return nothing(METHOD, found, edge.where, context)
+        return edge_refusals(METHOD, found, edge.where, context)
     model = found.fit.model
     response = curvature(found.fit, found.edge.profile)
-    odds = bending_ln_odds(found.edge, context)
-    posterior = bent(_posterior(found.fit, context), response, found.edge.profile, odds, context.seed)
-    outcome = Outcome(
+    odds = edge_ln_bayes_factor_nonlinear(found.edge, context)
+    posterior = marginalise_nonlinearity(
+        _posterior(found.fit, context), response, found.edge.profile, odds, context.seed
+    )
+    outcome = EdgeFitOutput(
         method=METHOD,
         edge=found.edge,
         fitted=found.fit.fitted,
@@ -81,32 +90,34 @@ def edge_forward(stack: FrameStack, *, region: Region | None = None, context: Co
         posterior=posterior,
         mtf=lambda frequency: model.mtf(posterior.draws, frequency),
         settings={"widest_px": WIDEST_PX},
-        notes=(within_note(found.edge.profile),) if model.halo is None else (),
+        notes=(window_normalisation_note(found.edge.profile),) if model.halo is None else (),
     )
-    return result_of(outcome, context)
+    return edge_result(outcome, context)
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Found:
+class _FittedEdge:
     """An edge found and fitted."""
 
-    edge: FoundEdge
+    edge: PreparedEdge
     fit: EdgeFit
 
 
-def _fitted(edge: FoundEdge, context: Context) -> _Found | str:
+def _fit_edge(edge: PreparedEdge, context: Context) -> _FittedEdge | str:
     """Fit the edge, its noise estimated anew after a first fit; a sentence where there is none."""
     profile = with_shading(edge.profile, edge.profile.value)
-    known = known_of(edge.picture, profile.angle_rad, context)
+    known = known_transfer(edge.picture, profile.angle_rad, context)
     halo, certain = halo_of(edge.picture, profile.gathered.half_width_px, context)
     first = fit(profile, known, halo=halo, halo_certain=certain)
     if first.chi2 / first.free < edge_checks.MISFIT:
-        profile = refined(profile, edge.picture, first.fitted.model)
+        profile = refine_noise(profile, edge.picture, first.fitted.model)
         first = refit(profile, first)
-    reason = no_edge(first.chi2, first.chi2_without, first.free) or too_blurred(profile, float(np.exp(first.point[1])))
+    reason = edge_refusal(first.chi2, first.chi2_without, first.free) or blur_refusal(
+        profile, float(np.exp(first.point[1]))
+    )
     if reason:
         return reason
-    return _Found(edge=replace(edge, profile=profile), fit=first)
+    return _FittedEdge(edge=replace(edge, profile=profile), fit=first)
 
 
 def _posterior(fit: EdgeFit, context: Context) -> Posterior:
@@ -121,5 +132,5 @@ def _posterior(fit: EdgeFit, context: Context) -> Posterior:
         "bounds": model.bounds,
     }
     if context.quick:
-        return weighed(model.log_probability, **asked, enough=QUICK_ENOUGH, first_draws=QUICK_FIRST)
-    return draw(model.log_probability, **asked, max_steps=MAX_STEPS)
+        return importance_sample(model.log_probability, **asked, enough=QUICK_ENOUGH, first_draws=QUICK_FIRST)
+    return sample_posterior(model.log_probability, **asked, max_steps=MAX_STEPS)

@@ -6,15 +6,15 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.edge.checks import Fitted
-from charact.mtf.edge.fit.spread import nodes
+from charact.mtf.blur_models.one_dimensional import ExtendedComponent
+from charact.mtf.edge.checks import FittedProfile
+from charact.mtf.edge.fit.esf_from_mtf import nodes
 from charact.mtf.edge.forward_model import KNOTS, PARAMETERS, EdgeModel
-from charact.mtf.edge.pixels.profile import Profile
-from charact.mtf.edge.pixels.uneven_light import EVEN_PER_PX, UNEVEN_PER_PX
-from charact.mtf.edge.response import Response, response_curvature
-from charact.mtf.forms.families import Wide
-from charact.mtf.optics import Known
-from charact.posterior import maximum
+from charact.mtf.edge.nonlinearity import CurvatureEstimate, response_curvature
+from charact.mtf.edge.pixels.illumination_gradient import EVEN_PER_PX, UNEVEN_PER_PX
+from charact.mtf.edge.pixels.profile import EdgeProfile
+from charact.mtf.known_transfer import KnownTransfer
+from charact.posterior import find_maximum
 
 Array = NDArray[np.float64]
 
@@ -54,13 +54,13 @@ class EdgeFit:
     slope_sd_per_px: float
 
     @cached_property
-    def fitted(self) -> Fitted:
+    def fitted(self) -> FittedProfile:
         """The profile at the peak."""
-        model, amplitude = self.model.evidence.profile(self.model.stacked(self.point[None])[0])
-        return Fitted(model=model, amplitude=amplitude, chi2=self.chi2, free=self.free)
+        model, amplitude = self.model.evidence.profile(self.model.transfer_at_nodes(self.point[None])[0])
+        return FittedProfile(model=model, amplitude=amplitude, chi2=self.chi2, free=self.free)
 
 
-def fit(profile: Profile, known: Known, *, halo: Wide | None, halo_certain: bool) -> EdgeFit:
+def fit(profile: EdgeProfile, known: KnownTransfer, *, halo: ExtendedComponent | None, halo_certain: bool) -> EdgeFit:
     """Fit a profile without and with a halo, under even and under uneven light, and return the most probable.
 
     Parameters
@@ -72,7 +72,7 @@ def fit(profile: Profile, known: Known, *, halo: Wide | None, halo_certain: bool
     halo_certain
         Whether the camera is known to have one.
     """
-    kinds: list[Wide | None] = [halo] if halo is not None and halo_certain else [None]
+    kinds: list[ExtendedComponent | None] = [halo] if halo is not None and halo_certain else [None]
     if halo is not None and not halo_certain:
         kinds.append(halo)
     found: list[EdgeFit] = []
@@ -82,14 +82,20 @@ def fit(profile: Profile, known: Known, *, halo: Wide | None, halo_certain: bool
     return max(found, key=lambda one: one.log_evidence)
 
 
-def refit(profile: Profile, found: EdgeFit) -> EdgeFit:
+def refit(profile: EdgeProfile, found: EdgeFit) -> EdgeFit:
     """Fit the same kind of model again, from where it was, to a profile whose noise is known better."""
     evidence = profile.evidence(found.model.grid, found.slope_sd_per_px)
     model = replace(found.model, evidence=evidence)
-    return _climbed(model, found.point, found.slope_sd_per_px)
+    return _optimise(model, found.point, found.slope_sd_per_px)
 
 
-def _fit(profile: Profile, known: Known, halo: Wide | None, slope_sd_per_px: float, near: EdgeFit | None) -> EdgeFit:
+def _fit(
+    profile: EdgeProfile,
+    known: KnownTransfer,
+    halo: ExtendedComponent | None,
+    slope_sd_per_px: float,
+    near: EdgeFit | None,
+) -> EdgeFit:
     """Fit one kind of model, at each size of departure unless another fit has chosen it, and return the best."""
     grid = nodes(fine=halo is not None)
     evidence = profile.evidence(grid, slope_sd_per_px)
@@ -100,14 +106,14 @@ def _fit(profile: Profile, known: Known, halo: Wide | None, slope_sd_per_px: flo
     starts = _starts(model(0.2, DEPARTURES[0]), near)
     scale = float(np.exp(starts[0][1])) if near is None else near.model.scale
     first = DEPARTURES[1] if near is None else near.model.departure_sd
-    found = [_climbed(model(scale, first), start, slope_sd_per_px) for start in starts]
+    found = [_optimise(model(scale, first), start, slope_sd_per_px) for start in starts]
     best = max(found, key=lambda one: one.log_evidence)
     others = [sd for sd in DEPARTURES if sd != first] if near is None else []
-    found += [_climbed(model(scale, sd), best.point, slope_sd_per_px) for sd in others]
+    found += [_optimise(model(scale, sd), best.point, slope_sd_per_px) for sd in others]
     return max(found, key=lambda one: one.log_evidence)
 
 
-def _climbed(model: EdgeModel, start: Array, slope_sd_per_px: float) -> EdgeFit:
+def _optimise(model: EdgeModel, start: Array, slope_sd_per_px: float) -> EdgeFit:
     """Return the fit at the peak above a start.
 
     Nearly noiseless data make ridges that no climb follows from afar: it first goes up the same ridge, blunted.
@@ -115,8 +121,8 @@ def _climbed(model: EdgeModel, start: Array, slope_sd_per_px: float) -> EdgeFit:
     for power in (BLUNT, 1e2 * BLUNT):
         if model.evidence.marginal.power > 30.0 * power:
             share = power / model.evidence.marginal.power
-            start, _ = maximum(lambda theta, share=share: model.log_tempered(theta, share), start, model.bounds)
-    return _weighed(model, *maximum(model.log_probability, start, model.bounds), slope_sd_per_px)
+            start, _ = find_maximum(lambda theta, share=share: model.log_tempered(theta, share), start, model.bounds)
+    return _fit_with_evidence(model, *find_maximum(model.log_probability, start, model.bounds), slope_sd_per_px)
 
 
 def _starts(model: EdgeModel, near: EdgeFit | None) -> list[Array]:
@@ -147,11 +153,13 @@ def _best_of(model: EdgeModel, points: Array) -> Array:
     return points[int(np.argmax(model.log_probability(points)))]
 
 
-def _weighed(model: EdgeModel, point: Array, covariance: Array, slope_sd_per_px: float) -> EdgeFit:
+def _fit_with_evidence(model: EdgeModel, point: Array, covariance: Array, slope_sd_per_px: float) -> EdgeFit:
     """Return a fit with its evidence."""
     height = float(model.log_probability(point[None])[0])
-    volume = 0.5 * float(np.linalg.slogdet(2.0 * np.pi * covariance)[1]) + np.log(_inside(model, point, covariance))
-    _, chi2 = model.evidence.marginal.amplitude(model.stacked(point[None]))
+    volume = 0.5 * float(np.linalg.slogdet(2.0 * np.pi * covariance)[1]) + np.log(
+        _fraction_inside(model, point, covariance)
+    )
+    _, chi2 = model.evidence.marginal.amplitude(model.transfer_at_nodes(point[None]))
     return EdgeFit(
         model=model,
         point=point,
@@ -164,7 +172,7 @@ def _weighed(model: EdgeModel, point: Array, covariance: Array, slope_sd_per_px:
     )
 
 
-def _inside(model: EdgeModel, point: Array, covariance: Array) -> float:
+def _fraction_inside(model: EdgeModel, point: Array, covariance: Array) -> float:
     """Return the share of the Gaussian at the peak that lies inside the bounds: the rest is no evidence."""
     values, vectors = np.linalg.eigh(covariance)
     normal = np.random.default_rng(0).standard_normal((2000, point.size))
@@ -173,7 +181,7 @@ def _inside(model: EdgeModel, point: Array, covariance: Array) -> float:
     return max(float(np.mean(np.all((draws >= bounds[:, 0]) & (draws <= bounds[:, 1]), axis=1))), 1e-3)
 
 
-def curvature(found: EdgeFit, profile: Profile) -> Response:
+def curvature(found: EdgeFit, profile: EdgeProfile) -> CurvatureEstimate:
     """Return the curvature of the response that the profile asks for, and its error.
 
     Every parameter of the blur but its phases, which stay at the camera's known filter, may move by five of its
@@ -186,7 +194,7 @@ def curvature(found: EdgeFit, profile: Profile) -> Response:
     step = 0.1 * np.sqrt(np.diag(found.covariance))[free]
     moved = np.concatenate([centre + np.eye(centre.size)[free] * step[:, None] * sign for sign in (1.0, -1.0)])
     moved = np.clip(moved, model.bounds[:, 0], model.bounds[:, 1])
-    spreads = model.stacked(np.concatenate([centre[None], moved])) @ evidence.spread.T
+    spreads = model.transfer_at_nodes(np.concatenate([centre[None], moved])) @ evidence.spread.T
     tangents = (spreads[1 : 1 + free.size] - spreads[1 + free.size :]) / 2.0 * (5.0 / 0.1)
     return response_curvature(
         profile, evidence.precision_root, spreads[0], tangents, evidence.nuisance, evidence.nuisance_sd

@@ -11,11 +11,17 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.edge.fit.evidence import Evidence
-from charact.mtf.edge.fit.phases import turned
-from charact.mtf.forms import transfer as forms
-from charact.mtf.forms.families import EXPONENT, EXPONENT_PRIOR, HALF_FREQUENCY, HALF_FREQUENCY_PRIOR, Wide
-from charact.mtf.optics import Known
+from charact.mtf.blur_models import transfer as forms
+from charact.mtf.blur_models.one_dimensional import (
+    EXPONENT,
+    EXPONENT_PRIOR,
+    HALF_FREQUENCY,
+    HALF_FREQUENCY_PRIOR,
+    ExtendedComponent,
+)
+from charact.mtf.edge.fit.phases import apply_phases
+from charact.mtf.edge.fit.sufficient_statistics import ProfileStatistics
+from charact.mtf.known_transfer import KnownTransfer
 from charact.video_filter import powers
 
 Array = NDArray[np.float64]
@@ -52,11 +58,11 @@ class EdgeModel:
     """
 
     grid: Array
-    known: Known
-    evidence: Evidence
+    known: KnownTransfer
+    evidence: ProfileStatistics
     scale: float
     departure_sd: float
-    halo: Wide | None = None
+    halo: ExtendedComponent | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -116,7 +122,7 @@ class EdgeModel:
 
     def departures(self, frequency: Array) -> Array:
         """Return the shapes of the departure, shape (knot, frequency)."""
-        return _bumps(frequency / self.scale, KNOTS)
+        return _cosine_shapes(frequency / self.scale, KNOTS)
 
     @cached_property
     def _shapes(self) -> Array:
@@ -124,15 +130,15 @@ class EdgeModel:
 
     @cached_property
     def _bends(self) -> Array:
-        return _bumps(self.grid / self.scale, PHASE_KNOTS)
+        return _cosine_shapes(self.grid / self.scale, PHASE_KNOTS)
 
-    def stacked(self, theta: Array) -> Array:
+    def transfer_at_nodes(self, theta: Array) -> Array:
         """Return the transfer at the nodes, real and imaginary parts side by side, shape (n, 2 node)."""
         bend = theta[:, 3 + KNOTS.size : PARAMETERS] @ self._bends
         if self._bend is not None:
             bend = bend + powers(theta[:, -1]) @ self._bend.imag
         late = theta[:, :1] * self.grid - bend / (2.0 * np.pi)
-        return turned(self.modulus(theta), late, self._fixed)
+        return apply_phases(self.modulus(theta), late, self._fixed)
 
     @cached_property
     def _fixed(self) -> Array:
@@ -169,17 +175,17 @@ class EdgeModel:
         value = self.log_prior(theta)
         inside = np.isfinite(value)
         if inside.any():
-            value[inside] += share * self.evidence.marginal.log_likelihood(self.stacked(theta[inside]))
+            value[inside] += share * self.evidence.marginal.log_likelihood(self.transfer_at_nodes(theta[inside]))
         return value
 
 
 def departure_shapes(frequency: Array, half_frequency: float) -> NDArray[np.complex128]:
     """Return smooth departures of a transfer's logarithm, modulus and phase, shape (departure, frequency)."""
     ratio = frequency / half_frequency
-    return np.concatenate([_bumps(ratio, KNOTS), 1j * _bumps(ratio, PHASE_KNOTS)]).astype(np.complex128)
+    return np.concatenate([_cosine_shapes(ratio, KNOTS), 1j * _cosine_shapes(ratio, PHASE_KNOTS)]).astype(np.complex128)
 
 
-def _bumps(ratio: Array, knots: Array) -> Array:
+def _cosine_shapes(ratio: Array, knots: Array) -> Array:
     """Return cosine bumps in the logarithm of a ratio, one at each knot and the last one held, shape (knot, ratio)."""
     place = np.interp(np.log(ratio), np.log(knots), np.arange(knots.size))
     entry = (np.log(ratio) - np.log(knots[0])) / np.log(knots[1] / knots[0])

@@ -11,17 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context, register
+from charact.mtf.blur_models.one_dimensional import BlurModel
 from charact.mtf.edge import checks as edge_checks
-from charact.mtf.edge.fit.family_fit import FamilyFitter
+from charact.mtf.edge.fit.model_fit import BlurModelFitter
 from charact.mtf.edge.line_spread import LineSpreads, Transfers
-from charact.mtf.edge.noise import bending_ln_odds
-from charact.mtf.edge.pixels.find import FoundEdge, NoEdge, find_edge, no_edge, too_blurred
+from charact.mtf.edge.nonlinearity import NO_CURVATURE_ESTIMATE, contrast, nonlinearity_bias, remove_nonlinearity
+from charact.mtf.edge.photon_transfer import edge_ln_bayes_factor_nonlinear
+from charact.mtf.edge.pixels.illumination_gradient import EVEN_PER_PX, UNEVEN_PER_PX
+from charact.mtf.edge.pixels.prepare_edge import EdgeRefusal, PreparedEdge, blur_refusal, edge_refusal, prepare_edge
 from charact.mtf.edge.pixels.profile import with_shading
-from charact.mtf.edge.pixels.uneven_light import EVEN_PER_PX, UNEVEN_PER_PX
-from charact.mtf.edge.response import NOT_LOOKED_FOR, contrast, lifts, unbent
-from charact.mtf.edge.result import Outcome, nothing, result_of, within_note
-from charact.mtf.forms.families import Family
-from charact.mtf.optics import Known, known_of
+from charact.mtf.edge.result import EdgeFitOutput, edge_refusals, edge_result, window_normalisation_note
+from charact.mtf.known_transfer import KnownTransfer, known_transfer
 from charact.mtf.region import Region
 from labdata.frames import FrameStack
 from labdata.measurement import Result
@@ -69,44 +69,44 @@ def edge_free(stack: FrameStack, *, region: Region | None = None, context: Conte
     spread with the regularisation chosen by evidence (MacKay, Neural Computation 4, 1992, 415). Light beyond the region
     is taken to lie anywhere between none and twice what the outer half of the region holds.
     """
-    edge = find_edge(stack, region, context, fields_apart=True)
-    if isinstance(edge, NoEdge):
-        return nothing(METHOD, edge.reason, edge.where, context)
-    known = known_of(edge.picture, edge.profile.angle_rad, context)
-    edge, spreads = _fitted(edge, known)
+    edge = prepare_edge(stack, region, context, fields_apart=True)
+    if isinstance(edge, EdgeRefusal):
+        return edge_refusals(METHOD, edge.reason, edge.where, context)
+    known = known_transfer(edge.picture, edge.profile.angle_rad, context)
+    edge, spreads = _fit_edge(edge, known)
     best = spreads.settings[0]
-    reason = no_edge(best.chi2, spreads.power, spreads.free)
+    reason = edge_refusal(best.chi2, spreads.power, spreads.free)
     if reason:
-        return nothing(METHOD, reason, edge.where, context)
+        return edge_refusals(METHOD, reason, edge.where, context)
     posterior = spreads.posterior(context.seed)
     transfers = Transfers(places=spreads.places, draws=posterior.draws, known=known, seed=context.seed)
     half = np.argmax(transfers.mtf(np.linspace(0.005, 1.5, 300)).mean(axis=0) < 0.5) * 0.005 + 0.005
-    reason = too_blurred(edge.profile, float(half))
+    reason = blur_refusal(edge.profile, float(half))
     if reason:
-        return nothing(METHOD, reason, edge.where, context)
-    odds = bending_ln_odds(edge, context)
-    lifted = lifts(NOT_LOOKED_FOR, contrast(edge.profile), odds, context.seed, len(posterior.draws))
-    outcome = Outcome(
+        return edge_refusals(METHOD, reason, edge.where, context)
+    odds = edge_ln_bayes_factor_nonlinear(edge, context)
+    lifted = nonlinearity_bias(NO_CURVATURE_ESTIMATE, contrast(edge.profile), odds, context.seed, len(posterior.draws))
+    outcome = EdgeFitOutput(
         method=METHOD,
         edge=edge,
-        fitted=edge_checks.Fitted(
+        fitted=edge_checks.FittedProfile(
             model=best.model, amplitude=best.amplitude, chi2=best.chi2, free=spreads.free - best.used_freedom
         ),
         response=spreads.response_curvature(posterior.draws),
         posterior=posterior,
-        mtf=unbent(transfers.mtf, lifted),
+        mtf=remove_nonlinearity(transfers.mtf, lifted),
         settings={"width_px": round(best.width_px, 3), "tail": best.tail, "smooth_over_px": round(best.smooth_px, 3)},
-        notes=(within_note(edge.profile),),
+        notes=(window_normalisation_note(edge.profile),),
         doubt=known.doubt,
     )
-    return result_of(outcome, context)
+    return edge_result(outcome, context)
 
 
-def _fitted(edge: FoundEdge, known: Known) -> tuple[FoundEdge, LineSpreads]:
+def _fit_edge(edge: PreparedEdge, known: KnownTransfer) -> tuple[PreparedEdge, LineSpreads]:
     """Fit an edge, first as if its plateaus were even, then with the shading that is left over, if any."""
     profile = edge.profile
-    fitter = FamilyFitter(profile, known)
-    family = Family(core="gaussian")
+    fitter = BlurModelFitter(profile, known)
+    family = BlurModel(core="gaussian")
     shift_px = float(fitter.fit(family, np.array([0.0, np.log(fitter.guess())]), EVEN_PER_PX).point[0])
     spreads = LineSpreads(profile, known, SLOPES_PER_PX, shift_px)
     shaded = with_shading(profile, profile.value - spreads.settings[0].model)

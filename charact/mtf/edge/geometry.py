@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from charact.mtf.picture import Picture
+from charact.mtf.mean_frame import OrientedFrame
 
 
-def orientation_deg(picture: Picture, angle_rad: float) -> float:
+def orientation_deg(picture: OrientedFrame, angle_rad: float) -> float:
     """Return the direction of the edge's normal from the row direction, degrees in [0, 180)."""
     tilt = float(np.rad2deg(angle_rad))
     # Upright, the normal stands at -tilt to the columns' direction; mirrored it is turned over, transposed exchanged.

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context, register
-from charact.mtf.curve import falls_to
-from charact.mtf.edge.pixels.line import Line
-from charact.mtf.edge.plain import PlainMethod, Response, mean_by_cell, measured_plainly
-from charact.mtf.picture import Picture
+from charact.mtf.curve import crossing_frequency
+from charact.mtf.edge.conventional import ConventionalMethod, MtfEstimate, mean_by_cell, measure_conventionally
+from charact.mtf.edge.pixels.line import EdgeLine
+from charact.mtf.mean_frame import OrientedFrame
 from charact.mtf.region import Region
 from labdata.frames import FrameStack
 from labdata.measurement import Result
@@ -61,10 +61,10 @@ def edge_gradient(stack: FrameStack, *, region: Region | None = None, context: C
     function construction methods ...", J. Opt. Soc. Am. A 36 (2019) 1126 for the family; slopes of single cells in
     place of a smoothed profile, and the normalisation, are this one's. Intervals as those of `edge-slanted`.
     """
-    return measured_plainly(PLAIN, stack, region, context)
+    return measure_conventionally(ESTIMATOR, stack, region, context)
 
 
-def _estimate(picture: Picture, line: Line) -> Response:
+def _estimate(picture: OrientedFrame, line: EdgeLine) -> MtfEstimate:
     rows, cols = picture.value.shape
     angle = line.angle_rad(picture.pitch_ratio)
     slope_of_light = _along_normal(picture.value, angle, picture.pitch_ratio)
@@ -78,14 +78,14 @@ def _estimate(picture: Picture, line: Line) -> Response:
     spread = mean_by_cell(cell, slope_of_light, 2 * size)
     frequency = np.arange(SAMPLES // OVERSAMPLING) / SAMPLES * OVERSAMPLING
     frequency = frequency[frequency < HIGHEST_CY_PER_PX]
-    passed = _passed(frequency, angle, picture.pitch_ratio)
+    passed = _transfer_of_differences(frequency, angle, picture.pitch_ratio)
     wide = _transform(spread, widest)[:, : frequency.size] / passed
     light = wide[:, :1]
-    half = falls_to(frequency, wide[:1] / light[:1], 0.5)[0]
+    half = crossing_frequency(frequency, wide[:1] / light[:1], 0.5)[0]
     narrow = float(np.clip(PERIODS / half, min(NARROWEST_PX, widest), widest)) if np.isfinite(half) else widest
     response = _transform(spread, narrow)[:, : frequency.size] / passed / light
     response[:, 0] = 1.0
-    return Response(frequency=frequency, value=response[0], parts=response[1:])
+    return MtfEstimate(frequency=frequency, value=response[0], parts=response[1:])
 
 
 def _along_normal(value: Array, angle_rad: float, pitch_ratio: float) -> Array:
@@ -95,7 +95,7 @@ def _along_normal(value: Array, angle_rad: float, pitch_ratio: float) -> Array:
     return np.cos(angle_rad) * right - np.sin(angle_rad) * down / pitch_ratio
 
 
-def _passed(frequency: Array, angle_rad: float, pitch_ratio: float) -> Array:
+def _transfer_of_differences(frequency: Array, angle_rad: float, pitch_ratio: float) -> Array:
     """Return the share of a wave along the normal that the differences and the cells of the line spread pass.
 
     Differences over one pixel, averaged over the two of a cell: 2i sin(pi f) of each axis' own share of the phase,
@@ -116,10 +116,10 @@ def _transform(spread: Array, half_px: float) -> Array:
     return np.abs(np.fft.rfft(spread * 0.5 * (1.0 + np.cos(np.pi * taper)), SAMPLES, axis=1))
 
 
-PLAIN = PlainMethod(
+ESTIMATOR = ConventionalMethod(
     name=METHOD,
     estimate=_estimate,
-    own_error=0.007,
-    least_snr=8.0,
+    bias_sd=0.007,
+    min_snr=8.0,
     settings={"oversampling": OVERSAMPLING, "widest_px": WIDEST_PX, "periods": PERIODS},
 )

@@ -11,8 +11,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.edge.pixels.profile import Profile
-from charact.mtf.optics import Known
+from charact.mtf.edge.pixels.profile import EdgeProfile
+from charact.mtf.known_transfer import KnownTransfer
 from labdata.measurement import Posterior
 
 Array = NDArray[np.float64]
@@ -27,17 +27,17 @@ TAILS = ("short", "long")
 # Tails within this of the best in ln of the evidence are worth pursuing.
 CLOSE = 6.0
 # Size of what is lopsided in a line spread, as a share of what is symmetric.
-LOPSIDED = (0.03, 0.3)
+ASYMMETRY = (0.03, 0.3)
 # Light beyond the region lies between none and this many times what the outer half of the region holds: a tube's
 # tails carry about nine tenths of that there, and the levels of the plateaus hide as much again.
 BEYOND = 2.0
 DRAWS = 600
 # Settings this much less probable than the best, as a share, add nothing to the draws.
-LEAST_SHARE = 0.01
+MIN_FRACTION = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
-class Setting:
+class LineSpreadSetting:
     """The line spread under one width and one smoothness.
 
     Parameters
@@ -69,7 +69,7 @@ class Setting:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Levelled:
+class _NormalEquations:
     """Normal equations of the line spread with levels and slopes projected out, under one prior of the slopes.
 
     Besides what line spreads and data put into levels and slopes, shape (level, place + 1), and ln of what
@@ -84,7 +84,7 @@ class _Levelled:
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Tried:
+class _Evaluation:
     """A setting with the factors of its posterior."""
 
     log_evidence: float
@@ -94,14 +94,14 @@ class _Tried:
     basis: Array
     values: Array
     along: Array
-    levelled: _Levelled
+    normal_equations: _NormalEquations
 
 
-def _evidence(tried: _Tried) -> float:
+def _evidence(tried: _Evaluation) -> float:
     return tried.log_evidence
 
 
-def _around(width_px: float) -> Array:
+def _widths_around(width_px: float) -> Array:
     """Return the widths around one of those tried, px."""
     near = int(np.argmin(np.abs(WIDTHS_PX - width_px)))
     return np.asarray(WIDTHS_PX[max(near - 1, 0) : near + 2], float)
@@ -122,7 +122,9 @@ class LineSpreads:
         Where the edge is.
     """
 
-    def __init__(self, profile: Profile, known: Known, slopes_sd_per_px: Sequence[float], shift_px: float) -> None:
+    def __init__(
+        self, profile: EdgeProfile, known: KnownTransfer, slopes_sd_per_px: Sequence[float], shift_px: float
+    ) -> None:
         self._profile = profile
         self.places = _places(float(profile.gathered.half_width_px))
         self._scale = max(abs(profile.step), 1e-300)
@@ -136,42 +138,45 @@ class LineSpreads:
         self.free = len(data) - 1
         flat = self._white_levels[:, :1] / np.linalg.norm(self._white_levels[:, 0])
         self.power = float(data @ data - (flat[:, 0] @ data) ** 2)
-        self.settings = self._weighed(slopes_sd_per_px)
+        self.settings = self._weight_settings(slopes_sd_per_px)
 
-    def _weighed(self, slopes_sd_per_px: Sequence[float]) -> list[Setting]:
+    def _weight_settings(self, slopes_sd_per_px: Sequence[float]) -> list[LineSpreadSetting]:
         """Return the settings that count, the most probable first."""
         # The width first, for either kind of tail; then all that goes with widths around the best.
-        tops = [self._best_widths(self._levelled(slope)) for slope in slopes_sd_per_px]
+        tops = [self._best_widths(self._project_levels(slope)) for slope in slopes_sd_per_px]
         best = max(one.log_evidence for of_slope in tops for one in of_slope)
         tried = [
-            self._tried(top.levelled, float(width), top.tail, smoothness, lopsided)
+            self._evaluate(top.normal_equations, float(width), top.tail, smoothness, lopsided)
             for of_slope in tops
             for top in of_slope
             if top.log_evidence > best - CLOSE
-            for width in _around(max(of_slope, key=_evidence).width_px)
+            for width in _widths_around(max(of_slope, key=_evidence).width_px)
             for smoothness in SMOOTHNESS
-            for lopsided in LOPSIDED
+            for lopsided in ASYMMETRY
         ]
         evidence = np.array([one.log_evidence for one in tried])
         share = np.exp(evidence - evidence.max())
         share /= share.sum()
-        self.shares = np.sort(share[share > LEAST_SHARE])[::-1]
-        return [self._finished(tried[i]) for i in np.argsort(-share) if share[i] > LEAST_SHARE]
+        self.shares = np.sort(share[share > MIN_FRACTION])[::-1]
+        return [self._finished(tried[i]) for i in np.argsort(-share) if share[i] > MIN_FRACTION]
 
-    def _best_widths(self, levelled: "_Levelled") -> list["_Tried"]:
+    def _best_widths(self, levelled: "_NormalEquations") -> list["_Evaluation"]:
         """Return the most probable setting of either kind of tail, all of one smoothness and symmetry."""
         return [
-            max((self._tried(levelled, float(w), tail, SMOOTHNESS[1], LOPSIDED[0]) for w in WIDTHS_PX), key=_evidence)
+            max(
+                (self._evaluate(levelled, float(w), tail, SMOOTHNESS[1], ASYMMETRY[0]) for w in WIDTHS_PX),
+                key=_evidence,
+            )
             for tail in TAILS
         ]
 
-    def _levelled(self, slope_sd_per_px: float) -> "_Levelled":
+    def _project_levels(self, slope_sd_per_px: float) -> "_NormalEquations":
         """Return lines and data with levels and slopes projected out, once for all settings."""
         lines, data, levels = self._lines, self._data, self._white_levels
         prior = self._profile.slopes_sd(slope_sd_per_px) ** -2.0
         outer = levels.T @ levels + np.diag([0.0, *prior])
         onto = np.asarray(np.linalg.solve(outer, levels.T @ np.concatenate([lines, data[:, None]], axis=1)), float)
-        return _Levelled(
+        return _NormalEquations(
             left=lines.T @ lines - (lines.T @ levels) @ onto[:, :-1],
             right=lines.T @ data - (lines.T @ levels) @ onto[:, -1],
             power=float(data @ data - (data @ levels) @ onto[:, -1]),
@@ -179,7 +184,9 @@ class LineSpreads:
             log_evidence=0.5 * float(np.sum(np.log(prior)) - np.linalg.slogdet(outer)[1]),
         )
 
-    def _tried(self, levelled: "_Levelled", width: float, tail: str, smoothness: float, lopsided: float) -> "_Tried":
+    def _evaluate(
+        self, levelled: "_NormalEquations", width: float, tail: str, smoothness: float, lopsided: float
+    ) -> "_Evaluation":
         """Return evidence, setting and posterior factors of one width, tail, smoothness and symmetry."""
         even, odd = _prior_root(self.places.tobytes(), width, tail, width * smoothness)
         prior = np.concatenate([even, lopsided * odd], axis=1) * self._scale
@@ -187,7 +194,7 @@ class LineSpreads:
         values = np.maximum(values, 0.0)
         along = vectors.T @ (prior.T @ levelled.right)
         chi2 = levelled.power - float(np.sum(along**2 / (1.0 + values)))
-        return _Tried(
+        return _Evaluation(
             log_evidence=levelled.log_evidence - 0.5 * chi2 - 0.5 * float(np.sum(np.log1p(values))),
             width_px=width,
             tail=tail,
@@ -195,18 +202,18 @@ class LineSpreads:
             basis=prior @ vectors,
             values=values,
             along=along,
-            levelled=levelled,
+            normal_equations=levelled,
         )
 
-    def _finished(self, tried: "_Tried") -> Setting:
+    def _finished(self, tried: "_Evaluation") -> LineSpreadSetting:
         """Return the line spread of a setting."""
-        onto = tried.levelled.onto
+        onto = tried.normal_equations.onto
         mean = np.asarray(tried.basis @ (tried.along / (1.0 + tried.values)), float)
         levels = onto[:, -1] - onto[:, :-1] @ mean
         model = self._weights @ mean + self._levels @ levels
         step = float(np.sum(mean * _cells(self.places)))
         residual = self._data - self._root @ model
-        return Setting(
+        return LineSpreadSetting(
             width_px=tried.width_px,
             tail=tried.tail,
             smooth_px=tried.smooth_px,
@@ -261,7 +268,7 @@ class Transfers:
 
     places: Array
     draws: Array
-    known: Known
+    known: KnownTransfer
     seed: int
 
     def mtf(self, frequency: Array) -> Array:
@@ -292,7 +299,7 @@ def _cells(places: Array) -> Array:
     return 0.5 * (np.concatenate([gaps[:1], gaps]) + np.concatenate([gaps, gaps[-1:]]))
 
 
-def _edge_of_line(places: Array, distance: Array, spread_px: Array, known: Known) -> Array:
+def _edge_of_line(places: Array, distance: Array, spread_px: Array, known: KnownTransfer) -> Array:
     """Return the map (bin, place) from a piecewise straight line spread to the edge spread behind the known transfer.
 
     The known transfer is symmetric but for a video filter; here its kernel is sampled at a tenth of a pixel.
@@ -310,7 +317,7 @@ def _edge_of_line(places: Array, distance: Array, spread_px: Array, known: Known
     return weights + 0.5 * (spread_px[:, None] / little) ** 2 * (sides[0] + sides[1] - 2.0 * weights)
 
 
-def _kernel(known: Known) -> tuple[Array, Array]:
+def _kernel(known: KnownTransfer) -> tuple[Array, Array]:
     """Return distances and weights of the known transfer's line spread, sampled."""
     step, size = 0.1, 512
     frequency = np.fft.rfftfreq(size, step)

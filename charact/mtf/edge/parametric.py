@@ -8,29 +8,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context, register
-from charact.mtf.curve import FINE, falls_to
-from charact.mtf.edge.fit.family_fit import FamilyFit, FamilyFitter
-from charact.mtf.edge.fit.forms import Weighed, departs, fitted_forms, wides
-from charact.mtf.edge.noise import bending_ln_odds
-from charact.mtf.edge.pixels.find import FoundEdge, NoEdge, find_edge, no_edge, too_blurred
+from charact.mtf.blur_models.one_dimensional import BlurModel, UnresolvedGlareComponent
+from charact.mtf.curve import FINE, crossing_frequency
+from charact.mtf.edge.fit.model_fit import BlurModelFit, BlurModelFitter
+from charact.mtf.edge.fit.model_selection import (
+    EvidenceWeightedModels,
+    candidate_components,
+    exceeds_model,
+    fit_blur_models,
+)
+from charact.mtf.edge.nonlinearity import marginalise_nonlinearity
+from charact.mtf.edge.photon_transfer import edge_ln_bayes_factor_nonlinear
+from charact.mtf.edge.pixels.prepare_edge import EdgeRefusal, PreparedEdge, blur_refusal, edge_refusal, prepare_edge
 from charact.mtf.edge.pixels.profile import with_shading
-from charact.mtf.edge.response import bent
-from charact.mtf.edge.result import Outcome, nothing, result_of, within_note
-from charact.mtf.forms.families import Family, VeilPrior
-from charact.mtf.optics import Known, known_of
+from charact.mtf.edge.result import EdgeFitOutput, edge_refusals, edge_result, window_normalisation_note
+from charact.mtf.known_transfer import KnownTransfer, known_transfer
 from charact.mtf.region import Region
-from charact.posterior import draw, laplace, weighed
-from charact.posterior.diagnostics import leans_on_bound
+from charact.posterior import importance_sample, laplace, sample_posterior
+from charact.posterior.diagnostics import crowds_at_bound
 from labdata.frames import FrameStack
 from labdata.measurement import Posterior, Result
 
 Array = NDArray[np.float64]
 # A form, draws of its posterior and how many of them count.
-Drawn = tuple[Family, Posterior, int]
+ModelDraws = tuple[BlurModel, Posterior, int]
 
 METHOD = "edge-parametric"
 # Share of the evidence for light wider than the window from which on the window is too small.
-VEILED = 0.65
+MIN_GLARE_WEIGHT = 0.65
 # Share of the sizes that a form may have which are too wide for the window to tell them from a veil.
 WIDEST_SHARE = 0.15
 # Parameters whose bounds were merely chosen. Beyond those of the others lies what nature forbids or another form.
@@ -46,7 +51,7 @@ UNSURE, HOPELESS, TELLING = 0.1, 0.15, 100
 WIDEST_ERROR = 0.5
 # Effective draws by importance where the answer is wanted quickly, draws to begin with, and least share of either.
 QUICK_ENOUGH, QUICK_FIRST = 300.0, 1000
-LEAST_EFFORT = 0.55
+MIN_EFFORT = 0.55
 
 
 @register(
@@ -82,22 +87,25 @@ def edge_parametric(stack: FrameStack, *, region: Region | None = None, context:
     Mean of a pixel at distance d: level + step (E(d - shift) - 1/2) + slopes, E the edge spread of aperture x video x
     form. The draws are those of every form in proportion to its evidence.
     """
-    edge = find_edge(stack, region, context, quickly=True, fields_apart=True)
-    if isinstance(edge, NoEdge):
-        return nothing(METHOD, edge.reason, edge.where, context)
-    known = known_of(edge.picture, edge.profile.angle_rad, context)
-    fitter, fits = forms_of(edge, known, context)
+    edge = prepare_edge(stack, region, context, quickly=True, fields_apart=True)
+    if isinstance(edge, EdgeRefusal):
+        return edge_refusals(METHOD, edge.reason, edge.where, context)
+    known = known_transfer(edge.picture, edge.profile.angle_rad, context)
+    fitter, fits = fit_edge_models(edge, known, context)
     edge, profile, best = replace(edge, profile=fitter.profile), fitter.profile, fits[0].fit
-    reason = no_edge(best.chi2, fitter.power, best.free) or too_blurred(profile, float(np.exp(best.point[1])))
+    reason = edge_refusal(best.chi2, fitter.power, best.free) or blur_refusal(profile, float(np.exp(best.point[1])))
     if reason:
-        return nothing(METHOD, reason, edge.where, context)
-    drawn = _drawn(fitter, fits, context, parabolic=context.quick)
-    if context.quick and _unsure(drawn[0], known):
-        drawn = _drawn(fitter, fits, context, parabolic=False)
+        return edge_refusals(METHOD, reason, edge.where, context)
+    drawn = _draw_models(fitter, fits, context, parabolic=context.quick)
+    if context.quick and _is_uncertain(drawn[0], known):
+        drawn = _draw_models(fitter, fits, context, parabolic=False)
     response = fitter.response_curvature(best)
-    odds = bending_ln_odds(edge, context)
-    drawn = [(form, bent(posterior, response, profile, odds, context.seed), count) for form, posterior, count in drawn]
-    outcome = Outcome(
+    odds = edge_ln_bayes_factor_nonlinear(edge, context)
+    drawn = [
+        (form, marginalise_nonlinearity(posterior, response, profile, odds, context.seed), count)
+        for form, posterior, count in drawn
+    ]
+    outcome = EdgeFitOutput(
         method=METHOD,
         edge=edge,
         fitted=fitter.fitted(best),
@@ -108,14 +116,16 @@ def edge_parametric(stack: FrameStack, *, region: Region | None = None, context:
             * np.abs(np.concatenate([form.modulus(one.draws[:count, 1:], frequency) for form, one, count in drawn]))
         ),
         settings={"forms": _shares(fits)},
-        notes=(_forms_note(fits), within_note(profile)),
+        notes=(_forms_note(fits), window_normalisation_note(profile)),
         flags=_flags(fitter, fits),
         doubt=known.doubt,
     )
-    return result_of(outcome, context)
+    return edge_result(outcome, context)
 
 
-def forms_of(edge: FoundEdge, known: Known, context: Context) -> tuple[FamilyFitter, list[Weighed]]:
+def fit_edge_models(
+    edge: PreparedEdge, known: KnownTransfer, context: Context
+) -> tuple[BlurModelFitter, list[EvidenceWeightedModels]]:
     """Fit an edge, first as if its plateaus were even, then with the shading that the forms leave over, if any.
 
     Returns
@@ -124,17 +134,19 @@ def forms_of(edge: FoundEdge, known: Known, context: Context) -> tuple[FamilyFit
         What fits forms to the edge's profile, and the forms that come near, the most probable first: the point
         estimate is the first one's.
     """
-    wide = wides(context, edge.profile.gathered.half_width_px, transposed=edge.picture.transposed)
-    fitter = FamilyFitter(edge.profile, known)
-    fits = fitted_forms(fitter, wide)
+    wide = candidate_components(context, edge.profile.gathered.half_width_px, transposed=edge.picture.transposed)
+    fitter = BlurModelFitter(edge.profile, known)
+    fits = fit_blur_models(fitter, wide)
     shaded = with_shading(fitter.profile, fitter.profile.value - fitter.model_of(fits[0].fit))
     if shaded.shading_sd > 0:
-        fitter = FamilyFitter(shaded, known)
-        fits = fitted_forms(fitter, wide)
+        fitter = BlurModelFitter(shaded, known)
+        fits = fit_blur_models(fitter, wide)
     return fitter, fits
 
 
-def _drawn(fitter: FamilyFitter, fits: list[Weighed], context: Context, *, parabolic: bool) -> list[Drawn]:
+def _draw_models(
+    fitter: BlurModelFitter, fits: list[EvidenceWeightedModels], context: Context, *, parabolic: bool
+) -> list[ModelDraws]:
     """Return draws of every form and how many of them count."""
     total = sum(one.share for one in fits)
     wanted = QUICK_DRAWS if parabolic else DRAWS
@@ -148,17 +160,17 @@ def _drawn(fitter: FamilyFitter, fits: list[Weighed], context: Context, *, parab
     return out
 
 
-def _unsure(drawn: Drawn, known: Known) -> bool:
+def _is_uncertain(drawn: ModelDraws, known: KnownTransfer) -> bool:
     """Tell whether MTF50 is so uncertain under a form that parabolas about the peaks do not tell its tails."""
     form, posterior, _ = drawn
-    half = falls_to(FINE, np.abs(known(FINE)) * form.modulus(posterior.draws[:TELLING, 1:], FINE), 0.5)
+    half = crossing_frequency(FINE, np.abs(known(FINE)) * form.modulus(posterior.draws[:TELLING, 1:], FINE), 0.5)
     half = half[np.isfinite(half)]
     return half.size > 0 and bool(UNSURE < np.std(np.log(half)) < HOPELESS)
 
 
 def _posterior(
-    fitter: FamilyFitter,
-    fit: FamilyFit,
+    fitter: BlurModelFitter,
+    fit: BlurModelFit,
     noise_scale: float,
     context: Context,
     number: int,
@@ -178,19 +190,19 @@ def _posterior(
     }
     if parabolic and np.exp(fit.point[1]) < SHARP:
         posterior = laplace(lambda theta: np.zeros(len(theta)), **asked)
-        posterior = replace(posterior, draws=_even_in_width(posterior.draws, float(fit.point[1])))
+        posterior = replace(posterior, draws=_symmetrise_in_width(posterior.draws, float(fit.point[1])))
     else:
         known = fitter.log_probability(fit.family, fit.slope_sd_per_px)
-        posterior = _sampled(lambda theta: known(theta) / noise_scale, asked, context)
+        posterior = _sample(lambda theta: known(theta) / noise_scale, asked, context)
     if "prior-bound" not in posterior.flags:
         return posterior
     chosen = np.array([False, *(name in CHOSEN_BOUNDS for name in fit.family.parameters)])
-    leaning = leans_on_bound(posterior.draws, asked["bounds"])[chosen].any()
+    leaning = crowds_at_bound(posterior.draws, asked["bounds"])[chosen].any()
     flags = tuple(flag for flag in posterior.flags if flag != "prior-bound" or leaning)
     return replace(posterior, flags=flags)
 
 
-def _even_in_width(draws: Array, ln_half_frequency: float) -> Array:
+def _symmetrise_in_width(draws: Array, ln_half_frequency: float) -> Array:
     """Return Gaussian draws whose errors are even in the width of the blur, 1/f2, where they were in ln f2.
 
     Chains along these ridges lean that way: a wider blur is told better than a sharper one.
@@ -199,40 +211,42 @@ def _even_in_width(draws: Array, ln_half_frequency: float) -> Array:
     return np.concatenate([draws[:, :1], (ln_half_frequency - np.log1p(-away))[:, None], draws[:, 2:]], axis=1)
 
 
-def _sampled(log_probability: Callable[[Array], Array], asked: dict[str, Any], context: Context) -> Posterior:
+def _sample(log_probability: Callable[[Array], Array], asked: dict[str, Any], context: Context) -> Posterior:
     """Draw by importance, and where that is not enough by Markov chain; where an answer is wanted quickly from less."""
     if context.quick:
         # A form of which few draws are wanted needs few to choose from.
-        share = max(asked["draws"] / DRAWS, LEAST_EFFORT)
-        return weighed(log_probability, **asked, enough=QUICK_ENOUGH * share, first_draws=round(QUICK_FIRST * share))
-    return draw(log_probability, **asked, max_steps=MAX_STEPS)
+        share = max(asked["draws"] / DRAWS, MIN_EFFORT)
+        return importance_sample(
+            log_probability, **asked, enough=QUICK_ENOUGH * share, first_draws=round(QUICK_FIRST * share)
+        )
+    return sample_posterior(log_probability, **asked, max_steps=MAX_STEPS)
 
 
-def _flags(fitter: FamilyFitter, fits: list[Weighed]) -> tuple[str, ...]:
-    departed, veiled = departs(fitter, fits[0].fit), _veiled(fits)
+def _flags(fitter: BlurModelFitter, fits: list[EvidenceWeightedModels]) -> tuple[str, ...]:
+    departed, veiled = exceeds_model(fitter, fits[0].fit), _has_unresolved_glare(fits)
     return (*(("model-misfit",) if departed else ()), *(("window-too-small",) if veiled else ()))
 
 
-def _veiled(fits: list[Weighed]) -> bool:
+def _has_unresolved_glare(fits: list[EvidenceWeightedModels]) -> bool:
     """Tell whether most of the evidence is for light wider than the window, whose share the window cannot tell."""
-    return sum(one.share for one in fits if _reaches_out(one.fit)) > VEILED
+    return sum(one.share for one in fits if _exceeds_window(one.fit)) > MIN_GLARE_WEIGHT
 
 
-def _reaches_out(fit: FamilyFit) -> bool:
+def _exceeds_window(fit: BlurModelFit) -> bool:
     """Tell whether a fit's light beyond the core is a veil, or as wide as its form may be."""
     wide = fit.family.wide
-    if wide is None or isinstance(wide, VeilPrior):
+    if wide is None or isinstance(wide, UnresolvedGlareComponent):
         return wide is not None
     low, high = fit.family.bounds[-wide.after_size]
     return bool(fit.point[-wide.after_size] > high - WIDEST_SHARE * (high - low))
 
 
-def _shares(fits: list[Weighed]) -> dict[str, float]:
+def _shares(fits: list[EvidenceWeightedModels]) -> dict[str, float]:
     """Return the share of the evidence of each form, in even and in uneven light together."""
     names = dict.fromkeys(one.fit.family.name for one in fits)
     return {name: round(sum(one.share for one in fits if one.fit.family.name == name), 4) for name in names}
 
 
-def _forms_note(fits: list[Weighed]) -> str:
+def _forms_note(fits: list[EvidenceWeightedModels]) -> str:
     parts = ", ".join(f"{name} {100 * share:.0f} %" for name, share in _shares(fits).items())
     return f"Form of the point spread by evidence: {parts}."

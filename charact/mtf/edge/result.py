@@ -9,33 +9,48 @@ from numpy.typing import NDArray
 
 import charact
 from charact.method import Context
-from charact.mtf.curve import FINE, PINNED, REPORTED, curve_of, falls_to
-from charact.mtf.doubt import doubted
+from charact.mtf.curve import FINE, PINNED, REPORTED, crossing_frequency, curve_of
 from charact.mtf.edge import checks as edge_checks
 from charact.mtf.edge.findings import Facts, sharpening_flags, with_findings
 from charact.mtf.edge.geometry import orientation_deg
-from charact.mtf.edge.noise import growth_of
-from charact.mtf.edge.pixels.find import FoundEdge
-from charact.mtf.edge.pixels.profile import Profile
-from charact.mtf.edge.response import NOT_LOOKED_FOR, Response, contrast, hidden_notes, response_flags
-from charact.mtf.growth import curved_ln_odds, noise_flags
-from charact.mtf.picture import Picture
+from charact.mtf.edge.nonlinearity import (
+    NO_CURVATURE_ESTIMATE,
+    CurvatureEstimate,
+    contrast,
+    notes_on_undetected_nonlinearity,
+    response_flags,
+)
+from charact.mtf.edge.photon_transfer import growth_of
+from charact.mtf.edge.pixels.prepare_edge import PreparedEdge
+from charact.mtf.edge.pixels.profile import EdgeProfile
+from charact.mtf.filter_uncertainty import flag_filter_uncertainty
+from charact.mtf.mean_frame import OrientedFrame
+from charact.mtf.photon_transfer_check import ln_bayes_factor_nonlinear, noise_flags
 from charact.mtf.region import Region
-from charact.mtf.wander import UNTOLD
+from charact.mtf.target_motion import MAX_UNFLAGGED_SD
 from charact.posterior import has_several_peaks
 from labdata.frames import FrameStack
-from labdata.measurement import Curve, Measurement, Posterior, Provenance, Result, from_draws, measured, refused
+from labdata.measurement import (
+    Curve,
+    Measurement,
+    Posterior,
+    Provenance,
+    Result,
+    make_measurement,
+    make_refusal,
+    measurement_from_draws,
+)
 
 Array = NDArray[np.float64]
 
 # Half width of the 68 % interval over the value from which on the posterior's tails depend on what was taken for
 # possible before the data, and no interval can be trusted at four standard errors.
-LEAST_SURE = 0.14
+MAX_RELATIVE_SD = 0.14
 # Half width of a 95 % interval over that of the posterior, and by how much more on either side for a relative error of
 # one, up to that from which on nothing is sure: forms and noise are themselves chosen by the data, and an unsure edge
 # may hide more. Errors of a frequency grow with it, about as its square: where the answer came out low, it looks surer
 # than it is, and four deviations reach further up than down. Errors of a modulus lean to neither side.
-MARGIN, MORE_BELOW_ABOVE, MORE_EVENLY = 1.03, (1.0, 3.0), (2.0, 2.0)
+MARGIN, MORE_BELOW_ABOVE, MORE_BOTH_SIDES = 1.03, (1.0, 3.0), (2.0, 2.0)
 # Ln of the odds by which noise must speak against a curved response for nothing to be said of one.
 STRAIGHT_LN_ODDS = -0.5
 # Every so many of the fine frequencies tell between which of them a curve falls to a level.
@@ -44,7 +59,7 @@ COARSE = np.append(FINE[:-1:EVERY], FINE[-1])
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outcome:
+class EdgeFitOutput:
     """An edge as a method fitted it.
 
     Parameters
@@ -74,9 +89,9 @@ class Outcome:
     """
 
     method: str
-    edge: FoundEdge
-    fitted: edge_checks.Fitted
-    response: Response | None
+    edge: PreparedEdge
+    fitted: edge_checks.FittedProfile
+    response: CurvatureEstimate | None
     posterior: Posterior
     mtf: Callable[[Array], Array]
     settings: dict
@@ -85,7 +100,7 @@ class Outcome:
     doubt: Callable[[Array], Array] | None = None
 
 
-def result_of(outcome: Outcome, context: Context) -> Result:
+def edge_result(outcome: EdgeFitOutput, context: Context) -> Result:
     """Return measurements, curve and evidence of a fitted edge."""
     edge = outcome.edge
     # One evaluation serves the pinned frequencies, the curve and where to look for the levels.
@@ -94,9 +109,9 @@ def result_of(outcome: Outcome, context: Context) -> Result:
     halves, tenths = (_crossings(outcome, coarse, level) for level in (0.5, 0.1))
     common = _common(outcome, halves, context)
     measurements = [
-        _level("mtf50", 0.5, halves, outcome.posterior, common),
-        _level("mtf10", 0.1, tenths, outcome.posterior, common),
-        *(_pinned(f, pinned[:, index], common) for index, f in enumerate(PINNED)),
+        _crossing_frequency("mtf50", 0.5, halves, outcome.posterior, common),
+        _crossing_frequency("mtf10", 0.1, tenths, outcome.posterior, common),
+        *(_mtf_at(f, pinned[:, index], common) for index, f in enumerate(PINNED)),
         edge_angle(edge, common),
     ]
 
@@ -111,13 +126,15 @@ def result_of(outcome: Outcome, context: Context) -> Result:
         misfit=float(np.abs(profile.value - fitted.model).max()) / max(abs(profile.step), 1e-300),
     )
     return Result(
-        measurements=tuple(with_findings(doubted(one, outcome.doubt, crossing), facts) for one in measurements),
+        measurements=tuple(
+            with_findings(flag_filter_uncertainty(one, outcome.doubt, crossing), facts) for one in measurements
+        ),
         curves={"mtf": _curve(curve)},
-        evidence={"edge-spread": _edge_spread(edge.picture, edge.profile, outcome.fitted)},
+        evidence={"edge-spread": _figure_data(edge.picture, edge.profile, outcome.fitted)},
     )
 
 
-def _common(outcome: Outcome, halves: Array, context: Context) -> dict[str, Any]:
+def _common(outcome: EdgeFitOutput, halves: Array, context: Context) -> dict[str, Any]:
     """Return what all measurements of an edge share."""
     edge, profile = outcome.edge, outcome.edge.profile
     black = {} if profile.black is None else {"black_dn": profile.black}
@@ -140,7 +157,7 @@ def _common(outcome: Outcome, halves: Array, context: Context) -> dict[str, Any]
     }
 
 
-def _flags(outcome: Outcome, halves: Array, context: Context) -> Iterator[str]:
+def _flags(outcome: EdgeFitOutput, halves: Array, context: Context) -> Iterator[str]:
     """Yield what picture, course, fit, noise and posterior of an edge give to distrust."""
     edge, used, half = outcome.edge, outcome.edge.used, float(np.nanmedian(halves))
     yield from edge_checks.picture_flags(used.data, context.full_scale_dn or used.full_scale_dn)
@@ -153,8 +170,8 @@ def _flags(outcome: Outcome, halves: Array, context: Context) -> Iterator[str]:
     yield from outcome.flags
     yield from edge.flags
     yield from sharpening_flags(edge, half)
-    untold = UNTOLD * _relative_sd(halves)
-    yield from edge.untold(lambda moved: moved.lowers(half) > untold)
+    untold = MAX_UNFLAGGED_SD * _relative_sd(halves)
+    yield from edge.blur_flags(lambda moved: moved.mtf_loss(half) > untold)
 
 
 def _relative_sd(halves: Array) -> float:
@@ -166,24 +183,24 @@ def _curve(draws: Array) -> Curve:
     """Return the reported curve, its 95 % interval with its margin."""
     curve = curve_of(REPORTED, draws)
     assert curve.interval68 is not None and curve.interval95 is not None, "curves of draws have intervals"
-    return replace(curve, interval95=_with_margin(curve.value, curve.interval68, curve.interval95, MORE_EVENLY))
+    return replace(curve, interval95=_with_margin(curve.value, curve.interval68, curve.interval95, MORE_BOTH_SIDES))
 
 
-def _measured(quantity: str, unit: str, draws: Array, more: tuple[float, float], **fields: Any) -> Measurement:
+def _measurement_of(quantity: str, unit: str, draws: Array, more: tuple[float, float], **fields: Any) -> Measurement:
     """Return a measurement from draws, its 95 % interval with its margin."""
-    found = from_draws(quantity, unit, draws, **fields)
+    found = measurement_from_draws(quantity, unit, draws, **fields)
     low, high = _with_margin(np.asarray(found.value), np.asarray(found.interval68), np.asarray(found.interval95), more)
     return found.with_(interval95=(float(low), float(high)))
 
 
 def _with_margin(value: Array, interval68: Array, interval95: Array, more: tuple[float, float]) -> Array:
     """Return a wider 95 % interval about a value that cannot be negative, shape (2, ...)."""
-    unsure = np.minimum(0.5 * (interval68[1] - interval68[0]) / np.maximum(value, 1e-12), LEAST_SURE)
+    unsure = np.minimum(0.5 * (interval68[1] - interval68[0]) / np.maximum(value, 1e-12), MAX_RELATIVE_SD)
     margin = np.stack([MARGIN + one * unsure for one in more])
     return np.maximum(value + margin * (interval95 - value), 0.0)
 
 
-def _crossings(outcome: Outcome, coarse: Array, level: float) -> Array:
+def _crossings(outcome: EdgeFitOutput, coarse: Array, level: float) -> Array:
     """Return where each draw falls to a level, NaN where it never does: looked for finely where the coarse ones do."""
     below = coarse < level
     falls = below.any(axis=1)
@@ -191,25 +208,25 @@ def _crossings(outcome: Outcome, coarse: Array, level: float) -> Array:
     if not first.size:
         return np.full(len(coarse), np.nan)
     near = FINE[max(first.min() - 1, 0) * EVERY : first.max() * EVERY + 1]
-    draws = falls_to(near, outcome.mtf(near), level)
+    draws = crossing_frequency(near, outcome.mtf(near), level)
     return np.where(falls, draws, np.nan)
 
 
-def _level(quantity: str, level: float, draws: Array, posterior: Posterior, common: dict) -> Measurement:
+def _crossing_frequency(quantity: str, level: float, draws: Array, posterior: Posterior, common: dict) -> Measurement:
     """Return the frequency at which the MTF falls to a level; refused where it does not below 1.5 cy/px."""
     lost = float(np.mean(~np.isfinite(draws)))
     if lost > 0.02:
         reason = (
             f"the MTF must fall to {level:g} below {FINE[-1]:.1f} cy/px, and {100 * lost:.0f} % of its draws do not"
         )
-        return refused(quantity, "cy/px", reason, **common)
+        return make_refusal(quantity, "cy/px", reason, **common)
     kept = draws[np.isfinite(draws)]
-    found = _measured(quantity, "cy/px", kept, MORE_BELOW_ABOVE, posterior=posterior, **_with_peaks(common, kept))
-    sure = found if _is_sure(found) else found.with_(flags=("low-signal",))
-    return sure.with_(value=_most_probable(found))
+    found = _measurement_of(quantity, "cy/px", kept, MORE_BELOW_ABOVE, posterior=posterior, **_with_peaks(common, kept))
+    sure = found if _has_known_tails(found) else found.with_(flags=("low-signal",))
+    return sure.with_(value=_mode_of(found))
 
 
-def _most_probable(found: Measurement) -> float:
+def _mode_of(found: Measurement) -> float:
     """Return the most probable frequency, within the 68 % interval: under draws normal in ln f, median exp(-s^2).
 
     A thousandth below the median where f is known to s = 3 %, a hundredth at 10 %: errors of a frequency reach further
@@ -222,10 +239,10 @@ def _most_probable(found: Measurement) -> float:
     return float(max(found.value * np.exp(-(deviation**2)), low))
 
 
-def _pinned(frequency: float, draws: Array, common: dict) -> Measurement:
+def _mtf_at(frequency: float, draws: Array, common: dict) -> Measurement:
     """Return the MTF at one frequency."""
     common = _with_peaks(common, draws)
-    return _measured("mtf", "1", draws, MORE_EVENLY, frequency_cy_per_px=float(frequency), **common)
+    return _measurement_of("mtf", "1", draws, MORE_BOTH_SIDES, frequency_cy_per_px=float(frequency), **common)
 
 
 def _posterior_flags(posterior: Posterior, context: Context) -> tuple[str, ...]:
@@ -241,14 +258,14 @@ def _with_peaks(common: dict, draws: Array) -> dict:
     return {**common, "flags": (*common["flags"], "several-modes")}
 
 
-def _is_sure(found: Measurement) -> bool:
+def _has_known_tails(found: Measurement) -> bool:
     """Tell whether the 68 % interval of a measurement is narrow enough for its tails to be known."""
     assert found.value is not None and found.interval68 is not None, "draws give a value and intervals"
     low, high = found.interval68
-    return high - low < 2.0 * LEAST_SURE * found.value
+    return high - low < 2.0 * MAX_RELATIVE_SD * found.value
 
 
-def edge_angle(edge: FoundEdge, common: dict) -> Measurement:
+def edge_angle(edge: PreparedEdge, common: dict) -> Measurement:
     """Return the tilt of the edge to the grid axis nearest to it, degrees, from the scatter of its rows."""
     rows = np.flatnonzero(np.isfinite(edge.rows.offset))
     spread = edge.rows.offset_sd * np.sqrt(max(edge.profile.grain.covariance_over_variance, 1.0))
@@ -256,10 +273,10 @@ def edge_angle(edge: FoundEdge, common: dict) -> Measurement:
     error = float(np.rad2deg(error / edge.picture.pitch_ratio))
     value = abs(float(np.rad2deg(edge.profile.angle_rad)))
     halves = [(value - k * error, value + k * error) for k in (0.994458, 1.959964)]
-    return measured("edge_angle", "deg", value, *halves, **{**common, "notes": ()})
+    return make_measurement("edge_angle", "deg", value, *halves, **{**common, "notes": ()})
 
 
-def _notes(profile: Profile, used: FrameStack, context: Context) -> tuple[str, ...]:
+def _notes(profile: EdgeProfile, used: FrameStack, context: Context) -> tuple[str, ...]:
     """Return what a reader may want to know and what lowers no trust."""
     grain, notes = profile.grain.covariance_over_variance, list(used.notes)
     if grain > 1.3 or grain < 0.8:
@@ -271,27 +288,27 @@ def _notes(profile: Profile, used: FrameStack, context: Context) -> tuple[str, .
     return tuple(notes)
 
 
-def _response_notes(outcome: Outcome, halves: Array, context: Context) -> tuple[str, ...]:
+def _response_notes(outcome: EdgeFitOutput, halves: Array, context: Context) -> tuple[str, ...]:
     """Return notes on a response that may be curved unseen, beyond what the errors of MTF50 cover.
 
     A described camera's response, or one under which noise grows as photons' does, is taken to be straight.
     """
     known = halves[np.isfinite(halves)]
-    straight = curved_ln_odds(growth_of(outcome.edge)) < STRAIGHT_LN_ODDS
+    straight = ln_bayes_factor_nonlinear(growth_of(outcome.edge)) < STRAIGHT_LN_ODDS
     if context.sensor is not None or straight or not known.size:
         return ()
-    return hidden_notes(
-        outcome.response or NOT_LOOKED_FOR, contrast(outcome.edge.profile), float(np.std(np.log(known)))
+    return notes_on_undetected_nonlinearity(
+        outcome.response or NO_CURVATURE_ESTIMATE, contrast(outcome.edge.profile), float(np.std(np.log(known)))
     )
 
 
-def within_note(profile: Profile) -> str:
+def window_normalisation_note(profile: EdgeProfile) -> str:
     """Return the note on a frame too small to show a halo."""
     half = profile.gathered.half_width_px
     return f"Normalised to the light within {half:.0f} px of the edge; a wider halo would not be seen."
 
 
-def _edge_spread(picture: Picture, profile: Profile, fitted: edge_checks.Fitted) -> dict:
+def _figure_data(picture: OrientedFrame, profile: EdgeProfile, fitted: edge_checks.FittedProfile) -> dict:
     """Return the profile, the model and what is left, as numbers for a figure."""
     return {
         "figure": "edge-spread",
@@ -307,10 +324,10 @@ def _edge_spread(picture: Picture, profile: Profile, fitted: edge_checks.Fitted)
     }
 
 
-def nothing(method: str, reason: str, where: Region, context: Context) -> Result:
+def edge_refusals(method: str, reason: str, where: Region, context: Context) -> Result:
     """Return the refusal of all that an edge gives."""
     flags = ("no-target",) if reason.startswith("no target") else ("window-too-small",)
     provenance = Provenance(version=charact.__version__, seed=context.seed)
     common = {"method": method, "flags": flags, "region": where, "provenance": provenance}
     units = {"mtf50": "cy/px", "mtf10": "cy/px", "edge_angle": "deg"}
-    return Result(measurements=tuple(refused(name, unit, reason, **common) for name, unit in units.items()))
+    return Result(measurements=tuple(make_refusal(name, unit, reason, **common) for name, unit in units.items()))

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context, register
-from charact.mtf.edge.pixels.line import Line
-from charact.mtf.edge.plain import PlainMethod, Response, mean_by_cell, measured_plainly
-from charact.mtf.picture import Picture
+from charact.mtf.edge.conventional import ConventionalMethod, MtfEstimate, mean_by_cell, measure_conventionally
+from charact.mtf.edge.pixels.line import EdgeLine
+from charact.mtf.mean_frame import OrientedFrame
 from charact.mtf.region import Region
 from labdata.frames import FrameStack
 from labdata.measurement import Result
@@ -22,7 +22,7 @@ OVERSAMPLING = 4
 # Beyond, a wider window brings only noise.
 WIDEST_PX = 64.0
 # A line that leaves the edge by more than one bin is lost: in noise, or to light that is not even.
-ASTRAY_PX = 1.0 / OVERSAMPLING
+MAX_LINE_ERROR_PX = 1.0 / OVERSAMPLING
 
 
 @register(
@@ -53,28 +53,28 @@ def edge_slanted(stack: FrameStack, *, region: Region | None = None, context: Co
     is rotated or mirrored gives the same numbers. Source: ISO 12233 annex on e-SFR; P. D. Burns, PICS 2000, 135; his
     conventions as his sfrmat3 and its published table have them.
     """
-    return measured_plainly(PLAIN, stack, region, context)
+    return measure_conventionally(ESTIMATOR, stack, region, context)
 
 
-def _estimate(picture: Picture, found: Line) -> Response:
-    value, slope, place = _one_way_round(picture, found)
+def _estimate(picture: OrientedFrame, found: EdgeLine) -> MtfEstimate:
+    value, slope, place = _orient(picture, found)
     along, first = _centroid_line(value)
     notes = ()
-    if abs(along - slope) * len(value) > ASTRAY_PX:
+    if abs(along - slope) * len(value) > MAX_LINE_ERROR_PX:
         along, first = slope, place
         notes = ("The rows' centroids stray from the edge: the line fitted to all pixels was taken in their place.",)
-    value = value[: _whole_cycles(len(value), along)]
+    value = value[: _complete_cycles(len(value), along)]
     rows, cols = value.shape
     across = (np.arange(cols) - along * np.arange(rows)[:, None]) * OVERSAMPLING
     # As many quarter pixels as the picture is wide, about its middle row.
     start = round(-0.5 * OVERSAMPLING * along * (rows - 1)) - OVERSAMPLING // 2
     means = mean_by_cell(np.floor(across).astype(np.int64) - start, value, cols * OVERSAMPLING)
-    response = np.stack([_response(mean, first * OVERSAMPLING - start) for mean in means])
+    response = np.stack([_edge_mtf(mean, first * OVERSAMPLING - start) for mean in means])
     frequency = np.arange(response.shape[1]) / cols / np.cos(np.arctan(along / picture.pitch_ratio))
-    return Response(frequency=frequency, value=response[0], parts=response[1:], notes=notes)
+    return MtfEstimate(frequency=frequency, value=response[0], parts=response[1:], notes=notes)
 
 
-def _one_way_round(picture: Picture, found: Line) -> tuple[Array, float, float]:
+def _orient(picture: OrientedFrame, found: EdgeLine) -> tuple[Array, float, float]:
     """Return the pixels around the edge so turned that it moves to the right, its slope and its place in the first row.
 
     The bins lie as the first row has them: turned always the same way, a rotated frame gives the same numbers, and
@@ -110,7 +110,7 @@ def _centroid_line(value: Array) -> tuple[float, float]:
     return float(slope), float(first)
 
 
-def _whole_cycles(rows: int, slope: float) -> int:
+def _complete_cycles(rows: int, slope: float) -> int:
     """Return how many rows the edge needs to cross a whole number of pixels, all rows where it crosses none."""
     cycles = np.floor(rows * slope)
     return rows if cycles < 1 else min(rows, round(cycles / slope))
@@ -120,7 +120,7 @@ def _hamming(distance: NDArray, half_width: NDArray | float) -> Array:
     return np.where(np.abs(distance) <= half_width, 0.54 + 0.46 * np.cos(np.pi * distance / half_width), 0.0)
 
 
-def _response(edge: Array, centre: float) -> Array:
+def _edge_mtf(edge: Array, centre: float) -> Array:
     """Return the modulus of the transform of one oversampled edge's derivative, corrected for the difference taken."""
     size = edge.size
     spread = np.zeros(size)
@@ -133,10 +133,10 @@ def _response(edge: Array, centre: float) -> Array:
     return modulus / modulus[0] / np.sinc(2.0 * np.arange(modulus.size) / size)
 
 
-PLAIN = PlainMethod(
+ESTIMATOR = ConventionalMethod(
     name=METHOD,
     estimate=_estimate,
-    own_error=0.012,
-    least_snr=8.0,
+    bias_sd=0.012,
+    min_snr=8.0,
     settings={"oversampling": OVERSAMPLING, "widest_px": WIDEST_PX},
 )

@@ -4,8 +4,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.mtf.noise_spectrum.data import Chosen, Spectrum
-from charact.mtf.noise_spectrum.model import COMMON, Peak, Problem, peak_of, scattering
+from charact.mtf.noise_spectrum.model import (
+    COMMON,
+    SpectrumLikelihood,
+    SpectrumOptimum,
+    optimum_under_model,
+    scatter_model,
+)
+from charact.mtf.noise_spectrum.pooled_spectrum import PooledSpectrum, SelectedFlats
 from charact.noise.checks import QUANTISED_DN2
 from charact.posterior import predictive_check
 from labdata.measurement import Posterior
@@ -13,16 +19,16 @@ from labdata.measurement import Posterior
 Array = NDArray[np.float64]
 
 # Fewer frames cannot tell light that exposures share from pattern.
-LEAST_FRAMES = 4
+MIN_FRAMES = 4
 FLICKER = 0.05
 # Change of the power over the signal along the levels that a straight response may have, and that of a described tube,
 # whose plate tires; and in standard errors.
-BENT_SHARE, TIRED_SHARE = 0.02, 0.08
+MAX_NONLINEARITY, MAX_MCP_SATURATION = 0.02, 0.08
 SIGNIFICANT = 4.0
 # Fourth moment over the square of the second of pulse heights that are exponential, and over their relative square.
 KURTOSIS, RELATIVE_SQUARE = 6.0, 2.0
 # Gain in ln likelihood by which scattered light must be told: less than once in a hundred by chance.
-VEIL_LIKELIHOOD = 5.0
+MIN_SCATTER_LN_LIKELIHOOD = 5.0
 # Blurs of screens, fibres and chips fall no steeper than a Gaussian, but for a filter behind them: what does by so many
 # standard errors is beyond what forms and their priors were made for.
 STEEPEST, STEEP_SD = 2.5, 1.5
@@ -31,7 +37,7 @@ MISFIT_LEVEL = 0.002
 
 
 def findings_of(
-    spectrum: Spectrum, chosen: Chosen, peak: Peak, context: Context
+    spectrum: PooledSpectrum, chosen: SelectedFlats, peak: SpectrumOptimum, context: Context
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return flags and notes."""
     flags, notes = [], []
@@ -42,9 +48,9 @@ def findings_of(
     if chosen.flicker > FLICKER:
         flags.append("flicker")
         notes.append(f"the light changes by {100 * chosen.flicker:.2g} % from frame to frame")
-    if spectrum.frames < LEAST_FRAMES:
+    if spectrum.frames < MIN_FRAMES:
         flags.append("too-few-frames")
-        notes.append(f"{spectrum.frames} frames cannot show whether exposures share light; {LEAST_FRAMES} can")
+        notes.append(f"{spectrum.frames} frames cannot show whether exposures share light; {MIN_FRAMES} can")
     if spectrum.lag_open:
         flags.append("lag")
         notes.append("earlier exposures still glow at the last lag that the frames allow")
@@ -58,11 +64,11 @@ def findings_of(
         notes.append("one level of light only: whether the response is straight cannot be seen")
     if min(float(np.mean(level.power_dn2)) for level in spectrum.levels) < QUANTISED_DN2:
         flags.append("quantised")
-    flags += _curved(spectrum, peak, BENT_SHARE if context.sensor is None else TIRED_SHARE)
-    if _scattered(spectrum, peak):
+    flags += _nonlinearity_flags(spectrum, peak, MAX_NONLINEARITY if context.sensor is None else MAX_MCP_SATURATION)
+    if _has_scatter(spectrum, peak):
         flags.append("model-misfit")
         notes.append("light seems to be scattered after the gain beyond the form's reach: the MTF may be too high")
-    if _steep(peak):
+    if _is_too_steep(peak):
         flags.append("model-misfit")
         notes.append(f"the transfer falls more steeply than exp(-(f/fc)^{STEEPEST:g}), as blurs do not")
     if context.sensor is not None and float(context.sensor.video.gamma) != 1.0:
@@ -70,7 +76,7 @@ def findings_of(
     return tuple(dict.fromkeys(flags)), tuple(notes)
 
 
-def _curved(spectrum: Spectrum, peak: Peak, straight: float) -> list[str]:
+def _nonlinearity_flags(spectrum: PooledSpectrum, peak: SpectrumOptimum, straight: float) -> list[str]:
     """Whether the power of pulses over the signal changes along the levels by more than a share, as under a gamma."""
     levels = [level for level in spectrum.levels if level.signal_dn]
     if len(levels) < 2:
@@ -83,15 +89,15 @@ def _curved(spectrum: Spectrum, peak: Peak, straight: float) -> list[str]:
         float(np.average(level.power_dn2 / shape, weights=own)) for level, own in zip(levels, weight, strict=True)
     ])  # fmt: skip
     error = 1.0 / np.sqrt(weight.sum(axis=1))
-    low, high = np.array([level.hidden_dn2 for level in levels]).T / (power * float(shape.mean()))
+    low, high = np.array([level.quantisation_noise_dn2 for level in levels]).T / (power * float(shape.mean()))
     ratio = power * (1.0 - 0.5 * (low + high)) / signal
     mean = float(np.average(ratio, weights=(signal / error) ** 2))
-    sd = np.hypot(error / power, _of_heights(spectrum, peak, signal, power))
+    sd = np.hypot(error / power, _pulse_height_error(spectrum, peak, signal, power))
     allowed = straight + SIGNIFICANT * sd + 0.5 * (high - low)
     return ["gamma"] if np.any(np.abs(ratio / mean - 1.0) > allowed) else []
 
 
-def _of_heights(spectrum: Spectrum, peak: Peak, signal_dn: Array, power: Array) -> Array:
+def _pulse_height_error(spectrum: PooledSpectrum, peak: SpectrumOptimum, signal_dn: Array, power: Array) -> Array:
     """Relative error of each level's power by the heights of its pulses, which all of its cells share, shape (level,).
 
     Of N pulses with heights h the power scatters by E h^4 / (E h^2)^2 / N; N from the signal and the power at
@@ -105,7 +111,7 @@ def _of_heights(spectrum: Spectrum, peak: Peak, signal_dn: Array, power: Array) 
     return np.sqrt(KURTOSIS / np.maximum(pulses, 1.0))
 
 
-def _steep(peak: Peak) -> bool:
+def _is_too_steep(peak: SpectrumOptimum) -> bool:
     """Whether the exponent of the form is beyond those of blurs."""
     if "exponent" not in peak.problem.shape.parameters or peak.problem.shape.name == "free":
         return False
@@ -113,25 +119,25 @@ def _steep(peak: Peak) -> bool:
     return float(peak.point[place]) > STEEPEST + STEEP_SD * float(np.sqrt(peak.covariance[place, place]))
 
 
-def _scattered(spectrum: Spectrum, peak: Peak) -> bool:
+def _has_scatter(spectrum: PooledSpectrum, peak: SpectrumOptimum) -> bool:
     """Whether a veil of scattered light makes the data much likelier."""
-    form = scattering(spectrum.shorter_px)
+    form = scatter_model(spectrum.shorter_px)
     if form is None:
         return False
 
-    def start(problem: Problem) -> Array:
-        return problem.started(peak.point[: len(COMMON)], float(np.exp(peak.point[len(COMMON)])))
+    def start(problem: SpectrumLikelihood) -> Array:
+        return problem.start_at(peak.point[: len(COMMON)], float(np.exp(peak.point[len(COMMON)])))
 
-    veiled = peak_of(spectrum, peak.problem.known, form, start=start)
-    return _log_likelihood(veiled) - _log_likelihood(peak) > VEIL_LIKELIHOOD
+    veiled = optimum_under_model(spectrum, peak.problem.known, form, start=start)
+    return _log_likelihood(veiled) - _log_likelihood(peak) > MIN_SCATTER_LN_LIKELIHOOD
 
 
-def _log_likelihood(peak: Peak) -> float:
+def _log_likelihood(peak: SpectrumOptimum) -> float:
     problem = peak.problem
     return float(problem.log_likelihood(problem.model(peak.point[None]))[0])
 
 
-def misfit(peak: Peak, posterior: Posterior, rng: np.random.Generator) -> tuple[str, ...]:
+def misfit(peak: SpectrumOptimum, posterior: Posterior, rng: np.random.Generator) -> tuple[str, ...]:
     """Return `model-misfit` where the spectrum, in the order of radius, departs from its model by more than noise."""
     problem = peak.problem
     spectrum = problem.spectrum

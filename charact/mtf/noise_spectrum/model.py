@@ -13,15 +13,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.mtf.forms.families import Family, GlarePrior
-from charact.mtf.noise_spectrum.data import Spectrum
-from charact.mtf.noise_spectrum.folding import Folding, Known, Shape, folding, sparser
-from charact.posterior import maximum
+from charact.mtf.blur_models.one_dimensional import BlurModel, ScatterComponent
+from charact.mtf.noise_spectrum.aliasing import (
+    KnownReadout,
+    PostGainBlur,
+    SpectralReplicas,
+    spectral_replicas,
+    without_weak_replicas,
+)
+from charact.mtf.noise_spectrum.pooled_spectrum import PooledSpectrum
+from charact.posterior import find_maximum
 from charact.video_filter import VideoFilter, powers
 
 Array = NDArray[np.float64]
 
-FAMILIES: tuple[Family, ...] = (Family(core="gaussian"), Family(core="exponential"), Family(core="moffat"))
+FAMILIES: tuple[BlurModel, ...] = (BlurModel(core="gaussian"), BlurModel(core="exponential"), BlurModel(core="moffat"))
 # How much likelier than any other the form of image tubes is that of a described one, in ln.
 TUBE, TUBE_ODDS = "exponential", 3.0
 # None of the forms is the blur itself, and what they say of frequency 0, where nothing is measured, differs by more
@@ -42,24 +48,26 @@ ANISOTROPY = (-1.5, 1.5)
 WHITE = (-0.05, 1.0)
 # Where in its range the power is that whole numbers hide: anywhere, but for a mean and standard deviation that let it
 # be climbed to where the range is narrow.
-HIDDEN, HIDDEN_PRIOR = (0.0, 1.0), (0.5, 0.5)
+QUANTISATION, QUANTISATION_PRIOR = (0.0, 1.0), (0.5, 0.5)
 
 
-def scattering(shorter_px: float) -> Family | None:
+def scatter_model(shorter_px: float) -> BlurModel | None:
     """Return the form with scattered light that an image of this shorter side can tell, or None."""
     longest = SCATTER_SHARE * shorter_px
     if longest < 2.0 * SCATTER_PX:
         return None
-    return Family(core="exponential", wide=GlarePrior(size_px=(SCATTER_PX, longest), fraction=SCATTER_FRACTION))
+    return BlurModel(
+        core="exponential", wide=ScatterComponent(size_px=(SCATTER_PX, longest), fraction=SCATTER_FRACTION)
+    )
 
 
-def known_of(context: Context) -> Known:
+def readout_of(context: Context) -> KnownReadout:
     """Return what the camera's description says of the transfer after the gain."""
     if context.sensor is None:
-        return Known(height_px=1.0, video=None, anisotropy_sd=UNKNOWN_SD)
+        return KnownReadout(height_px=1.0, video=None, anisotropy_sd=UNKNOWN_SD)
     rows = 2.0 if context.interlaced else 1.0
     pitch_um, taper = float(context.sensor.ccd.pitch_x_um), context.sensor.taper
-    return Known(
+    return KnownReadout(
         height_px=rows * context.pitch_ratio,
         video=VideoFilter.of(context.sensor),
         anisotropy_sd=ROUND_SD,
@@ -68,7 +76,7 @@ def known_of(context: Context) -> Known:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Problem:
+class SpectrumLikelihood:
     """Whittle's likelihood of a noise spectrum under one form of the transfer.
 
     Notes
@@ -77,10 +85,10 @@ class Problem:
     with shape n: ln L = -n (ln M + P/M) for a measured power P and a model M (Whittle 1953).
     """
 
-    spectrum: Spectrum
-    known: Known
-    shape: Shape
-    folding: Folding
+    spectrum: PooledSpectrum
+    known: KnownReadout
+    shape: PostGainBlur
+    replicas: SpectralReplicas
     looks: Array
 
     @property
@@ -88,7 +96,7 @@ class Problem:
         """Bounds of all parameters, shape (parameter, 2)."""
         level = np.log(float(np.mean(self.spectrum.power_dn2)))
         video = [bound for _, bound in self.known.parameters.values()]
-        return np.array([(level - 12.0, level + 6.0), WHITE, HIDDEN, ANISOTROPY, *self.shape.bounds, *video])
+        return np.array([(level - 12.0, level + 6.0), WHITE, QUANTISATION, ANISOTROPY, *self.shape.bounds, *video])
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -101,11 +109,11 @@ class Problem:
         own = {**self.shape.parameters, **self.known.parameters}
         return (*COMMON_UNITS, *(unit for unit, _ in own.values()))
 
-    def of_shape(self, theta: Array) -> Array:
+    def blur_parameters(self, theta: Array) -> Array:
         """Return the form's parameters of all, shape (n, parameter)."""
         return theta[:, len(COMMON) : len(COMMON) + len(self.shape.bounds)]
 
-    def of_folding(self, theta: Array) -> Array:
+    def replica_parameters(self, theta: Array) -> Array:
         """Return the anisotropy and the form's parameters, shape (n, parameter)."""
         return theta[:, len(COMMON) - 1 : len(COMMON) + len(self.shape.bounds)]
 
@@ -117,8 +125,8 @@ class Problem:
         """Return the white part and that of the blurred pulses, each (n, cell), DN^2."""
         passed = self.passed(theta, self._bend) ** 2
         white = theta[:, 1:2] * self._white_dn2 * passed
-        pulses = np.exp(theta[:, :1]) * self.folding.power(self.shape, self.of_folding(theta)) * passed
-        low, high = self.spectrum.hidden_dn2
+        pulses = np.exp(theta[:, :1]) * self.replicas.power(self.shape, self.replica_parameters(theta)) * passed
+        low, high = self.spectrum.quantisation_noise_dn2
         return white + low + (high - low) * theta[:, 2:3], pulses
 
     @cached_property
@@ -151,8 +159,8 @@ class Problem:
         # Anisotropies of an unknown camera and of a known one differ in width: normalised, should they be compared.
         anisotropy = safe[:, len(COMMON) - 1]
         round_ = -0.5 * (anisotropy / self.known.anisotropy_sd) ** 2 - np.log(self.known.anisotropy_sd)
-        hidden = -0.5 * ((safe[:, 2] - HIDDEN_PRIOR[0]) / HIDDEN_PRIOR[1]) ** 2
-        total = likelihood + self.shape.log_prior(self.of_shape(safe)) + round_ + hidden
+        hidden = -0.5 * ((safe[:, 2] - QUANTISATION_PRIOR[0]) / QUANTISATION_PRIOR[1]) ** 2
+        total = likelihood + self.shape.log_prior(self.blur_parameters(safe)) + round_ + hidden
         if self.known.video and self.known.parameters:
             total = total + self.known.video.log_prior(safe[:, -1])
         return np.where(inside & np.isfinite(total), total, -np.inf)
@@ -160,16 +168,16 @@ class Problem:
     def centre(self) -> Array:
         """A point inside all bounds."""
         level = np.log(float(np.mean(self.spectrum.power_dn2)))
-        return self.started(np.array([level, 0.1, HIDDEN_PRIOR[0], 0.0]), 0.2)
+        return self.start_at(np.array([level, 0.1, QUANTISATION_PRIOR[0], 0.0]), 0.2)
 
-    def started(self, common: Array, half_frequency_cy_per_px: float) -> Array:
+    def start_at(self, common: Array, half_frequency_cy_per_px: float) -> Array:
         """Return a point of given common parameters, the form's where it begins, and the video as described."""
         video = np.zeros(len(self.known.parameters))
         return np.concatenate([common, self.shape.start(half_frequency_cy_per_px), video])
 
 
 @dataclass(frozen=True, kw_only=True)
-class Peak:
+class SpectrumOptimum:
     """The best fit under one form.
 
     Parameters
@@ -182,7 +190,7 @@ class Peak:
         Laplace's approximation of the evidence, up to a constant that all forms share.
     """
 
-    problem: Problem
+    problem: SpectrumLikelihood
     point: Array
     covariance: Array
     log_evidence: float
@@ -190,43 +198,56 @@ class Peak:
     @property
     def log_weight(self) -> float:
         """ln of the weight of this form among others: the root of its evidence, and its odds before the data."""
-        return EVIDENCE_POWER * self.log_evidence - (TUBE_ODDS if _strange_to_tubes(self.problem) else 0.0)
+        return EVIDENCE_POWER * self.log_evidence - (TUBE_ODDS if _is_atypical_of_tubes(self.problem) else 0.0)
 
 
-def peak_of(spectrum: Spectrum, known: Known, shape: Shape, *, start: Callable[[Problem], Array] | None = None) -> Peak:
+def optimum_under_model(
+    spectrum: PooledSpectrum,
+    known: KnownReadout,
+    shape: PostGainBlur,
+    *,
+    start: Callable[[SpectrumLikelihood], Array] | None = None,
+) -> SpectrumOptimum:
     """Climb to the best fit under a form: roughly, then with the replicas, cells and looks that belong to it."""
-    whole = folding(spectrum.column_cy_per_px, spectrum.row_cy_per_px, spectrum.row_pitch, known)
-    problem = Problem(spectrum=spectrum, known=known, shape=shape, folding=whole, looks=spectrum.looks_lagged)
+    whole = spectral_replicas(spectrum.column_cy_per_px, spectrum.row_cy_per_px, spectrum.row_pitch, known)
+    problem = SpectrumLikelihood(
+        spectrum=spectrum, known=known, shape=shape, replicas=whole, looks=spectrum.looks_lagged
+    )
     begin = start(problem) if start is not None else _start(problem)
     # Heavy tails fold from afar: what a broad form leaves out, no likely form needs.
-    problem = replace(problem, folding=sparser(whole, shape, problem.of_folding(_broader(begin, shape)[None])[0]))
-    point, covariance = maximum(problem.log_probability, begin, problem.bounds, iterations=25)
+    problem = replace(
+        problem,
+        replicas=without_weak_replicas(whole, shape, problem.replica_parameters(_broaden(begin, shape)[None])[0]),
+    )
+    point, covariance = find_maximum(problem.log_probability, begin, problem.bounds, iterations=25)
     for _ in range(2):
-        problem = _refined(problem, whole, point)
-        point, covariance = maximum(problem.log_probability, point, problem.bounds, iterations=25)
+        problem = _refine(problem, whole, point)
+        point, covariance = find_maximum(problem.log_probability, point, problem.bounds, iterations=25)
     height = float(problem.log_probability(point[None])[0])
     _, volume = np.linalg.slogdet(2.0 * np.pi * covariance)
-    return Peak(problem=problem, point=point, covariance=covariance, log_evidence=height + 0.5 * float(volume))
+    return SpectrumOptimum(
+        problem=problem, point=point, covariance=covariance, log_evidence=height + 0.5 * float(volume)
+    )
 
 
-def _strange_to_tubes(problem: Problem) -> bool:
+def _is_atypical_of_tubes(problem: SpectrumLikelihood) -> bool:
     """Whether the camera is described as a tube, and this is a form that image tubes do not have."""
     return problem.known.fibres is not None and problem.shape in FAMILIES and problem.shape.name != TUBE
 
 
-def _broader(point: Array, shape: Shape) -> Array:
+def _broaden(point: Array, shape: PostGainBlur) -> Array:
     """The point with the half frequency raised by half: the first of a form's parameters is its logarithm."""
     out = point.copy()
     out[len(COMMON)] = min(out[len(COMMON)] + np.log(1.5), shape.bounds[0, 1])
     return out
 
 
-def _start(problem: Problem) -> Array:
+def _start(problem: SpectrumLikelihood) -> Array:
     """The best of a few half frequencies, with a fifth of white noise."""
     spectrum, candidates = problem.spectrum, []
     for half in (0.05, 0.1, 0.17, 0.3, 0.5):
-        begin = problem.started(np.array([0.0, 0.1, HIDDEN_PRIOR[0], 0.0]), half)
-        folded = problem.folding.power(problem.shape, problem.of_folding(begin[None]))[0]
+        begin = problem.start_at(np.array([0.0, 0.1, QUANTISATION_PRIOR[0], 0.0]), half)
+        folded = problem.replicas.power(problem.shape, problem.replica_parameters(begin[None]))[0]
         above = np.maximum(spectrum.power_dn2 - spectrum.dark_dn2, 0.0)
         level = max(float(np.sum(problem.looks * 0.9 * above) / np.sum(problem.looks * folded)), 1e-9)
         begin[0] = np.log(level)
@@ -235,46 +256,46 @@ def _start(problem: Problem) -> Array:
     return points[int(np.argmax(problem.log_probability(points)))]
 
 
-def _refined(problem: Problem, whole: Folding, point: Array) -> Problem:
+def _refine(problem: SpectrumLikelihood, whole: SpectralReplicas, point: Array) -> SpectrumLikelihood:
     """Return the problem with the replicas, the means within cells and the looks of a fit."""
     spectrum = problem.spectrum
-    sparse = sparser(whole, problem.shape, problem.of_folding(point[None])[0])
-    within = _within(problem, point)
+    sparse = without_weak_replicas(whole, problem.shape, problem.replica_parameters(point[None])[0])
+    within = _cell_means(problem, point)
     white, pulses = problem.parts(point[None])
     share = (pulses / (spectrum.dark_dn2 + white + pulses))[0]
     # Only the pulses are shared by exposures; products of two exposures feel it in the square.
     fewer = 1.0 / spectrum.looks_lagged - 1.0 / spectrum.looks
     looks = 1.0 / (1.0 / spectrum.looks + share**2 * fewer)
-    return replace(problem, folding=replace(sparse, within=within), looks=looks)
+    return replace(problem, replicas=replace(sparse, within=within), looks=looks)
 
 
-def _within(problem: Problem, point: Array) -> Array:
+def _cell_means(problem: SpectrumLikelihood, point: Array) -> Array:
     """Mean power over the modes of each cell, smeared as fading out the sides smears it, over that at its middle."""
     spectrum = problem.spectrum
 
-    def folded(column: Array, row: Array) -> Array:
-        near = folding(column, row, spectrum.row_pitch, problem.known, replicas=1)
-        return near.power(problem.shape, problem.of_folding(point[None]))[0]
+    def power_at(column: Array, row: Array) -> Array:
+        near = spectral_replicas(column, row, spectrum.row_pitch, problem.known, replicas=1)
+        return near.power(problem.shape, problem.replica_parameters(point[None]))[0]
 
     modes = np.mean(
         [
-            folded(spectrum.mode_column + across * spectrum.smear_column, spectrum.mode_row + up * spectrum.smear_row)
+            power_at(spectrum.mode_column + across * spectrum.smear_column, spectrum.mode_row + up * spectrum.smear_row)
             for across, up in ((-1, -1), (-1, 1), (1, -1), (1, 1))
         ],
         axis=0,
     )
     mean = np.bincount(spectrum.mode_cell, modes) / np.bincount(spectrum.mode_cell)
-    middle = folded(spectrum.column_cy_per_px, spectrum.row_cy_per_px)
+    middle = power_at(spectrum.column_cy_per_px, spectrum.row_cy_per_px)
     # Where next to nothing of the pulses is left, how it is spread over the cell does not matter.
     return np.clip(mean / np.maximum(middle, 1e-30), 0.2, 5.0)
 
 
-def white_log_probability(peak: Peak) -> float:
+def white_log_probability(peak: SpectrumOptimum) -> float:
     """Return ln L of the best white spectrum, to be compared with the evidence of a blurred one."""
     problem = peak.problem
     spectrum = problem.spectrum
     floor = problem.known.electronics(spectrum.column_cy_per_px) ** 2
-    hidden = float(np.mean(spectrum.hidden_dn2))
+    hidden = float(np.mean(spectrum.quantisation_noise_dn2))
     above = np.maximum(spectrum.power_dn2 - spectrum.dark_dn2 - hidden, 0.0)
     level = float(np.sum(problem.looks * above) / np.sum(problem.looks * floor))
     levels = level * np.exp(np.linspace(-0.3, 0.3, 121))

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.curve import FINE, PINNED, REPORTED, curve_of, falls_to
-from charact.mtf.noise_spectrum.data import Spectrum
-from charact.mtf.noise_spectrum.model import Peak
-from labdata.measurement import Curve, Measurement, Posterior, Result, from_draws, refused
+from charact.mtf.curve import FINE, PINNED, REPORTED, crossing_frequency, curve_of
+from charact.mtf.noise_spectrum.model import SpectrumOptimum
+from charact.mtf.noise_spectrum.pooled_spectrum import PooledSpectrum
+from labdata.measurement import Curve, Measurement, Posterior, Result, make_refusal, measurement_from_draws
 
 Array = NDArray[np.float64]
 
@@ -23,14 +23,14 @@ DIRECTIONS = (("mtf_post_gain", False), ("mtf_post_gain_vertical", True))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Drawn:
+class SpectrumDraws:
     """Draws of the forms that the evidence admits, with their shares of it, the likeliest first."""
 
-    peaks: tuple[Peak, ...]
+    peaks: tuple[SpectrumOptimum, ...]
     posteriors: tuple[Posterior, ...]
     shares: Array
 
-    def mixed(self, of: Callable[[Peak, Array], Array]) -> Array:
+    def mixture_of(self, of: Callable[[SpectrumOptimum, Array], Array]) -> Array:
         """Return draws of a function of (peak, draws), each form giving its share of them."""
         counts = np.maximum(np.round(self.shares * DRAWS).astype(int), 1)
         parts = [
@@ -39,13 +39,15 @@ class Drawn:
         ]
         return np.concatenate(parts)
 
-    def transfer(self, spectrum: Spectrum, frequency: Array, *, vertical: bool) -> Array:
+    def transfer(self, spectrum: PooledSpectrum, frequency: Array, *, vertical: bool) -> Array:
         """Return draws of |H| after the gain, shape (draw, frequency)."""
         ratio = spectrum.pitch_ratio
-        return self.mixed(lambda peak, draws: transfer_of(peak, draws, frequency, vertical=vertical, pitch_ratio=ratio))
+        return self.mixture_of(
+            lambda peak, draws: transfer_of(peak, draws, frequency, vertical=vertical, pitch_ratio=ratio)
+        )
 
 
-def transfer_of(peak: Peak, draws: Array, frequency: Array, *, vertical: bool, pitch_ratio: float) -> Array:
+def transfer_of(peak: SpectrumOptimum, draws: Array, frequency: Array, *, vertical: bool, pitch_ratio: float) -> Array:
     """Return |H| after the gain along one direction, pixel and video included, shape (draw, frequency).
 
     Parameters
@@ -60,7 +62,7 @@ def transfer_of(peak: Peak, draws: Array, frequency: Array, *, vertical: bool, p
         Row pitch over column pitch.
     """
     problem, none = peak.problem, np.zeros_like(frequency)
-    shape = problem.of_shape(draws)
+    shape = problem.blur_parameters(draws)
     if vertical:
         along = frequency / pitch_ratio
         stretched = along * np.exp(-draws[:, problem.names.index("ln_anisotropy"), None])
@@ -70,28 +72,28 @@ def transfer_of(peak: Peak, draws: Array, frequency: Array, *, vertical: bool, p
     return core * described * problem.passed(draws, problem.known.bend(frequency))
 
 
-def quantities(spectrum: Spectrum, found: Drawn, own: dict[str, Any]) -> Result:
+def quantities(spectrum: PooledSpectrum, found: SpectrumDraws, own: dict[str, Any]) -> Result:
     """Return everything measured of the transfer after the gain, with its curves."""
     measurements: list[Measurement] = []
     for _, vertical in DIRECTIONS:
         along = {**own, "orientation_deg": 90.0 if vertical else 0.0}
-        half = falls_to(FINE, found.transfer(spectrum, FINE, vertical=vertical), 0.5)
-        measurements.append(_half(half, along))
+        half = crossing_frequency(FINE, found.transfer(spectrum, FINE, vertical=vertical), 0.5)
+        measurements.append(_mtf50_measurement(half, along))
         pinned = found.transfer(spectrum, np.array(PINNED), vertical=vertical)
         measurements += [
-            from_draws("post_gain_mtf", "1", values, frequency_cy_per_px=frequency, **along)
+            measurement_from_draws("post_gain_mtf", "1", values, frequency_cy_per_px=frequency, **along)
             for frequency, values in zip(PINNED, pinned.T, strict=True)
         ]
-    white = found.mixed(lambda peak, draws: _white_share(spectrum, draws))
-    measurements.append(from_draws("white_noise_share", "1", white, **own))
+    white = found.mixture_of(lambda peak, draws: _white_fraction(spectrum, draws))
+    measurements.append(measurement_from_draws("white_noise_share", "1", white, **own))
     return Result(measurements=tuple(measurements), curves=curves(spectrum, found))
 
 
-def _half(half: Array, own: dict[str, Any]) -> Measurement:
+def _mtf50_measurement(half: Array, own: dict[str, Any]) -> Measurement:
     """`post_gain_mtf50`, or why there is none."""
     known = half[np.isfinite(half)]
     if len(known) < 0.975 * len(half):
-        return refused(
+        return make_refusal(
             "post_gain_mtf50",
             "cy/px",
             "the transfer after the gain may not fall to one half at any frequency seen",
@@ -103,16 +105,16 @@ def _half(half: Array, own: dict[str, Any]) -> Measurement:
         flags.add("too-few-frames")
     if middle > SAMPLING_LIMIT:
         flags.add("aliased")
-    return from_draws("post_gain_mtf50", "cy/px", known, **{**own, "flags": tuple(flags)})
+    return measurement_from_draws("post_gain_mtf50", "cy/px", known, **{**own, "flags": tuple(flags)})
 
 
-def _white_share(spectrum: Spectrum, draws: Array) -> Array:
+def _white_fraction(spectrum: PooledSpectrum, draws: Array) -> Array:
     """White floor over all noise at frequency 0, the dark's part left aside, shape (draw,)."""
     white = draws[:, 1] * float(np.mean(spectrum.power_dn2 - spectrum.dark_dn2))
     return white / (white + np.exp(draws[:, 0]))
 
 
-def curves(spectrum: Spectrum, found: Drawn) -> dict[str, Curve]:
+def curves(spectrum: PooledSpectrum, found: SpectrumDraws) -> dict[str, Curve]:
     """Return the curves along rows and along columns."""
     frequency = np.maximum(REPORTED, 1e-6)
     return {
@@ -121,7 +123,7 @@ def curves(spectrum: Spectrum, found: Drawn) -> dict[str, Curve]:
     }
 
 
-def evidence(spectrum: Spectrum, found: Drawn) -> dict[str, Any]:
+def figure_data(spectrum: PooledSpectrum, found: SpectrumDraws) -> dict[str, Any]:
     """Return measured power and model over the band, for a report."""
     peak = found.peaks[0]
     white, pulses = peak.problem.parts(peak.point[None])

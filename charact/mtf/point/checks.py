@@ -4,15 +4,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.mtf.memory import memory_of
-from charact.mtf.point.data import Window
-from charact.mtf.point.findings import finding, moved
+from charact.mtf.image_lag import image_lag_model
+from charact.mtf.point.figure_data import rounding_note, source_figure_data
+from charact.mtf.point.findings import finding, motion_findings
 from charact.mtf.point.forward_fit import PointFit
 from charact.mtf.point.motion import motion_flags
 from charact.mtf.point.noise import near_pixels
-from charact.mtf.point.profile import evidence, rounding_note
-from charact.mtf.point.response import Response, profile, response_of
-from charact.mtf.point.source import Source
+from charact.mtf.point.nonlinearity import SpotNonlinearity, fit_nonlinearity, power_log_likelihoods
+from charact.mtf.point.source import DetectedSource
+from charact.mtf.point.source_window import Window
 from labdata.flags import Finding
 
 Array = NDArray[np.float64]
@@ -21,15 +21,15 @@ Array = NDArray[np.float64]
 MISFIT, SIGNIFICANT = 1.8, 5.0
 LOW_LIGHT = 10.0
 # Standard deviations from its description at which a camera's cut-off is no longer that camera's.
-STRANGE = 3.0
+MAX_PRIOR_SD = 3.0
 # Diameters of the halos that a camera which is not described may have, how soft their rims are, px, and how many
 # standard errors of their light one must stand out.
 HALOS_PX, RIM_PX, HALO_ERRORS = (8.0, 11.0, 15.0, 20.0, 27.0, 36.0), 2.0, 3.0
 # Power of the light by which noise falls behind its model that only a curved response explains.
-FALLING, LEAST_FRAMES = 0.35, 4
+FALLING, MIN_FRAMES = 0.35, 4
 
 
-def findings(found: PointFit, window: Window, source: Source, context: Context) -> list[Finding]:
+def fit_findings(found: PointFit, window: Window, source: DetectedSource, context: Context) -> list[Finding]:
     """Return what the pixels show against the numbers of a fitted source."""
     out = []
     if not window.keep.all():
@@ -41,7 +41,7 @@ def findings(found: PointFit, window: Window, source: Source, context: Context) 
         stands = found.light / found.light_sd
         effect = f"the light stands {stands:.1f} standard errors out; intervals are tested from {LOW_LIGHT:g} on"
         out.append(finding("low-signal", effect))
-    halo = context.sensor is None and _halo_stands_out(found)
+    halo = context.sensor is None and _has_unmodelled_halo(found)
     if halo or found.chi2 / found.free > MISFIT + SIGNIFICANT * np.sqrt(2.0 / found.free):
         effect = f"residuals are {np.sqrt(found.chi2 / found.free):.2g} times the noise"
         beyond = (
@@ -53,18 +53,20 @@ def findings(found: PointFit, window: Window, source: Source, context: Context) 
     if window.cut or (context.sensor is not None and not window.holds_halo):
         effect = "light beyond the region is not counted; MTF50 may be high by the fraction of the light there"
         out.append(finding("window-too-small", effect))
-    if _leans(found, context):
-        effect = f"the core stands at a limit or {STRANGE:g} standard deviations off the description"
+    if _is_at_prior_bound(found, context):
+        effect = f"the core stands at a limit or {MAX_PRIOR_SD:g} standard deviations off the description"
         out.append(finding("prior-bound", effect))
     if window.keep.all():
-        out += moved(motion_flags(window.frames_above(found.pedestal), *window.centred, window.row_parity))
-        response = _response(found, window, context)
-        if response is not None and response.curved and response.power < -FALLING:
+        out += motion_findings(
+            motion_flags(window.frames_above(found.pedestal), *window.offsets_from_centre, window.row_parity)
+        )
+        response = _noise_nonlinearity(found, window, context)
+        if response is not None and response.is_nonlinear and response.power < -FALLING:
             out.append(finding("gamma", response.effect))
     return out
 
 
-def _halo_stands_out(found: PointFit) -> bool:
+def _has_unmodelled_halo(found: PointFit) -> bool:
     """Tell whether a disc of light lies about the core, of which a camera that is not described is taken to have none.
 
     Or one of missing light, as about the spots of a camera that sharpens. Its light is found to first order, all
@@ -92,24 +94,24 @@ def _disc(radius_px: Array, diameter_px: float) -> Array:
     return 0.5 * (1.0 - np.tanh((radius_px - 0.5 * diameter_px) / RIM_PX)) / (0.25 * np.pi * diameter_px**2)
 
 
-def _response(found: PointFit, window: Window, context: Context) -> Response | None:
+def _noise_nonlinearity(found: PointFit, window: Window, context: Context) -> SpotNonlinearity | None:
     """Return what the frames' noise says of the response: only a flattened one makes it grow less than pulses do.
 
     The pulses are of a few widths only, so that noise may seem to grow faster where it does not.
     """
-    if found.noise is None or window.frames < LEAST_FRAMES:
+    if found.noise is None or window.frames < MIN_FRAMES:
         return None
     light = found.light * found.model.core(found.point[None])[0].ravel()
     pulses = found.noise.gain * found.light * found.noise.pulse
-    pulses = pulses * memory_of(context, window.frames).between_rows(window.parity)
+    pulses = pulses * image_lag_model(context, window.frames).between_rows(window.parity)
     dark = window.floor * np.eye(light.size)
     near = near_pixels(found.model, found.point)
-    near = near[window.noisy(np.diag(pulses + dark)[near])]
+    near = near[window.exceeds_rounding(np.diag(pulses + dark)[near])]
     both = np.ix_(near, near)
-    return response_of([profile(window.contrasts[:, near], light[near], pulses[both], dark[both])])
+    return fit_nonlinearity([power_log_likelihoods(window.contrasts[:, near], light[near], pulses[both], dark[both])])
 
 
-def _leans(found: PointFit, context: Context) -> bool:
+def _is_at_prior_bound(found: PointFit, context: Context) -> bool:
     """Tell whether the core is far from what the camera's description says, or at a bound."""
     prior = found.model.prior
     chosen = prior.chosen
@@ -118,14 +120,14 @@ def _leans(found: PointFit, context: Context) -> bool:
     if np.any((np.abs(found.point - low) < 1e-6) | (np.abs(found.point - high) < 1e-6), where=_core(prior.free)):
         return True
     away = (found.point - prior.centre[chosen]) / prior.spread[chosen]
-    return context.sensor is not None and bool(abs(away[list(point).index("ln_cut_off")]) > STRANGE)
+    return context.sensor is not None and bool(abs(away[list(point).index("ln_cut_off")]) > MAX_PRIOR_SD)
 
 
 def _core(free: tuple[str, ...]) -> NDArray[np.bool_]:
     return np.array([name in ("x_px", "y_px", "ln_cut_off", "exponent") for name in free])
 
 
-def notes(found: PointFit, window: Window, context: Context, pinhole_px: float | None) -> tuple[str, ...]:
+def fit_notes(found: PointFit, window: Window, context: Context, pinhole_px: float | None) -> tuple[str, ...]:
     """Return what a reader may want to know and what lowers no trust."""
     out = ["The response is taken as straight: one spot hardly shows a gamma correction."]
     if pinhole_px is None:
@@ -140,7 +142,7 @@ def notes(found: PointFit, window: Window, context: Context, pinhole_px: float |
     return tuple(out)
 
 
-def shown(found: PointFit, window: Window) -> dict:
+def fit_figure_data(found: PointFit, window: Window) -> dict:
     """Return the evidence of a fit for a figure, with what rounding makes of faint light by the fit."""
     core = found.pedestal + found.light * found.model.core(found.point[None])[0]
     rings = (
@@ -150,7 +152,7 @@ def shown(found: PointFit, window: Window) -> dict:
     core[window.keep] += shift[: shift.size - rings.size]
     rings = rings + shift[shift.size - rings.size :]
     at = dict(zip(found.model.prior.free, found.point.tolist(), strict=True))
-    return evidence(
+    return source_figure_data(
         window,
         (at["x_px"], at["y_px"]),
         core,

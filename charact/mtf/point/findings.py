@@ -23,7 +23,7 @@ def finding(flag: str, effect: str) -> Finding:
     return Finding(flag=flag, effect=effect, remedy=REMEDIES[flag])
 
 
-def moved(names: tuple[str, ...]) -> list[Finding]:
+def motion_findings(names: tuple[str, ...]) -> list[Finding]:
     """Return the findings of `charact.mtf.point.motion.motion_flags`."""
     from charact.mtf.point.motion import DRIFT_PX, FIELDS_APART_PX, SHAKEN
 

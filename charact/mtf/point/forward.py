@@ -7,34 +7,34 @@ from numpy.typing import NDArray
 
 import charact
 from charact.method import Context, register
-from charact.mtf.curve import FINE, REPORTED, curve_of, falls_to
-from charact.mtf.optics import halo_diameters_px
+from charact.mtf.curve import FINE, REPORTED, crossing_frequency, curve_of
+from charact.mtf.known_transfer import halo_diameters_px
 from charact.mtf.point import checks as point_checks
 from charact.mtf.point import source as point_source
-from charact.mtf.point.data import Window, window_of
 from charact.mtf.point.findings import finding
 from charact.mtf.point.forward_fit import PointFit, fit
-from charact.mtf.point.forward_model import Optics
+from charact.mtf.point.forward_model import KnownPointOptics
 from charact.mtf.point.motion import motion_flags
-from charact.mtf.point.sharp import doubted_where_sharp
+from charact.mtf.point.source_window import Window, window_of
+from charact.mtf.point.undersampled_spot import flag_undersampled
 from charact.mtf.region import Region
-from charact.posterior import draw, weighed
+from charact.posterior import importance_sample, sample_posterior
 from charact.video_filter import VideoFilter
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
-from labdata.measurement import Measurement, Posterior, Provenance, Result, from_draws, refused
+from labdata.measurement import Measurement, Posterior, Provenance, Result, make_refusal, measurement_from_draws
 
 Array = NDArray[np.float64]
 
 METHOD = "point-forward"
 QUANTITIES = ("mtf50", "mtf10")
-LEAST_PX = 9
+MIN_PX = 9
 # Standard errors of its light that a source needs.
-LEAST_LIGHT = 6.0
+MIN_LIGHT_SD = 6.0
 # Least share of the light that unspoilt pixels must hold.
-LEAST_KEPT = 0.3
+MIN_USABLE_FRACTION = 0.3
 # Effective draws by importance where a posterior is wanted quickly, and draws to begin with.
-QUICK_ENOUGH, QUICK_FIRST = 500.0, 1000
+QUICK_ESS, QUICK_FIRST = 500.0, 1000
 MAX_STEPS = 1200
 
 
@@ -88,37 +88,39 @@ def point_forward(
         raise BadInput(f"pinhole_px must lie in [0, 50) column pitches, got {pinhole_px:g}")
     used = stack if region is None else stack.region(*region)
     where = region or (0, 0, *used.shape[1:])
-    task = Task(context=context, where=where, pinhole_px=pinhole_px)
-    if min(used.shape[1:]) < LEAST_PX:
-        return task.nothing(f"a point needs a region of at least {LEAST_PX} x {LEAST_PX} px, got {where[2:]}",
+    task = PointTask(context=context, where=where, pinhole_px=pinhole_px)
+    if min(used.shape[1:]) < MIN_PX:
+        return task.nothing(f"a point needs a region of at least {MIN_PX} x {MIN_PX} px, got {where[2:]}",
                             "window-too-small")  # fmt: skip
-    source = point_source.find(used.data, context.pitch_ratio)
+    source = point_source.detect_source(used.data, context.pitch_ratio)
     if isinstance(source, str):
         full = context.full_scale_dn or used.full_scale_dn
         if full is not None and used.data.max() >= full and np.median(used.data, axis=0).max() >= full:
             return task.nothing("the source is too bright: pixels stay at full scale and nothing is dark", "saturated")
         return task.nothing(source, "no-target")
     window = _window(used, source, context)
-    kept = _kept(window)
-    if kept < LEAST_KEPT:
+    kept = _usable_light_fraction(window)
+    if kept < MIN_USABLE_FRACTION:
         return task.nothing(f"the source is too bright: {100 * (1 - kept):.0f} % of its core's light lies in pixels "
                             "that full scale spoils", "saturated")  # fmt: skip
     found = fit(window, context, _optics(context, pinhole_px or 0.0))
     if found is None:
         return task.nothing(
-            "no target: what stands out of the background is not the picture of a point", "no-target", *_moved(window)
-        )
-    if found.light < LEAST_LIGHT * found.light_sd:
-        stands = point_source.rounded_down(found.light / found.light_sd)
-        return task.nothing(
-            f"no target: the light stands {stands:.1f} standard errors out of {LEAST_LIGHT:g} needed",
+            "no target: what stands out of the background is not the picture of a point",
             "no-target",
-            *_moved(window),
+            *_motion_flags(window),
+        )
+    if found.light < MIN_LIGHT_SD * found.light_sd:
+        stands = point_source.round_down(found.light / found.light_sd)
+        return task.nothing(
+            f"no target: the light stands {stands:.1f} standard errors out of {MIN_LIGHT_SD:g} needed",
+            "no-target",
+            *_motion_flags(window),
         )
     return task.result(found, window, source, used, _posterior(found, context))
 
 
-def _window(used: FrameStack, source: point_source.Source, context: Context) -> Window:
+def _window(used: FrameStack, source: point_source.DetectedSource, context: Context) -> Window:
     halo = halo_diameters_px(context, transposed=False)[1] / 2.0 if context.sensor is not None else None
     return window_of(
         used.data, source.row, source.col, pitch_ratio=context.pitch_ratio,
@@ -127,26 +129,26 @@ def _window(used: FrameStack, source: point_source.Source, context: Context) -> 
     )  # fmt: skip
 
 
-def _kept(window: Window) -> float:
+def _usable_light_fraction(window: Window) -> float:
     """Return the share of the core's light in unspoilt pixels, what is spoilt counted at its cut height."""
     height = np.maximum(window.core - np.median(window.core), 0.0)
     return float(height[window.keep].sum() / max(float(height.sum()), 1e-12))
 
 
-def _moved(window: Window) -> tuple[str, ...]:
+def _motion_flags(window: Window) -> tuple[str, ...]:
     """Return the flags of a source that moves: its light, lost in its own changes, may look like none."""
     if window.frames < 2 or not window.keep.all():
         return ()
-    return tuple(motion_flags(window.frames_above(window.border_dn), *window.centred, window.row_parity))
+    return tuple(motion_flags(window.frames_above(window.border_dn), *window.offsets_from_centre, window.row_parity))
 
 
-def _optics(context: Context, pinhole_px: float) -> Optics:
+def _optics(context: Context, pinhole_px: float) -> KnownPointOptics:
     """Return what is known of pixel and video filter."""
     if context.sensor is None:
         rows = 2.0 if context.interlaced else 1.0
-        return Optics(width_px=1.0, height_px=rows, video=None, pinhole_px=pinhole_px, top=2.0)
+        return KnownPointOptics(width_px=1.0, height_px=rows, video=None, pinhole_px=pinhole_px, top=2.0)
     rows = 2.0 if context.interlaced else 1.0
-    return Optics(
+    return KnownPointOptics(
         width_px=1.0,
         height_px=rows * context.pitch_ratio,
         video=VideoFilter.of(context.sensor),
@@ -167,12 +169,12 @@ def _posterior(found: PointFit, context: Context) -> Posterior:
         "bounds": prior.bounds[prior.chosen],
     }
     if context.quick:
-        return weighed(found.log_probability, **asked, enough=QUICK_ENOUGH, first_draws=QUICK_FIRST)
-    return draw(found.log_probability, **asked, max_steps=MAX_STEPS)
+        return importance_sample(found.log_probability, **asked, enough=QUICK_ESS, first_draws=QUICK_FIRST)
+    return sample_posterior(found.log_probability, **asked, max_steps=MAX_STEPS)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Task:
+class PointTask:
     """What was asked."""
 
     context: Context
@@ -189,22 +191,27 @@ class Task:
         """Return the refusal of all that a point gives."""
         common = {"method": METHOD, "flags": flags, "region": self.where}
         return Result(measurements=tuple(
-            refused(name, "cy/px", reason, orientation_deg=angle, provenance=self.provenance, **common)
+            make_refusal(name, "cy/px", reason, orientation_deg=angle, provenance=self.provenance, **common)
             for name in QUANTITIES for angle in (0.0, 90.0)
         ))  # fmt: skip
 
     def result(
-        self, found: PointFit, window: Window, source: point_source.Source, used: FrameStack, posterior: Posterior
+        self,
+        found: PointFit,
+        window: Window,
+        source: point_source.DetectedSource,
+        used: FrameStack,
+        posterior: Posterior,
     ) -> Result:
         """Return measurements, curves and evidence of a fitted source."""
-        findings = point_checks.findings(found, window, source, self.context)
+        findings = point_checks.fit_findings(found, window, source, self.context)
         if "not-converged" in posterior.flags:
             findings.append(finding("not-converged", "the interval comes from the curvature at the maximum"))
         common = {
             "method": METHOD,
             "notes": (
                 *used.notes,
-                *point_checks.notes(found, window, self.context, self.pinhole_px),
+                *point_checks.fit_notes(found, window, self.context, self.pinhole_px),
             ),
             "region": self.where,
             "provenance": self.provenance,
@@ -219,19 +226,19 @@ class Task:
             curves[name] = curve_of(REPORTED, found.model.mtf(posterior.draws, REPORTED, vertical=vertical))
         measurements = [one.with_(findings=findings) for one in measurements]
         return Result(
-            measurements=doubted_where_sharp(measurements, window),
+            measurements=flag_undersampled(measurements, window),
             curves=curves,
-            evidence={"point-profile": point_checks.shown(found, window)},
+            evidence={"point-profile": point_checks.fit_figure_data(found, window)},
         )
 
 
 def _level(quantity: str, level: float, fine: Array, posterior: Posterior, common: dict) -> Measurement:
     """Return the frequency at which the MTF falls to a level; refused where it does not below 1.5 cy/px."""
-    draws = falls_to(FINE, fine, level)
+    draws = crossing_frequency(FINE, fine, level)
     lost = float(np.mean(~np.isfinite(draws)))
     if lost > 0.02:
         reason = (
             f"the MTF must fall to {level:g} below {FINE[-1]:.1f} cy/px, and {100 * lost:.0f} % of its draws do not"
         )
-        return refused(quantity, "cy/px", reason, **common)
-    return from_draws(quantity, "cy/px", draws[np.isfinite(draws)], posterior=posterior, **common)
+        return make_refusal(quantity, "cy/px", reason, **common)
+    return measurement_from_draws(quantity, "cy/px", draws[np.isfinite(draws)], posterior=posterior, **common)

@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.mtf.memory import memory_of
-from charact.mtf.point.data import Window
-from charact.mtf.point.forward_model import Optics, PointModel
-from charact.mtf.point.forward_prior import NAMES, Prior, priors_of
-from charact.mtf.point.noise import SHARES, Noise, noise_of
-from charact.posterior import maximum
+from charact.mtf.image_lag import image_lag_model
+from charact.mtf.point.forward_model import KnownPointOptics, PointModel
+from charact.mtf.point.forward_prior import NAMES, PointPrior, priors_of
+from charact.mtf.point.noise import FRACTIONS_AFTER_GAIN, PulseNoise, fit_pulse_noise
+from charact.mtf.point.source_window import Window
+from charact.posterior import find_maximum
 
 Array = NDArray[np.float64]
 
@@ -21,7 +21,7 @@ PATTERN, PATTERN_PX = 0.015, 1.5
 # Noise from which on rounding hides nothing, DN; mean square over squared mean of pulses; pulses per DN before they are
 # known.
 UNROUNDED_SD, PULSE_VARIANCE, SPARSE = 1.0, 3.0, 1.0
-CLIMBS = 3
+MAX_TURNS = 3
 # So many frequencies of transfers at a time: more do not stay in the processor's cache, and take twice as long.
 AT_ONCE = 100_000
 
@@ -62,7 +62,7 @@ class PointFit:
     light_sd: float = 0.0
     chi2: float = 0.0
     free: int = 1
-    noise: Noise | None = None
+    noise: PulseNoise | None = None
 
     def shapes(self, theta: Array) -> Array:
         """Return values of unit light, shape (n, value)."""
@@ -70,14 +70,14 @@ class PointFit:
         return np.concatenate([core, self.model.rings(theta)], axis=1) if self.model.ring_px.size else core
 
     @cached_property
-    def _whitened(self) -> tuple[Array, Array]:
+    def _white_level_and_data(self) -> tuple[Array, Array]:
         """A level of one and the data as the noise weighs them, shape (value,) each."""
         return self.white.sum(axis=1), self.white @ self.data
 
     def linear(self, theta: Array) -> tuple[Array, Array, Array]:
         """Return chi squared, best light and pedestal (n, 2), and their normal matrix (n, 2, 2)."""
         unit = self.shapes(theta) @ self.white.T
-        flat, data = self._whitened
+        flat, data = self._white_level_and_data
         normal = np.empty((len(theta), 2, 2))
         normal[:, 0, 0] = np.einsum("nv,nv->n", unit, unit)
         normal[:, 0, 1] = normal[:, 1, 0] = unit @ flat
@@ -96,7 +96,7 @@ class PointFit:
         """Return ln of the posterior with light and pedestal marginalised, shape (n,)."""
         value = self.model.prior.log_density(theta)
         inside = np.isfinite(value)
-        within, at_once = np.flatnonzero(inside), max(AT_ONCE // self.model.fixed_part.size, 1)
+        within, at_once = np.flatnonzero(inside), max(AT_ONCE // self.model.aperture_on_grid.size, 1)
         for begin in range(0, within.size, at_once):
             part = within[begin : begin + at_once]
             chi2, _, normal = self.linear(theta[part])
@@ -105,17 +105,17 @@ class PointFit:
         return value
 
 
-def fit(window: Window, context: Context, optics: Optics) -> PointFit | None:
+def fit(window: Window, context: Context, optics: KnownPointOptics) -> PointFit | None:
     """Fit a window and return the more probable of the transfers' kinds; None where none is possible."""
     first, *others = priors_of(context, halo_seen=window.holds_halo)
     found = _fit(window, context, optics, first)
     for prior in others:
-        if found is not None and _evidence(_alike(found, prior)) > _evidence(found):
+        if found is not None and _evidence(_fit_other_prior(found, prior)) > _evidence(found):
             found = _fit(window, context, optics, prior) or found
     return found
 
 
-def _alike(found: PointFit, prior: Prior) -> PointFit:
+def _fit_other_prior(found: PointFit, prior: PointPrior) -> PointFit:
     """Return another kind of transfer at its peak under the weights of a fit, for a fair comparison."""
     at = {name: float(value[0]) for name, value in found.model.prior.named(found.point[None]).items()}
     other = replace(found, model=replace(found.model, prior=prior))
@@ -124,8 +124,8 @@ def _alike(found: PointFit, prior: Prior) -> PointFit:
         for share in (0.3, 1.0, 2.0)
     ])  # fmt: skip
     start = starts[int(np.argmax(other.log_probability(starts)))]
-    point, covariance = maximum(other.log_probability, start, prior.bounds[prior.chosen])
-    return _at(other, point, covariance, found.noise)
+    point, covariance = find_maximum(other.log_probability, start, prior.bounds[prior.chosen])
+    return _fit_at(other, point, covariance, found.noise)
 
 
 def _evidence(found: PointFit) -> float:
@@ -138,36 +138,38 @@ def _evidence(found: PointFit) -> float:
     return height + volume - float(np.sum(np.log(np.sqrt(2.0 * np.pi) * spread[known])))
 
 
-def _fit(window: Window, context: Context, optics: Optics, prior: Prior) -> PointFit | None:
+def _fit(window: Window, context: Context, optics: KnownPointOptics, prior: PointPrior) -> PointFit | None:
     """Fit a window, noise and transfer in turns; None where no transfer is possible."""
     model = PointModel(optics=optics, prior=prior, x=window.x, y=window.y, ring_px=window.ring_px)
-    memory = memory_of(context, window.frames)
+    memory = image_lag_model(context, window.frames)
     point = _first(model, window)
     noise = None
-    found = _weighted(model, window, point, None, memory)
-    for turn in range(CLIMBS):
+    found = _apply_weights(model, window, point, None, memory)
+    for turn in range(MAX_TURNS):
         if not np.isfinite(found.log_probability(point[None])[0]):
             return None
-        point, covariance = maximum(found.log_probability, point, prior.bounds[prior.chosen])
-        found = _at(found, point, covariance, noise)
+        point, covariance = find_maximum(found.log_probability, point, prior.bounds[prior.chosen])
+        found = _fit_at(found, point, covariance, noise)
         if found.light <= 0:
             return None
-        if turn == CLIMBS - 1:
+        if turn == MAX_TURNS - 1:
             break
         if window.frames > 2:
             shares = _shares(context, turn)
-            noise = noise_of(model, point, max(found.light, 1e-9), window.deviations, window.floor,
+            noise = fit_pulse_noise(model, point, max(found.light, 1e-9), window.deviations, window.floor,
                              window.parity, memory, shares)  # fmt: skip
         # Pulses are narrower than the picture, so that their noise is found with all frequencies.
-        found = _weighted(model.narrowed(point, covariance), window, point, noise, memory, light=found.light)
+        found = _apply_weights(
+            model.restrict_frequencies(point, covariance), window, point, noise, memory, light=found.light
+        )
     return found
 
 
 def _shares(context: Context, turn: int) -> tuple[float | None, ...]:
     """Return the kinds of noise to choose from: at first the described tube's own."""
     if context.sensor is None:
-        return None, *SHARES
-    return (float(context.sensor.tube.post_gain_share),) if turn == 0 else SHARES
+        return None, *FRACTIONS_AFTER_GAIN
+    return (float(context.sensor.tube.post_gain_share),) if turn == 0 else FRACTIONS_AFTER_GAIN
 
 
 def _first(model: PointModel, window: Window) -> Array:
@@ -177,7 +179,9 @@ def _first(model: PointModel, window: Window) -> Array:
     return start
 
 
-def _weighted(model, window: Window, point: Array, noise: Noise | None, memory, light: float = 0.0) -> PointFit:
+def _apply_weights(
+    model, window: Window, point: Array, noise: PulseNoise | None, memory, light: float = 0.0
+) -> PointFit:
     """Return a problem whose weights follow from noise, pattern and rounding at a point."""
     keep = window.keep.ravel()
     core = light * model.core(point[None])[0] if light else np.maximum(window.core - np.median(window.core), 0.0)
@@ -200,7 +204,7 @@ def _weighted(model, window: Window, point: Array, noise: Noise | None, memory, 
                     rounding=rounding, keep=window.keep)  # fmt: skip
 
 
-def _core_covariance(window: Window, bright: Array, noise: Noise | None, memory, light: float) -> Array:
+def _core_covariance(window: Window, bright: Array, noise: PulseNoise | None, memory, light: float) -> Array:
     """Return the covariance of the core's mean: pulses, the pixels' own noise, and the screen's pattern."""
     count = window.frames
     if noise is None:
@@ -240,7 +244,7 @@ def rounding_covariance(height: Array, pulse_variance: Array, quiet_sd: float, p
     return 0.5 * np.outer(size, size) * np.cos(phase[:, None] - phase)
 
 
-def _at(found: PointFit, point: Array, covariance: Array, noise: Noise | None) -> PointFit:
+def _fit_at(found: PointFit, point: Array, covariance: Array, noise: PulseNoise | None) -> PointFit:
     """Return the fit at a peak."""
     chi2, best, normal = found.linear(point[None])
     return PointFit(

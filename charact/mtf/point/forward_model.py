@@ -10,9 +10,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.forms.wide_tables import sine_integral
-from charact.mtf.point.forward_prior import Prior
-from charact.posterior.curvature import root_of
+from charact.mtf.blur_models.extended_component_tables import sine_integral
+from charact.mtf.point.forward_prior import PointPrior
+from charact.posterior.laplace import covariance_root
 from charact.video_filter import NODES_SD, VideoFilter, powers
 
 Array = NDArray[np.float64]
@@ -30,7 +30,7 @@ NEGLIGIBLE, MARGIN_SD = 1e-6, 5.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Optics:
+class KnownPointOptics:
     """What is known of the camera before the fit.
 
     Parameters
@@ -92,8 +92,8 @@ class PointModel:
         Distances of some pixels of every ring, shape (ring, pixel), px.
     """
 
-    optics: Optics
-    prior: Prior
+    optics: KnownPointOptics
+    prior: PointPrior
     x: Array
     y: Array
     ring_px: Array
@@ -124,7 +124,7 @@ class PointModel:
         return HaloTable.of(np.hypot(fx, fy), self.prior.halo_px)
 
     @cached_property
-    def fixed_part(self) -> Array:
+    def aperture_on_grid(self) -> Array:
         """Pixel and pinhole at the grid's frequencies, with the integral's weights, shape (fy, fx)."""
         fx, fy = self.grid
         return 4.0 / PERIOD_PX**2 * self.optics.fixed(fx, fy)
@@ -167,7 +167,7 @@ class PointModel:
     def core(self, theta: Array) -> Array:
         """Return the core's pixels per unit light, shape (n, row, col), 1/px^2."""
         fx, fy = self.grid
-        return self.image(theta, self.modulus(theta, fx, fy, self.halo_table) * self.fixed_part)
+        return self.image(theta, self.modulus(theta, fx, fy, self.halo_table) * self.aperture_on_grid)
 
     def image(self, theta: Array, transfer: Array) -> Array:
         """Return the picture of transfers given at the grid's frequencies with its weights, shape (n, row, col)."""
@@ -182,17 +182,17 @@ class PointModel:
         rows = np.cos(up)[:, None] * cosine_y + np.sin(up)[:, None] * sine_y
         return rows @ transfer @ columns
 
-    def narrowed(self, point: Array, covariance: Array) -> "PointModel":
+    def restrict_frequencies(self, point: Array, covariance: Array) -> "PointModel":
         """Return the model without the frequencies that reach no pixel, at a peak and around it.
 
         What is left out holds less than `NEGLIGIBLE` of the picture's height along every axis of the posterior, out to
         `MARGIN_SD`.
         """
         walls = self.prior.bounds[self.prior.chosen]
-        away = MARGIN_SD * root_of(covariance).T
+        away = MARGIN_SD * covariance_root(covariance).T
         places = np.clip(np.concatenate([point[None], point + away, point - away]), walls[:, 0], walls[:, 1])
         fx, fy = self.grid
-        height = np.abs(self.modulus(places, fx, fy, self.halo_table) * self.fixed_part)
+        height = np.abs(self.modulus(places, fx, fy, self.halo_table) * self.aperture_on_grid)
         # Heights that lie beyond each frequency, rows' and columns' alike as the grid's two ends go together.
         beyond = np.maximum(np.broadcast_to(fx, height.shape[1:]), np.broadcast_to(fy / UP, height.shape[1:])).ravel()
         order = np.argsort(beyond)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.mtf.optics import halo_diameters_px
+from charact.mtf.known_transfer import halo_diameters_px
 from charact.video_filter import VideoFilter
 from labdata.parameter import Parameter
 
@@ -34,15 +34,15 @@ ANY_BLUR_PX = 0.4
 # Exponents of a blur that is all of one form, and of the tails of tubes (physics reference 1.12: 1.1 to 2) beside a
 # Gaussian core. Wider tails than those cannot be told from a background.
 FREE, FREE_SD = 1.6, 0.6
-TAIL, TAIL_SD, LEAST_TAIL = 1.3, 0.25, 1.0
+TAIL, TAIL_SD, MIN_TAIL = 1.3, 0.25, 1.0
 TWO_SIDED_95 = 1.959964
 # Ranges of a halo's diameter that a description leaves open, and least standard deviation, share of it.
-OPEN_DIAMETER, LEAST_DIAMETER_SD = 0.15, 0.02
+OPEN_DIAMETER, MIN_DIAMETER_SD = 0.15, 0.02
 NO_HALO = (-30.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Prior:
+class PointPrior:
     """Priors within bounds, halves of two normal laws that meet at the described value.
 
     Parameters
@@ -106,7 +106,7 @@ class Prior:
         return np.where(inside, normal, -np.inf)
 
 
-def priors_of(context: Context, *, halo_seen: bool) -> tuple[Prior, ...]:
+def priors_of(context: Context, *, halo_seen: bool) -> tuple[PointPrior, ...]:
     """Return the priors that the data choose from: of the described camera, or two kinds of cameras at large.
 
     Parameters
@@ -115,11 +115,11 @@ def priors_of(context: Context, *, halo_seen: bool) -> tuple[Prior, ...]:
         Whether the region is wide enough for the halo.
     """
     if context.sensor is None:
-        return _of_camera(0.0), _of_camera(ANY_BLUR_PX)
-    return (_of_sensor(context, halo_seen),)
+        return _generic_prior(0.0), _generic_prior(ANY_BLUR_PX)
+    return (_sensor_prior(context, halo_seen),)
 
 
-def _of_camera(blur_px: float) -> Prior:
+def _generic_prior(blur_px: float) -> PointPrior:
     """Any camera: exp(-(f/fc)^n), of which n = 2 is a Gaussian, alone or with a Gaussian core to its wide tails."""
     free = (*NAMES[:4], *(("blur_px",) if blur_px else ()), "stretch")
     core, core_sd = (
@@ -128,11 +128,11 @@ def _of_camera(blur_px: float) -> Prior:
     )
     prior = _prior(free, core, core_sd, (1e-3, np.ones(3)), None, NO_HALO)
     spread = np.where(np.array(NAMES) == "stretch", ANY_STRETCH_SD, prior.spread)
-    least = np.where(np.array(NAMES) == "exponent", LEAST_TAIL if blur_px else 0.5, prior.bounds[:, 0])
+    least = np.where(np.array(NAMES) == "exponent", MIN_TAIL if blur_px else 0.5, prior.bounds[:, 0])
     return replace(prior, below=spread, above=spread, bounds=np.stack([least, prior.bounds[:, 1]], axis=1))
 
 
-def _of_sensor(context: Context, halo_seen: bool) -> Prior:
+def _sensor_prior(context: Context, halo_seen: bool) -> PointPrior:
     """The described intensifier, whose lens and fibres are Gaussians to the tube's exponential."""
     sensor = context.sensor
     assert sensor is not None
@@ -156,7 +156,7 @@ def _of_sensor(context: Context, halo_seen: bool) -> Prior:
     return _prior(free, core, (CUT_OFF_SD, EXPONENT_SD, 0.25 * blur), (bandwidth_sd, diameter), halo, bend)
 
 
-def _prior(free, core, core_sd, tail, halo, bend) -> Prior:
+def _prior(free, core, core_sd, tail, halo, bend) -> PointPrior:
     """Assemble a prior."""
     bandwidth_sd, diameter = tail
     centre = np.array([0.0, 0.0, *core, 0.0, 0.0, 0.0, diameter[0], 0.5])
@@ -169,7 +169,7 @@ def _prior(free, core, core_sd, tail, halo, bend) -> Prior:
         (-3.0, 3.0), (-3.0, 3.0), (np.log(0.02), np.log(3.0)), (0.5, 4.0), (0.0, 3.0), (-0.3, 0.3), (-0.2, 0.2),
         (-3.0, 3.0), (low, high), (0.0, 1.0),
     ])  # fmt: skip
-    return Prior(
+    return PointPrior(
         free=tuple(free), centre=centre, below=below, above=above, bounds=bounds, halo_px=halo, halo_fraction_bend=bend
     )
 
@@ -179,7 +179,7 @@ def _sides(known: Parameter) -> tuple[float, float]:
     value = float(known)
     low = (1.0 - OPEN_DIAMETER) * value if known.low is None else known.low
     high = (1.0 + OPEN_DIAMETER) * value if known.high is None else known.high
-    least = LEAST_DIAMETER_SD * value
+    least = MIN_DIAMETER_SD * value
     return max((value - low) / TWO_SIDED_95, least), max((high - value) / TWO_SIDED_95, least)
 
 

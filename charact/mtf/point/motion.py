@@ -9,7 +9,7 @@ SIGNIFICANT = 5.0
 FIELDS_APART_PX, DRIFT_PX = 0.15, 0.3
 # Light is followed within this distance of its middle, px, from this share of its height on.
 NEAR_PX, HIGH = 5.0, 0.1
-LEAST_FRAMES = 4
+MIN_FRAMES = 4
 # Light is all within this distance of its middle, px, also where it moves.
 ALL_PX = 10.0
 # Share by which motion from frame to frame may lower MTF50 untold, and probability of as much by chance.
@@ -30,14 +30,14 @@ def motion_flags(frames: Array, x: Array, y: Array, parity: NDArray[np.bool_]) -
     parity
         Field of every row, shape (row,).
     """
-    if len(frames) < LEAST_FRAMES:
+    if len(frames) < MIN_FRAMES:
         return ()
-    moves = _wanders(frames, x, y) or _shakes(frames, x, y)
-    found = (("interlace-motion", _fields_apart(frames, x, y, parity)), ("drift", moves))
+    moves = _drifts(frames, x, y) or _shakes(frames, x, y)
+    found = (("interlace-motion", _has_field_offset(frames, x, y, parity)), ("drift", moves))
     return tuple(name for name, seen in found if seen)
 
 
-def _fields_apart(frames: Array, x: Array, y: Array, parity: NDArray[np.bool_]) -> bool:
+def _has_field_offset(frames: Array, x: Array, y: Array, parity: NDArray[np.bool_]) -> bool:
     """Tell whether the light of odd rows stands in other columns than that of even ones."""
     near = (np.hypot(x[None, :], y[:, None]) < NEAR_PX) * frames
     centre, error = [], []
@@ -52,7 +52,7 @@ def _fields_apart(frames: Array, x: Array, y: Array, parity: NDArray[np.bool_]) 
     return bool(abs(centre[0] - centre[1]) > max(SIGNIFICANT * float(np.hypot(*error)), FIELDS_APART_PX))
 
 
-def _wanders(frames: Array, x: Array, y: Array) -> bool:
+def _drifts(frames: Array, x: Array, y: Array) -> bool:
     """Tell whether the light moves steadily along rows or columns from frame to frame."""
     time = np.linspace(-0.5, 0.5, len(frames))
     for place, _ in _places(frames, x, y):

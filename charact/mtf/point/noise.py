@@ -10,12 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.memory import Memory
+from charact.mtf.image_lag import ImageLagModel
 from charact.mtf.point.forward_model import PERIOD_PX, PointModel
 
 Array = NDArray[np.float64]
 
-SHARES = (0.4, 0.6, 0.8, 1.0)
+FRACTIONS_AFTER_GAIN = (0.4, 0.6, 0.8, 1.0)
 # Half the spacing of the places of landing near the core and far from it, px, and how far each reaches.
 NEAR, FAR = (0.5, 3.0), (1.5, 15.0)
 # Pixels whose frames are compared lie this near the source, px.
@@ -25,7 +25,7 @@ GAINS = np.exp(np.linspace(np.log(1e-3), np.log(1e5), 200))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Noise:
+class PulseNoise:
     """Noise of the core's pixels.
 
     Parameters
@@ -53,7 +53,7 @@ def pulse_covariance(model: PointModel, point: Array, share: float) -> Array:
     square = fx**2 + fy**2
     tube = np.exp(p["exponent"] * (0.5 * np.log(square) - p["ln_cut_off"]))
     gauss = (np.pi * p["blur_px"]) ** 2 * square
-    behind = np.exp(-share * tube - gauss) * model.fixed_part
+    behind = np.exp(-share * tube - gauss) * model.aperture_on_grid
     before = np.exp(-(1.0 - share) * tube - gauss) * model.spread(point[None], model.halo_table)[0]
     out = np.zeros((model.x.size * model.y.size,) * 2)
     for (step, reach), inner in ((NEAR, 0.0), (FAR, NEAR[1])):
@@ -91,16 +91,16 @@ def near_pixels(model: PointModel, point: Array) -> NDArray[np.int64]:
     return np.flatnonzero((np.hypot(x, y) < NEAR_PX).ravel())
 
 
-def noise_of(
+def fit_pulse_noise(
     model: PointModel,
     point: Array,
     light: float,
     deviations: Array,
     floor: float,
     parity: NDArray[np.bool_],
-    memory: Memory,
-    shares: tuple[float | None, ...] = SHARES,
-) -> Noise:
+    memory: ImageLagModel,
+    shares: tuple[float | None, ...] = FRACTIONS_AFTER_GAIN,
+) -> PulseNoise:
     """Return the noise that makes the frames' differences most probable.
 
     Parameters
@@ -119,7 +119,7 @@ def noise_of(
     near = near_pixels(model, point)
     deviations, parity = deviations[:, near], parity[near]
     factor = memory.between_rows(parity)
-    best: tuple[float, Noise] | None = None
+    best: tuple[float, PulseNoise] | None = None
     area = float(np.diff(model.y[:2])[0] * np.diff(model.x[:2])[0])
     freedom = len(deviations) - 1
     for share in shares:
@@ -132,6 +132,6 @@ def noise_of(
         fit = -0.5 * (freedom * np.log(variance) + power / variance).sum(axis=1)
         top = int(np.argmax(fit))
         if best is None or fit[top] > best[0]:
-            best = float(fit[top]), Noise(pulse=pulse, gain=float(gains[top]), share=share, sharpness=sharp)
+            best = float(fit[top]), PulseNoise(pulse=pulse, gain=float(gains[top]), share=share, sharpness=sharp)
     assert best is not None
     return best[1]

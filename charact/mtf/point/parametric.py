@@ -9,40 +9,40 @@ from numpy.typing import NDArray
 
 import charact
 from charact.method import Context, register
-from charact.mtf.curve import FINE, PINNED, REPORTED, curve_of, falls_to
-from charact.mtf.doubt import LEVELS, doubted
-from charact.mtf.forms.families import DiscPrior, GlarePrior, HaloPrior, Wide
-from charact.mtf.memory import memory_of
-from charact.mtf.optics import halo_diameters_px
-from charact.mtf.point import distrust as point_distrust
+from charact.mtf.blur_models.one_dimensional import DiscComponent, ExtendedComponent, HaloComponent, ScatterComponent
+from charact.mtf.curve import FINE, PINNED, REPORTED, crossing_frequency, curve_of
+from charact.mtf.filter_uncertainty import LEVELS, flag_filter_uncertainty
+from charact.mtf.image_lag import image_lag_model
+from charact.mtf.known_transfer import halo_diameters_px
+from charact.mtf.point import parametric_checks as point_distrust
 from charact.mtf.point import source as point_source
-from charact.mtf.point.choice import Weighed, fitted
-from charact.mtf.point.data import beside, window_of
+from charact.mtf.point.figure_data import rounding_note, source_figure_data
 from charact.mtf.point.findings import finding
-from charact.mtf.point.form_fit import FormFit, PointFitter
-from charact.mtf.point.pixels import Site
-from charact.mtf.point.profile import evidence, rounding_note
-from charact.mtf.point.pulses import dark_of
-from charact.mtf.point.sharp import doubted_where_sharp
-from charact.mtf.point.table import Aperture
+from charact.mtf.point.model_fit import BlurModelFit2D, PointFitter
+from charact.mtf.point.model_selection import EvidenceWeightedModels2D, fit_sources
+from charact.mtf.point.parametric_noise import measure_surroundings_noise
+from charact.mtf.point.source_pixels import SourcePixels
+from charact.mtf.point.source_window import neighbour_mask, window_of
+from charact.mtf.point.spot_image_matrix import Aperture
+from charact.mtf.point.undersampled_spot import flag_undersampled
 from charact.mtf.region import Region
-from charact.posterior import draw, has_several_peaks, weighed
+from charact.posterior import has_several_peaks, importance_sample, sample_posterior
 from charact.video_filter import VideoFilter
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
-from labdata.measurement import Measurement, Posterior, Provenance, Result, from_draws, refused
+from labdata.measurement import Measurement, Posterior, Provenance, Result, make_refusal, measurement_from_draws
 
 Array = NDArray[np.float64]
 
 METHOD = "point-parametric"
-LEAST_PX = 9
-LEAST_LIGHT = 6.0
+MIN_PX = 9
+MIN_LIGHT_SD = 6.0
 # Least share of the light that pixels below full scale must hold.
-LEAST_KEPT = 0.2
+MIN_USABLE_FRACTION = 0.2
 DRAWS, QUICK_DRAWS = 1000, 500
 # Effective draws by importance where the posterior of the only form is wanted quickly, draws to begin with, and the
 # least share of both that a form of little evidence gets, and of what it gets in full.
-QUICK_ENOUGH, QUICK_FIRST, LEAST_EFFORT, LEAST_IN_FULL = 500.0, 1000, 0.25, 0.25
+QUICK_ESS, QUICK_FIRST, MIN_QUICK_EFFORT, MIN_FULL_EFFORT = 500.0, 1000, 0.25, 0.25
 MAX_STEPS = 1500
 # Rings that a disc or glare must leave bare.
 BARE_RINGS = 2
@@ -112,18 +112,18 @@ def point_parametric(
     parts = [stack.region(*one) for one in regions] if regions else [stack if region is None else stack.region(*region)]
     sites = []
     for part in parts:
-        site = _site(part, context)
+        site = _locate_source(part, context)
         if isinstance(site, tuple):
             return task.nothing(*site)
         sites.append(site)
-    sites, fitter, found = fitted(sites, task.pinhole, _wides(sites, parts, context))
+    sites, fitter, found = fit_sources(sites, task.pinhole, _extended_components(sites, parts, context))
     best = found[0].fit
     # The noise of a single frame's light is hardly known: there the search for the source decides.
-    weak = best.light < LEAST_LIGHT * point_distrust.light_errors(fitter, best)
+    weak = best.light < MIN_LIGHT_SD * point_distrust.light_sd(fitter, best)
     if (weak.any() and sites[0].window.frames > 1) or (best.light <= 0).any():
         beside = sum(len(site.window.neighbours) for site in sites)
         crowd = f"; {beside} neighbours stand in the way, --roi around one that stands alone" if beside else ""
-        return task.nothing(f"no target: the light must stand {LEAST_LIGHT:g} standard errors out{crowd}", "no-target")
+        return task.nothing(f"no target: the light must stand {MIN_LIGHT_SD:g} standard errors out{crowd}", "no-target")
     return task.result(sites, fitter, found, stack.notes)
 
 
@@ -140,12 +140,12 @@ def _pinhole(pinhole_px: float | tuple[float, float] | None) -> float | tuple[fl
     return float(pinhole_px or 0.0)
 
 
-def _site(part: FrameStack, context: Context) -> Site | tuple[str, str]:
+def _locate_source(part: FrameStack, context: Context) -> SourcePixels | tuple[str, str]:
     """Return the source of a part of the frames, or why there is none."""
-    if min(part.shape[1:]) < LEAST_PX:
-        return f"a point needs a region of at least {LEAST_PX} x {LEAST_PX} px", "window-too-small"
+    if min(part.shape[1:]) < MIN_PX:
+        return f"a point needs a region of at least {MIN_PX} x {MIN_PX} px", "window-too-small"
     full = context.full_scale_dn or part.full_scale_dn
-    source = point_source.find(part.data, context.pitch_ratio)
+    source = point_source.detect_source(part.data, context.pitch_ratio)
     if isinstance(source, str):
         bright = full is not None and np.median(part.data, axis=0).max() >= full
         return ("the source is too bright: nothing is dark", "saturated") if bright else (source, "no-target")
@@ -155,31 +155,35 @@ def _site(part: FrameStack, context: Context) -> Site | tuple[str, str]:
         filtered=context.sensor is not None, neighbours=source.neighbours,
     )  # fmt: skip
     height = np.maximum(window.core - np.median(window.core), 0.0)
-    if height[window.keep].sum() < LEAST_KEPT * height.sum():
+    if height[window.keep].sum() < MIN_USABLE_FRACTION * height.sum():
         return "the source is too bright: pixels below full scale hold too little of its light", "saturated"
     rows = 2.0 if context.interlaced else 1.0
-    site = Site(
+    site = SourcePixels(
         window=window,
         aperture=Aperture(height_px=rows * context.pitch_ratio, video=VideoFilter.of(context.sensor)),
-        dark=dark_of(part.data, source.row, source.col, beside(part.shape[1:], source.neighbours, context.pitch_ratio)),
-        memory=memory_of(context, window.frames),
+        dark=measure_surroundings_noise(
+            part.data, source.row, source.col, neighbour_mask(part.shape[1:], source.neighbours, context.pitch_ratio)
+        ),
+        memory=image_lag_model(context, window.frames),
         full_scale_dn=full,
         screen=context.sensor is not None,
     )
     return site
 
 
-def _wides(sites: list[Site], parts: list[FrameStack], context: Context) -> tuple[Wide, ...]:
+def _extended_components(
+    sites: list[SourcePixels], parts: list[FrameStack], context: Context
+) -> tuple[ExtendedComponent, ...]:
     """Return what light beyond the core the regions can show."""
     if context.sensor is not None:
         low, high = halo_diameters_px(context, transposed=False)
-        return (HaloPrior(size_px=(low, high)),) if all(site.window.holds_halo for site in sites) else ()
+        return (HaloComponent(size_px=(low, high)),) if all(site.window.holds_halo for site in sites) else ()
     # Rings beyond the light tell it from the background.
     rings = min((site.window.ring_px for site in sites), key=len)
     if len(rings) <= BARE_RINGS:
         return ()
     reach = float(rings[-1 - BARE_RINGS].max())
-    return DiscPrior(size_px=(6.0, 2.0 * reach)), GlarePrior(size_px=(2.0, reach / 3.0))
+    return DiscComponent(size_px=(6.0, 2.0 * reach)), ScatterComponent(size_px=(2.0, reach / 3.0))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -199,17 +203,23 @@ class _Task:
     def nothing(self, reason: str, flag: str) -> Result:
         """Return the refusal of all that a point gives."""
         return Result(measurements=tuple(
-            refused(name, "cy/px", reason, orientation_deg=angle, flags=(flag,), **self._common)
+            make_refusal(name, "cy/px", reason, orientation_deg=angle, flags=(flag,), **self._common)
             for angle in (0.0, 90.0) for name in ("mtf50", "mtf10")
         ))  # fmt: skip
 
-    def result(self, sites: list[Site], fitter: PointFitter, found: list[Weighed], notes: tuple[str, ...]) -> Result:
+    def result(
+        self,
+        sites: list[SourcePixels],
+        fitter: PointFitter,
+        found: list[EvidenceWeightedModels2D],
+        notes: tuple[str, ...],
+    ) -> Result:
         """Return measurements and curves of fitted sources."""
         drawn = [self._posterior(fitter, one, number) for number, one in enumerate(found)]
         pedestals = np.array([float(np.median(site.window.core)) for site in sites])
-        response = point_distrust.response(sites, found[0].fit)
-        findings = point_distrust.findings(sites, fitter, found, pedestals)
-        if response.curved:
+        response = point_distrust.camera_nonlinearity(sites, found[0].fit)
+        findings = point_distrust.source_findings(sites, fitter, found, pedestals)
+        if response.is_nonlinear:
             findings.append(finding("gamma", response.effect))
         if self.context.sensor and any(site.cut.any() for site in sites):
             findings.append(finding("saturated", "wells may be full before the digitiser; MTF50 may be 26 to 43 % low"))
@@ -236,21 +246,24 @@ class _Task:
             one = {**common, "orientation_deg": angle}
             own = [_level(quantity, at, fine, drawn[0], one) for quantity, at in LEVELS.items()]
             own += [
-                _peaked(from_draws("mtf", "1", pinned[:, index], frequency_cy_per_px=float(f), **one), pinned[:, index])
+                _note_several_peaks(
+                    measurement_from_draws("mtf", "1", pinned[:, index], frequency_cy_per_px=float(f), **one),
+                    pinned[:, index],
+                )
                 for index, f in enumerate(PINNED)
             ]
             doubt = aperture.video.doubt if aperture.video is not None and cosine > 0 else None
             crossing = partial(_crossing, fine)
-            measurements += [doubted(number, doubt, crossing) for number in own]
+            measurements += [flag_filter_uncertainty(number, doubt, crossing) for number in own]
             curves[name] = curve_of(REPORTED, reported)
         measurements = [one.with_(findings=findings) for one in measurements]
         return Result(
-            measurements=doubted_where_sharp(measurements, sites[0].window),
+            measurements=flag_undersampled(measurements, sites[0].window),
             curves=curves,
-            evidence={"point-profile": _shown(sites[0], fitter, found[0].fit)},
+            evidence={"point-profile": _model_figure_data(sites[0], fitter, found[0].fit)},
         )
 
-    def _posterior(self, fitter: PointFitter, one: Weighed, number: int) -> Posterior:
+    def _posterior(self, fitter: PointFitter, one: EvidenceWeightedModels2D, number: int) -> Posterior:
         """Draw from one form's posterior, quickly by importance alone."""
         fit = one.fit
         asked = {
@@ -267,13 +280,13 @@ class _Task:
             return fitter.log_probability(fit.form, theta)
 
         if self.context.quick:
-            share = max(one.share, LEAST_EFFORT)
-            enough, first = QUICK_ENOUGH * share, round(QUICK_FIRST * share)
-            return weighed(log_probability, **asked, enough=enough, first_draws=first)
-        return draw(log_probability, **asked, max_steps=MAX_STEPS, effort=max(one.share, LEAST_IN_FULL))
+            share = max(one.share, MIN_QUICK_EFFORT)
+            enough, first = QUICK_ESS * share, round(QUICK_FIRST * share)
+            return importance_sample(log_probability, **asked, enough=enough, first_draws=first)
+        return sample_posterior(log_probability, **asked, max_steps=MAX_STEPS, effort=max(one.share, MIN_FULL_EFFORT))
 
 
-def _shown(site: Site, fitter: PointFitter, fit: FormFit) -> dict[str, Any]:
+def _model_figure_data(site: SourcePixels, fitter: PointFitter, fit: BlurModelFit2D) -> dict[str, Any]:
     """Return the evidence of the most probable form for a figure, with what rounding makes of it by the fit.
 
     That of the first source.
@@ -286,13 +299,13 @@ def _shown(site: Site, fitter: PointFitter, fit: FormFit) -> dict[str, Any]:
     left = pixels.root.T @ (pixels.root @ (site.values - mean)[used])
     mean[used] += pixels.rounding @ left
     core, rings = np.split(mean, [site.window.core.size])
-    return evidence(
+    return source_figure_data(
         site.window,
         site.place,
         core.reshape(site.window.core.shape),
         rings,
         light_dn_px2=light,
-        light_sd_dn_px2=float(point_distrust.light_errors(fitter, fit)[0]),
+        light_sd_dn_px2=float(point_distrust.light_sd(fitter, fit)[0]),
         pedestal_dn=float(level[0]),
         chi_squared=fit.chi2,
         degrees_of_freedom=fit.free,
@@ -300,23 +313,23 @@ def _shown(site: Site, fitter: PointFitter, fit: FormFit) -> dict[str, Any]:
 
 
 def _crossing(fine: Array, level: float) -> float:
-    return float(np.nanmedian(falls_to(FINE, fine, level)))
+    return float(np.nanmedian(crossing_frequency(FINE, fine, level)))
 
 
 def _level(quantity: str, level: float, fine: Array, posterior: Posterior, common: dict) -> Measurement:
     """Return the frequency at which the MTF falls to a level; refused where it does not below 1.5 cy/px."""
-    draws = falls_to(FINE, fine, level)
+    draws = crossing_frequency(FINE, fine, level)
     lost = float(np.mean(~np.isfinite(draws)))
     if lost > 0.02:
         reason = (
             f"the MTF must fall to {level:g} below {FINE[-1]:.1f} cy/px, and {100 * lost:.0f} % of its draws do not"
         )
-        return refused(quantity, "cy/px", reason, **common)
+        return make_refusal(quantity, "cy/px", reason, **common)
     kept = draws[np.isfinite(draws)]
-    return _peaked(from_draws(quantity, "cy/px", kept, posterior=posterior, **common), kept)
+    return _note_several_peaks(measurement_from_draws(quantity, "cy/px", kept, posterior=posterior, **common), kept)
 
 
-def _peaked(one: Measurement, draws: Array) -> Measurement:
+def _note_several_peaks(one: Measurement, draws: Array) -> Measurement:
     """Return a number, with a note where its draws have several peaks: the interval spans them."""
     if not has_several_peaks(draws[:, None]):
         return one
@@ -325,7 +338,10 @@ def _peaked(one: Measurement, draws: Array) -> Measurement:
 
 
 def _notes(
-    sites: list[Site], found: list[Weighed], pinhole: float | tuple[float, float], context: Context
+    sites: list[SourcePixels],
+    found: list[EvidenceWeightedModels2D],
+    pinhole: float | tuple[float, float],
+    context: Context,
 ) -> tuple[str, ...]:
     """Return what a reader may want to know and what lowers no trust."""
     parts = ", ".join(f"{one.fit.form.name} {100 * one.share:.0f} %" for one in found)

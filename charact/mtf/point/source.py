@@ -11,8 +11,8 @@ from charact.mtf.point.thresholds import (
     BARE,
     BARE_SD,
     DENSE,
-    LEAST_NEIGHBOURS,
-    MOST_PEAKS,
+    MAX_PEAKS,
+    MIN_NEIGHBOURS,
     NEXT_PX,
     SADDLE,
 )  # fmt: skip
@@ -24,15 +24,15 @@ SMOOTHING_PX = 1.2
 DETECTED = 9.0
 STEADY = 4.0
 # Another source counts from this fraction of the first one on, outside its halo's inner part.
-OTHER_SHARE = 0.08
+OTHER_FRACTION = 0.08
 APART_PX = 12.0
-LEAST_BACKGROUND = 60
+MIN_BACKGROUND = 60
 # Least standard deviation of a smoothed background of whole codes, DN: what rounding hides.
 ROUNDING_DN = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
-class Source:
+class DetectedSource:
     """A source found.
 
     Parameters
@@ -54,7 +54,7 @@ class Source:
     neighbours: tuple[tuple[int, int], ...] = ()
 
 
-def find(data: NDArray, pitch_ratio: float) -> Source | str:
+def detect_source(data: NDArray, pitch_ratio: float) -> DetectedSource | str:
     """Find the brightest steady source of frames (frame, row, col); a sentence where there is none.
 
     Notes
@@ -62,34 +62,34 @@ def find(data: NDArray, pitch_ratio: float) -> Source | str:
     The median over frames of the smoothed frames ignores flashes of single ions; its spread over the picture, taken
     robustly, is what a source must exceed.
     """
-    smooth = _smoothed(data)
+    smooth = _smooth_frames(data)
     steady = np.median(smooth, axis=0)
     level = float(np.median(steady))
     row, col = (int(index) for index in np.unravel_index(int(np.argmax(steady)), steady.shape))
-    spread = _spread(steady[_away(steady.shape, row, col, pitch_ratio)], level, data)
+    spread = _spread(steady[_surroundings(steady.shape, row, col, pitch_ratio)], level, data)
     height = float(steady[row, col]) - level
     # Neighbours that cover much of the region pass for its noise: what lies below them is bare.
     low, high = (float(one) for one in np.quantile(steady, BARE))
     bare, over = max((high - low) / BARE_SD, _least_spread(data)), float(steady[row, col]) - high
     if height < DENSE * DETECTED * spread and over > DETECTED * bare:
         alike = _peaks(steady, high, max(DETECTED * bare, ALIKE * over))
-        if sum(bool(_steadiness(smooth[:, *at] - high, bare) >= STEADY) for at in alike) > LEAST_NEIGHBOURS:
+        if sum(bool(_steadiness(smooth[:, *at] - high, bare) >= STEADY) for at in alike) > MIN_NEIGHBOURS:
             level, spread, height = high, bare, over
     if height < DETECTED * spread:
-        stands = f"{rounded_down(height / spread):.1f} standard deviations out of {DETECTED:g} needed"
+        stands = f"{round_down(height / spread):.1f} standard deviations out of {DETECTED:g} needed"
         crowd = "; light of neighbours or uneven ground stands in the way" if over > DETECTED * bare else ""
         return f"no target: the brightest spot stands {stands}{crowd}"
-    least = max(DETECTED * spread, OTHER_SHARE * height)
+    least = max(DETECTED * spread, OTHER_FRACTION * height)
     (row, col), *beside = _peaks(steady, level, least)
     significance = (float(steady[row, col]) - level) / spread
     steadiness = float(_steadiness(smooth[:, row, col] - level, spread))
     if steadiness < STEADY:
-        stands = f"{rounded_down(steadiness):.1f} standard errors over the frames out of {STEADY:g} needed"
+        stands = f"{round_down(steadiness):.1f} standard errors over the frames out of {STEADY:g} needed"
         return f"no target: the brightest spot stands {stands}"
-    high = _away(steady.shape, row, col, pitch_ratio) & (steady - level > least)
+    high = _surroundings(steady.shape, row, col, pitch_ratio) & (steady - level > least)
     others = bool(high.any() and _steadiness(smooth[:, high] - level, spread).max() >= STEADY)
     steady_ones = tuple(at for at in beside if _steadiness(smooth[:, *at] - level, spread) >= STEADY)
-    return Source(row=row, col=col, significance=significance, others=others, neighbours=steady_ones)
+    return DetectedSource(row=row, col=col, significance=significance, others=others, neighbours=steady_ones)
 
 
 def _peaks(steady: Array, level: float, least: float) -> list[tuple[int, int]]:
@@ -101,7 +101,7 @@ def _peaks(steady: Array, level: float, least: float) -> list[tuple[int, int]]:
 
     highest = ndimage.maximum_filter(steady, size=5)
     rows, cols = np.nonzero((steady == highest) & (steady - level >= least))
-    order = np.argsort(-steady[rows, cols], kind="stable")[:MOST_PEAKS]
+    order = np.argsort(-steady[rows, cols], kind="stable")[:MAX_PEAKS]
     peaks = list(zip(rows[order].tolist(), cols[order].tolist(), strict=True))
     middle = 0.5 * (np.array(steady.shape) - 1.0)
     bright = [place for place in peaks if steady[place] - level > ALIKE * (steady[peaks[0]] - level)]
@@ -132,18 +132,18 @@ def _steadiness(over: Array, spread: float) -> Array:
     return over.mean(axis=0) / np.maximum(over.std(axis=0, ddof=1), spread) * np.sqrt(len(over))
 
 
-def rounded_down(significance: float) -> float:
+def round_down(significance: float) -> float:
     """Return what words may say of a number that is too low, so that 8.97 of 9 is not 9.0 of 9."""
     return float(np.floor(10.0 * significance)) / 10.0
 
 
-def light_of(data: NDArray) -> float:
+def source_signal(data: NDArray) -> float:
     """Return how much light frames (frame, row, col) have of their brightest steady source, DN summed over frames."""
-    steady = np.median(_smoothed(data), axis=0)
+    steady = np.median(_smooth_frames(data), axis=0)
     return len(data) * float(steady.max() - np.median(steady))
 
 
-def _smoothed(data: NDArray) -> Array:
+def _smooth_frames(data: NDArray) -> Array:
     """Return every frame smoothed, shape (frame, row, col), DN; single precision does and is twice as fast."""
     from scipy import ndimage
 
@@ -152,7 +152,7 @@ def _smoothed(data: NDArray) -> Array:
 
 def _spread(steady: Array, level: float, data: NDArray) -> float:
     """Standard deviation of the smoothed background, not below what rounding to codes hides, nor its upper tail."""
-    if steady.size < LEAST_BACKGROUND:
+    if steady.size < MIN_BACKGROUND:
         return np.inf
     robust = 1.4826 * float(np.median(np.abs(steady - level)))
     # Pulses make a tail that the median does not see: the highest per mille stands for it.
@@ -165,7 +165,7 @@ def _least_spread(data: NDArray) -> float:
     return ROUNDING_DN if data.dtype.kind in "ui" else 1e-12
 
 
-def _away(shape: tuple[int, int], row: int, col: int, pitch_ratio: float) -> NDArray[np.bool_]:
+def _surroundings(shape: tuple[int, int], row: int, col: int, pitch_ratio: float) -> NDArray[np.bool_]:
     """Return the pixels beyond the surroundings of a place; in a small picture those nearer its border."""
     rows, cols = np.ogrid[: shape[0], : shape[1]]
     distance = np.hypot(cols - col, (rows - row) * pitch_ratio)

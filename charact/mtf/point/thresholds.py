@@ -16,14 +16,14 @@ FELT_PX = 16.0
 BARE, BARE_SD = (0.05, 0.25), 0.97
 # A source this many times as high as is needed stands out whatever its neighbours do; below, this many neighbours as
 # bright as `ALIKE` make a dense field.
-DENSE, LEAST_NEIGHBOURS = 3.0, 3
+DENSE, MIN_NEIGHBOURS = 3.0, 3
 # Peaks of a region that are looked at, for speed.
-MOST_PEAKS = 100
+MAX_PEAKS = 100
 # Cores that are tried with light beyond them, the likeliest ones, for speed.
-MOST_CORES = 4
+MAX_CORES = 4
 # Part of the noise that a form leaves of one frame by which the next turn weighs: forms that fit better are found where
 # misfit does not pass for noise (strangers' draws: a defocus of 0.46 waves taken for a tube).
 LOWER = (0.1, 1.0)
 # Half frequency in focus over that of the blur, and square of the defocus, waves^2, of a second start: half a wave
-# about halves MTF50 (`charact.mtf.forms.diffraction`).
+# about halves MTF50 (`charact.mtf.blur_models.diffraction`).
 FAR_FROM_FOCUS = (2.0, 0.25)

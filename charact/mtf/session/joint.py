@@ -8,21 +8,21 @@ from numpy.typing import NDArray
 
 import charact
 from charact.method import Context
-from charact.method.stopwatch import timed
-from charact.mtf.curve import FINE, PINNED, REPORTED, curve_of, falls_to
-from charact.mtf.forms.families import Core, HaloPrior
-from charact.mtf.optics import halo_diameters_px
-from charact.mtf.session.joint_fit import Fit, Problem, Verdict, fitted, verdict
-from charact.mtf.session.joint_model import JointForm, Known
-from charact.mtf.session.joint_told import Told, told
-from charact.posterior import draw, weighed
-from labdata.measurement import Measurement, Posterior, Provenance, Result, from_draws, refused
+from charact.method.stopwatch import with_timing
+from charact.mtf.blur_models.one_dimensional import Core, HaloComponent
+from charact.mtf.curve import FINE, PINNED, REPORTED, crossing_frequency, curve_of
+from charact.mtf.known_transfer import halo_diameters_px
+from charact.mtf.session.constraints import MtfConstraint, constraints_from
+from charact.mtf.session.joint_fit import ConsistencyTest, JointFit, JointLikelihood, consistency_test, fit_joint_model
+from charact.mtf.session.joint_model import JointBlurModel, KnownCameraTransfer
+from charact.posterior import importance_sample, sample_posterior
+from labdata.measurement import Measurement, Posterior, Provenance, Result, make_refusal, measurement_from_draws
 
 Array = NDArray[np.float64]
 
 METHOD = "joint"
 # A form this much less probable than the best, as a share, adds nothing to the draws.
-LEAST_SHARE = 0.02
+MIN_FRACTION = 0.02
 DRAWS = 1000
 # Steps of a Markov chain, where weighted draws are too few.
 MAX_STEPS = 3000
@@ -37,13 +37,13 @@ NATURAL_BOUNDS = ("blur_px2", "halo_fraction", "halo_elastic_share", "moffat_exp
 
 
 @dataclass(frozen=True, kw_only=True)
-class Joint:
+class JointMtf:
     """All that a joint fit found: forms with their share of the evidence and draws, and the test of the best."""
 
-    fits: Sequence[Fit]
+    fits: Sequence[JointFit]
     shares: Array
     posteriors: Sequence[Posterior]
-    verdict: Verdict
+    verdict: ConsistencyTest
 
     def mtf(self, frequency: Array, vertical: bool) -> Array:
         """Return drawn MTFs along rows or along columns, cycles per column pitch, shape (draw, f)."""
@@ -55,8 +55,8 @@ class Joint:
         ])  # fmt: skip
 
 
-@timed
-def joint(result: Result, kinds: Mapping[str, str], *, context: Context) -> Result:
+@with_timing
+def fit_joint_mtf(result: Result, kinds: Mapping[str, str], *, context: Context) -> Result:
     """Fit one MTF to what all targets of a session told and test whether they told of one.
 
     Parameters
@@ -82,10 +82,10 @@ def joint(result: Result, kinds: Mapping[str, str], *, context: Context) -> Resu
     those of every form of the core in proportion to its evidence (Laplace). Where chi squared of all targets has a
     chance under 0.05 a note says so and names the one that differs most; under 0.01 the flag is `model-misfit`.
     """
-    sound, bounds = told(result, kinds, context)
+    sound, bounds = constraints_from(result, kinds, context)
     if len({one.target for one in sound}) < 2:
         return Result()
-    found = _found(sound, bounds, context)
+    found = _fit_and_draw(sound, bounds, context)
     common = {
         "method": METHOD,
         "flags": _flags(found),
@@ -101,10 +101,12 @@ def joint(result: Result, kinds: Mapping[str, str], *, context: Context) -> Resu
     for vertical in _directions(sound):
         own = {**common, "orientation_deg": 90.0 if vertical else 0.0}
         fine = found.mtf(FINE, vertical)
-        measurements += [_level(name, level, fine, found, own) for name, level in (("mtf50", 0.5), ("mtf10", 0.1))]
+        measurements += [
+            _crossing_frequency(name, level, fine, found, own) for name, level in (("mtf50", 0.5), ("mtf10", 0.1))
+        ]
         pinned = found.mtf(np.array(PINNED), vertical)
         measurements += [
-            from_draws("mtf", "1", values, frequency_cy_per_px=frequency, **own)
+            measurement_from_draws("mtf", "1", values, frequency_cy_per_px=frequency, **own)
             for frequency, values in zip(PINNED, pinned.T, strict=True)
         ]
         name = "mtf_joint_vertical" if vertical else "mtf_joint"
@@ -112,42 +114,42 @@ def joint(result: Result, kinds: Mapping[str, str], *, context: Context) -> Resu
     return Result(
         measurements=tuple(measurements),
         curves=curves,
-        evidence={"joint MTF": _evidence(found, sound)},
+        evidence={"joint MTF": _figure_data(found, sound)},
     )
 
 
-def _directions(sound: Sequence[Told]) -> list[bool]:
+def _directions(sound: Sequence[MtfConstraint]) -> list[bool]:
     """Whether rows (False) and columns (True) have targets that tell of them."""
     off = np.concatenate([np.abs((np.rad2deg(one.angle_rad) + 90.0) % 180.0 - 90.0) for one in sound])
     ways = [way for way, tells in ((False, np.any(off < NEAR_DEG)), (True, np.any(off > 90.0 - NEAR_DEG))) if tells]
     return ways or [False]
 
 
-def _found(sound: Sequence[Told], bounds: Sequence[Told], context: Context) -> Joint:
+def _fit_and_draw(sound: Sequence[MtfConstraint], bounds: Sequence[MtfConstraint], context: Context) -> JointMtf:
     """Fit every form and draw from those that the data leave open."""
     elliptical = len(_directions(sound)) == 2
-    known = Known.of(context)
-    wide = _wide(sound, context)
-    forms = [JointForm(core=core, blurred=blurred, wide=wide, elliptical=elliptical, known=known)
+    known = KnownCameraTransfer.of(context)
+    wide = _halo(sound, context)
+    forms = [JointBlurModel(core=core, blurred=blurred, wide=wide, elliptical=elliptical, known=known)
              for core, blurred in CORES]  # fmt: skip
-    fits = [fitted(Problem(form=form, told=sound, bounds=bounds)) for form in forms]
+    fits = [fit_joint_model(JointLikelihood(form=form, told=sound, bounds=bounds)) for form in forms]
     fits.sort(key=lambda fit: -fit.log_evidence)
     shares = np.exp([fit.log_evidence - fits[0].log_evidence for fit in fits])
     shares /= shares.sum()
-    kept = shares > LEAST_SHARE
+    kept = shares > MIN_FRACTION
     fits, shares = [fit for fit, keep in zip(fits, kept, strict=True) if keep], shares[kept] / shares[kept].sum()
     posteriors = [_posterior(fit, context, context.seed + number) for number, fit in enumerate(fits)]
-    return Joint(fits=fits, shares=shares, posteriors=posteriors, verdict=verdict(fits[0]))
+    return JointMtf(fits=fits, shares=shares, posteriors=posteriors, verdict=consistency_test(fits[0]))
 
 
-def _wide(sound: Sequence[Told], context: Context) -> HaloPrior | None:
+def _halo(sound: Sequence[MtfConstraint], context: Context) -> HaloComponent | None:
     """A described intensifier has a halo, which counts where a target saw all of it."""
     if context.sensor is None or all(one.within for one in sound):
         return None
-    return HaloPrior(size_px=halo_diameters_px(context, transposed=False))
+    return HaloComponent(size_px=halo_diameters_px(context, transposed=False))
 
 
-def _posterior(fit: Fit, context: Context, seed: int) -> Posterior:
+def _posterior(fit: JointFit, context: Context, seed: int) -> Posterior:
     """Draw from one form's posterior, by importance before a Markov chain.
 
     Two blurs in a row can be traded for each other along a bent ridge, of which the curvature knows the middle only,
@@ -164,52 +166,54 @@ def _posterior(fit: Fit, context: Context, seed: int) -> Posterior:
         "draws": DRAWS,
     }
     if context.quick:
-        return weighed(fit.problem.log_probability, **asked)
-    return draw(fit.problem.log_probability, **asked, max_steps=MAX_STEPS)
+        return importance_sample(fit.problem.log_probability, **asked)
+    return sample_posterior(fit.problem.log_probability, **asked, max_steps=MAX_STEPS)
 
 
-def _flags(found: Joint) -> tuple[str, ...]:
+def _flags(found: JointMtf) -> tuple[str, ...]:
     """What is distrusted; a bound that nature sets, no halo or electrons all elastic, is one to lean on."""
-    from charact.posterior.diagnostics import leans_on_bound
+    from charact.posterior.diagnostics import crowds_at_bound
 
     flags = {flag for posterior in found.posteriors for flag in posterior.flags if flag != "prior-bound"}
     for fit, posterior in zip(found.fits, found.posteriors, strict=True):
         chosen = np.array([name not in NATURAL_BOUNDS for name in posterior.names])
-        if leans_on_bound(posterior.draws, fit.problem.form.bounds)[chosen].any():
+        if crowds_at_bound(posterior.draws, fit.problem.form.bounds)[chosen].any():
             flags.add("prior-bound")
-    if found.verdict.probability < MISFIT or min(found.verdict.apart_probability) < MISFIT / len(found.verdict.targets):
+    if found.verdict.probability < MISFIT or min(found.verdict.leave_one_out_p_value) < MISFIT / len(
+        found.verdict.targets
+    ):
         flags.add("model-misfit")
     return tuple(flags)
 
 
-def _notes(found: Joint) -> tuple[str, ...]:
+def _notes(found: JointMtf) -> tuple[str, ...]:
     test = found.verdict
     notes = [f"Fitted to what {', '.join(dict.fromkeys(test.targets))} told; form of the spread: {_forms(found)}."]
     if test.probability < OUTSIDE:
         notes.append(
             f"The targets lie outside their joint 95 % region (chi squared {test.chi2:.1f} for {test.freedom:.1f} "
-            f"degrees of freedom, chance {test.probability:.2g}); {test.most_apart} differs most from the others."
+            f"degrees of freedom, chance {test.probability:.2g}); {test.most_deviating} differs most from the others."
         )
     return tuple(notes)
 
 
-def _forms(found: Joint) -> str:
+def _forms(found: JointMtf) -> str:
     named = zip(found.fits, found.shares, strict=True)
     return ", ".join(f"{fit.problem.form.name} {100 * share:.0f} %" for fit, share in named)
 
 
-def _level(quantity: str, level: float, fine: Array, found: Joint, common: dict) -> Measurement:
+def _crossing_frequency(quantity: str, level: float, fine: Array, found: JointMtf, common: dict) -> Measurement:
     """Return the frequency at which the MTF falls to a level; refused where it does not below the last one."""
-    draws = falls_to(FINE, fine, level)
+    draws = crossing_frequency(FINE, fine, level)
     known = np.isfinite(draws)
     if np.mean(~known) > 0.02:
         lost = 100 * np.mean(~known)
         reason = f"the MTF must fall to {level:g} below {FINE[-1]:.1f} cy/px, and {lost:.0f} % of its draws do not"
-        return refused(quantity, "cy/px", reason, **common)
-    return from_draws(quantity, "cy/px", draws[known], posterior=found.posteriors[0], **common)
+        return make_refusal(quantity, "cy/px", reason, **common)
+    return measurement_from_draws(quantity, "cy/px", draws[known], posterior=found.posteriors[0], **common)
 
 
-def _evidence(found: Joint, sound: Sequence[Told]) -> dict:
+def _figure_data(found: JointMtf, sound: Sequence[MtfConstraint]) -> dict:
     test = found.verdict
     kinds = {one.target: one.kind for one in sound}
     return {
@@ -219,12 +223,12 @@ def _evidence(found: Joint, sound: Sequence[Told]) -> dict:
         "kind": [kinds.get(target, "noise spectrum") for target in test.targets],
         "values": list(test.values),
         "residuals_sd": [list(one) for one in test.residuals],
-        "apart_chi_squared": list(test.apart_chi2),
-        "apart_probability": list(test.apart_probability),
+        "apart_chi_squared": list(test.leave_one_out_chi2),
+        "apart_probability": list(test.leave_one_out_p_value),
         "chi_squared": test.chi2,
         "degrees_of_freedom": test.freedom,
         "probability": test.probability,
         "inside_joint_95_percent_region": bool(test.probability >= OUTSIDE),
-        "differs_most": test.most_apart,
+        "differs_most": test.most_deviating,
         "forms": {fit.problem.form.name: float(share) for fit, share in zip(found.fits, found.shares, strict=True)},
     }

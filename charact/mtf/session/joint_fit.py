@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, log_ndtr, ndtr
 
-from charact.mtf.session.joint_model import JointForm
-from charact.mtf.session.joint_told import Told
-from charact.posterior import maximum
+from charact.mtf.session.constraints import MtfConstraint
+from charact.mtf.session.joint_model import JointBlurModel
+from charact.posterior import find_maximum
 
 Array = NDArray[np.float64]
 
@@ -19,7 +19,7 @@ STEPS = 20
 
 
 @dataclass(frozen=True, kw_only=True)
-class Problem:
+class JointLikelihood:
     """One form and what it has to explain.
 
     Parameters
@@ -32,9 +32,9 @@ class Problem:
         What the noise of flats says of the part behind the gain: no less than the whole.
     """
 
-    form: JointForm
-    told: Sequence[Told]
-    bounds: Sequence[Told] = ()
+    form: JointBlurModel
+    told: Sequence[MtfConstraint]
+    bounds: Sequence[MtfConstraint] = ()
 
     def residual(self, theta: Array) -> Array:
         """Return all whitened residuals, shape (n, combination)."""
@@ -84,10 +84,10 @@ class Problem:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Fit:
+class JointFit:
     """The peak of a problem, the slope of its residuals there, its covariance, and ln of its evidence by Laplace."""
 
-    problem: Problem
+    problem: JointLikelihood
     point: Array
     slope: Array
     covariance: Array
@@ -103,13 +103,13 @@ class Fit:
         return self.slope[:, free] @ held @ self.slope[:, free].T
 
 
-def fitted(problem: Problem) -> Fit:
+def fit_joint_model(problem: JointLikelihood) -> JointFit:
     """Climb from the best of many half frequencies and return the peak, with its curvature by Gauss and Newton."""
     walls = problem.form.bounds
     start = np.tile(problem.form.start, (24, 1))
     start[:, 0] = np.linspace(walls[0, 0], walls[0, 1], 26)[1:-1]
     begun = start[int(np.argmax(problem.log_probability(start)))]
-    point, _ = maximum(problem.log_probability, begun, walls, iterations=STEPS)
+    point, _ = find_maximum(problem.log_probability, begun, walls, iterations=STEPS)
     slope = _slope(problem.residual, point, walls)
     bound_slope = _slope(problem.below_bounds, point, walls)
     below = problem.below_bounds(point[None])[0]
@@ -119,7 +119,7 @@ def fitted(problem: Problem) -> Fit:
     covariance = np.linalg.inv(slope.T @ slope + bend + np.diag(problem.form.prior_precision))
     height = float(problem.log_probability(point[None])[0])
     volume = 0.5 * float(np.linalg.slogdet(2.0 * np.pi * covariance)[1])
-    return Fit(problem=problem, point=point, slope=slope, covariance=covariance, log_evidence=height + volume)
+    return JointFit(problem=problem, point=point, slope=slope, covariance=covariance, log_evidence=height + volume)
 
 
 def _slope(values: Callable[[Array], Array], point: Array, walls: Array) -> Array:
@@ -131,7 +131,7 @@ def _slope(values: Callable[[Array], Array], point: Array, walls: Array) -> Arra
 
 
 @dataclass(frozen=True, kw_only=True)
-class Verdict:
+class ConsistencyTest:
     """Whether the targets tell of one MTF.
 
     Parameters
@@ -140,7 +140,7 @@ class Verdict:
         Chi squared of all combinations against the joint curve, its degrees of freedom, and the chance of one as large.
     targets, values
         Name of each target and how many numbers it told.
-    apart_chi2, apart_probability
+    leave_one_out_chi2, leave_one_out_p_value
         Chi squared of each target against the curve of all the others, and the chance of one as large.
     residuals
         Whitened residuals of each target, shape (combination,) each.
@@ -151,17 +151,17 @@ class Verdict:
     probability: float
     targets: tuple[str, ...]
     values: tuple[int, ...]
-    apart_chi2: tuple[float, ...]
-    apart_probability: tuple[float, ...]
+    leave_one_out_chi2: tuple[float, ...]
+    leave_one_out_p_value: tuple[float, ...]
     residuals: tuple[tuple[float, ...], ...]
 
     @property
-    def most_apart(self) -> str:
+    def most_deviating(self) -> str:
         """The target that fits the others least."""
-        return self.targets[int(np.argmin(self.apart_probability))]
+        return self.targets[int(np.argmin(self.leave_one_out_p_value))]
 
 
-def verdict(fit: Fit) -> Verdict:
+def consistency_test(fit: JointFit) -> ConsistencyTest:
     """Test a fit.
 
     Notes
@@ -183,18 +183,18 @@ def verdict(fit: Fit) -> Verdict:
         own = slice(first, first + one.value.size)
         first += one.value.size
         left = np.eye(one.value.size) - taken[own, own]
-        value, count = _apart(residual[own], left)
+        value, count = _leave_one_out_chi2(residual[own], left)
         apart.append(value)
         chances.append(float(chdtrc(count, value)) if count else 1.0)
         parts.append(tuple(residual[own].tolist()))
-    return Verdict(
+    return ConsistencyTest(
         chi2=total,
         freedom=freedom,
         probability=float(chdtrc(freedom, total)) if freedom > 0.05 else 1.0,
         targets=(*(one.target for one in problem.told), *(one.target for one in problem.bounds)),
         values=(*(one.value.size for one in problem.told), *(1 for _ in problem.bounds)),
-        apart_chi2=(*apart, *(np.minimum(below, 0.0) ** 2).tolist()),
-        apart_probability=(*chances, *ndtr(below).tolist()),
+        leave_one_out_chi2=(*apart, *(np.minimum(below, 0.0) ** 2).tolist()),
+        leave_one_out_p_value=(*chances, *ndtr(below).tolist()),
         residuals=(*parts, *((float(min(z, 0.0)),) for z in below)),
     )
 
@@ -203,7 +203,7 @@ def verdict(fit: Fit) -> Verdict:
 ALONE = 0.02
 
 
-def _apart(residual: Array, left: Array) -> tuple[float, int]:
+def _leave_one_out_chi2(residual: Array, left: Array) -> tuple[float, int]:
     """Return chi squared of one target against the others and its degrees of freedom."""
     variance, axes = np.linalg.eigh(0.5 * (left + left.T))
     compared = variance > ALONE

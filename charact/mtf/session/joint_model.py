@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.mtf.forms.families import Core, Family, Wide
+from charact.mtf.blur_models.one_dimensional import BlurModel, Core, ExtendedComponent
 from charact.video_filter import VideoFilter, powers
 
 Array = NDArray[np.float64]
@@ -19,14 +19,14 @@ BLUR_PX2 = (0.0, 3.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Known:
+class KnownCameraTransfer:
     """What is known of the camera: aperture in column pitches, and the video filter along rows or None."""
 
     height_px: float = 1.0
     video: VideoFilter | None = None
 
     @classmethod
-    def of(cls, context: Context) -> "Known":
+    def of(cls, context: Context) -> "KnownCameraTransfer":
         """Return what a context says."""
         rows = 2.0 if context.interlaced else 1.0
         return cls(height_px=rows * context.pitch_ratio, video=VideoFilter.of(context.sensor))
@@ -47,13 +47,13 @@ class Known:
 
 
 @dataclass(frozen=True, kw_only=True)
-class JointForm:
+class JointBlurModel:
     """A form of the camera's transfer in all directions.
 
     Parameters
     ----------
     core
-        Form of the core, as in `charact.mtf.forms.families`.
+        Form of the core, as in `charact.mtf.blur_models.one_dimensional`.
     blurred
         Whether a Gaussian blur comes on top of it, as where a tube of one form stands before a screen of another.
     wide
@@ -72,14 +72,14 @@ class JointForm:
 
     core: Core
     blurred: bool
-    wide: Wide | None
+    wide: ExtendedComponent | None
     elliptical: bool
-    known: Known
+    known: KnownCameraTransfer
 
     @property
-    def family(self) -> Family:
+    def family(self) -> BlurModel:
         """Core alone, along one direction."""
-        return Family(core=self.core)
+        return BlurModel(core=self.core)
 
     @property
     def name(self) -> str:
@@ -126,7 +126,7 @@ class JointForm:
         within
             Where it is normalised to the light in a window narrower than the halo, whose light is then left out.
         """
-        size, place = self.family.core_parameters, self._place_of_stretch
+        size, place = self.family.core_parameters, self._stretch_index
         stretch = np.exp(theta[:, place : place + 1]) if self.elliptical else 1.0
         radius = np.maximum(np.hypot(fx, fy / stretch), 1e-7)
         core = self.family.modulus(theta[:, :size], radius)
@@ -149,8 +149,8 @@ class JointForm:
         free[:size] = False
         density = self.family.log_prior(theta[:, :size])
         if self.elliptical:
-            free[self._place_of_stretch] = False
-            density -= 0.5 * (theta[:, self._place_of_stretch] / STRETCH_SD) ** 2
+            free[self._stretch_index] = False
+            density -= 0.5 * (theta[:, self._stretch_index] / STRETCH_SD) ** 2
             density -= np.log(STRETCH_SD * np.sqrt(2.0 * np.pi))
         if self.known.video and self.known.parameters:
             free[-1] = False
@@ -165,11 +165,11 @@ class JointForm:
         precision = 12.0 / (bounds[:, 1] - bounds[:, 0]) ** 2
         precision[: self.family.core_parameters] += self.family.prior_precision()[1]
         if self.elliptical:
-            precision[self._place_of_stretch] += STRETCH_SD**-2
+            precision[self._stretch_index] += STRETCH_SD**-2
         if self.known.video and self.known.parameters:
             precision[-1] += self.known.video.ln_bandwidth_sd**-2
         return precision
 
     @property
-    def _place_of_stretch(self) -> int:
+    def _stretch_index(self) -> int:
         return self.family.core_parameters + self.blurred

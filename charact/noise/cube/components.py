@@ -11,13 +11,13 @@ from charact.noise.cube.mean_squares import (
     ROW,
     TIME,
     MeanSquare,
-    centred,
-    correlated,
-    freedom_of,
-    heavy,
+    correlation_factor,
+    degrees_of_freedom,
+    excess_kurtosis,
     mean_square,
-    shared,
+    squared_field_correlation,
     strata,
+    subtract_means,
 )
 
 Array = NDArray[np.float64]
@@ -37,7 +37,7 @@ CERTAIN = 3.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Slope:
+class LowFrequencyExcess:
     """What noise that is correlated along an axis holds more in its mean than in its slowest waves.
 
     Parameters
@@ -56,17 +56,17 @@ class Slope:
     drawn: bool = True
 
     @property
-    def expected_dn2(self) -> float:
+    def estimate_dn2(self) -> float:
         """The excess to count with, DN^2."""
         return self.dn2 * self._weight
 
     @property
-    def doubt_dn2(self) -> float:
+    def estimate_sd_dn2(self) -> float:
         """Standard error of that, DN^2."""
-        return float(np.hypot(np.sqrt(max(self._weight, CHANCE)) * self.sd_dn2, UNSURE * self.expected_dn2))
+        return float(np.hypot(np.sqrt(max(self._weight, CHANCE)) * self.sd_dn2, UNSURE * self.estimate_dn2))
 
     @property
-    def steep(self) -> float:
+    def min_fraction(self) -> float:
         """Least size of the share that its error leaves room for, dimensionless."""
         return abs(self.share) * max(0.0, 1.0 - CERTAIN * abs(self.sd_dn2 / self.dn2)) if self.dn2 else 0.0
 
@@ -90,19 +90,19 @@ class Component:
     """
 
     terms: tuple[tuple[float, MeanSquare], ...]
-    slopes: dict[int, Slope]
+    slopes: dict[int, LowFrequencyExcess]
 
     @property
     def variance_dn2(self) -> float:
         """Unbiased estimate, which may be negative, DN^2."""
-        noise = sum(slope.expected_dn2 for slope in self.slopes.values())
+        noise = sum(slope.estimate_dn2 for slope in self.slopes.values())
         return sum(factor * term.value_dn2 for factor, term in self.terms) - noise
 
     def draws(self, rng: np.random.Generator, count: int) -> Array:
         """Draws of the variance, shape (count,), DN^2; some are negative where the component is near zero."""
         out = sum((factor * term.draws(rng, count) for factor, term in self.terms), np.zeros(count))
         for slope in self.slopes.values():
-            out -= slope.expected_dn2 + slope.doubt_dn2 * rng.standard_normal(count)
+            out -= slope.estimate_dn2 + slope.estimate_sd_dn2 * rng.standard_normal(count)
         return out
 
 
@@ -117,7 +117,7 @@ def components(found: Contrasts) -> dict[str, Component]:
     in the textbook, but over its slowest waves along the axis averaged over: for white noise both are the same (and
     the estimate unbiased for finite cubes), but noise correlated between pixels or frames has more power in slow waves
     than in fast ones and only the slow ones tell what of it is left in a mean, the slope from two periods to one
-    extended to none (`Slope`). Bias identities that hold for white noise, and so here:
+    extended to none (`LowFrequencyExcess`). Bias identities that hold for white noise, and so here:
     s_vh^2 = sigma_vh^2 + sigma_tvh^2 / T and cyclic, s_t^2 = sigma_t^2 + sigma_tv^2 / V + sigma_th^2 / H
     + sigma_tvh^2 / (VH) and cyclic (Appl. Opt. 54, 4907 (2015)). Mean squares are independent and vary like
     chi-squared where noise is normal, and each with its own degrees of freedom where it is not white (see
@@ -126,7 +126,7 @@ def components(found: Contrasts) -> dict[str, Component]:
     """
     arrays = _arrays(found)
     parts = {name: _component(arrays[name], OWN[name], found.size) for name in OWN}
-    return parts | {"tvh": _random(found, parts)}
+    return parts | {"tvh": _random_component(found, parts)}
 
 
 def _arrays(found: Contrasts) -> dict[str, Array]:
@@ -148,7 +148,7 @@ def _component(values: Array, own: tuple[int, ...], size: tuple[int, int, int]) 
     averaged = float(np.prod([size[axis - 1] for axis in (TIME, ROW, COL) if axis not in own]))
     terms, excess = [], {axis: [] for axis in (TIME, ROW, COL) if axis not in own}
     for sign, slow, part in strata(values, own):
-        rest = centred(part, own, fixed=fixed)
+        rest = subtract_means(part, own, fixed=fixed)
         square = mean_square(rest, own, fixed=fixed)
         terms.append((sign / averaged, square))
         for axis in slow:
@@ -164,15 +164,15 @@ def _excess(rest: Array, axis: int, square: MeanSquare) -> float:
     return 5.0 / 6.0 * (one - two) / float(np.mean(rest**2)) * square.value_dn2
 
 
-def _slope(found: list[tuple[float, MeanSquare, float]]) -> Slope:
+def _slope(found: list[tuple[float, MeanSquare, float]]) -> LowFrequencyExcess:
     """The excess of all terms that hold waves along an axis: factor, mean square and excess of each."""
     value = sum(factor * excess for factor, _, excess in found)
     sd = [factor * square.value_dn2 * 5.0 / 6.0 * np.sqrt(8.0 / square.freedom) for factor, square, _ in found]
     power = sum(abs(factor) * square.value_dn2 for factor, square, _ in found)
-    return Slope(dn2=value, sd_dn2=float(np.linalg.norm(sd)), share=value / power if power > 0 else 0.0)
+    return LowFrequencyExcess(dn2=value, sd_dn2=float(np.linalg.norm(sd)), share=value / power if power > 0 else 0.0)
 
 
-def _random(found: Contrasts, parts: dict[str, Component]) -> Component:
+def _random_component(found: Contrasts, parts: dict[str, Component]) -> Component:
     """The component that varies along all axes: what is left of the power, and its scatter from pairs of frames."""
     length = np.array(found.size)
     count = len(found.by_row) * float(np.prod(length - 1))
@@ -191,19 +191,19 @@ def _random(found: Contrasts, parts: dict[str, Component]) -> Component:
 
 def _freedom(pairs: NDArray[np.float32], power: float, count: float) -> float:
     """Degrees of freedom of the random component's power: correlated pixels and frames, and pulses, lower them."""
-    rest = centred(pairs, (2, 3), fixed=False)
+    rest = subtract_means(pairs, (2, 3), fixed=False)
     square = float(np.mean(rest**2, dtype=np.float64))
     if power <= 0 or square <= 0:
         return count
     unit = rest / np.float32(np.sqrt(square))
-    size = freedom_of(rest.shape, (2, 3), fixed=False)
+    size = degrees_of_freedom(rest.shape, (2, 3), fixed=False)
     blocks = _blocks(unit**2)
     pixels = rest[0, 0].size / blocks.shape[2]
-    normal = 2.0 * correlated(unit[:, :SPECTRA], (2, 3), size) / pixels
+    normal = 2.0 * correlation_factor(unit[:, :SPECTRA], (2, 3), size) / pixels
     # The difference of two frames halves a fourth cumulant.
-    pulses = 2.0 * max(_scatter(blocks) - normal, 0.5 * heavy(unit, size) / pixels)
+    pulses = 2.0 * max(_scatter(blocks) - normal, 0.5 * excess_kurtosis(unit, size) / pixels)
     lag = float(np.clip(1.0 - square / power, 0.0, 0.95))
-    alike = (1.0 + lag**2) / (1.0 - lag**2) * (1.0 + shared(unit, size))
+    alike = (1.0 + lag**2) / (1.0 - lag**2) * (1.0 + squared_field_correlation(unit, size))
     return max(1.0, 2.0 * count / ((normal + pulses) * pixels * alike))
 
 

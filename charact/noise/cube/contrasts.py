@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from charact.noise.stack.pixels import dot
 from labdata.frames import FrameStack
-from labdata.opened import OpenStack
+from labdata.lazy_stack import LazyStack
 
 Array = NDArray[np.float64]
 
@@ -68,7 +68,7 @@ def waves(length: int) -> Array:
     return rows / np.linalg.norm(rows, axis=1, keepdims=True)
 
 
-def contrasts(stack: OpenStack | FrameStack, *, interlaced: bool) -> Contrasts:
+def contrasts(stack: LazyStack | FrameStack, *, interlaced: bool) -> Contrasts:
     """Read a stack once, some frames at a time, and return its contrasts.
 
     Parameters
@@ -98,7 +98,7 @@ def contrasts(stack: OpenStack | FrameStack, *, interlaced: bool) -> Contrasts:
 class _Pass:
     """The running sums of one field."""
 
-    def __init__(self, stack: OpenStack | FrameStack, parity: int, rows: int, step: int) -> None:
+    def __init__(self, stack: LazyStack | FrameStack, parity: int, rows: int, step: int) -> None:
         self.field = np.s_[parity:rows:step]
         self.first = stack.frames(0, 1)[0][self.field].astype(np.float64)
         frames, (height, width) = len(stack), self.first.shape

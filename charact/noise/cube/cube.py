@@ -9,10 +9,10 @@ from charact.method import Context
 from charact.method.stopwatch import Stopwatch
 from charact.noise.cube.components import Component, components
 from charact.noise.cube.contrasts import contrasts
-from charact.noise.cube.irregular import alternating_rows, uneven
+from charact.noise.cube.cube_checks import row_parity_findings, shading_findings
 from charact.noise.findings import Finding
 from charact.noise.stack.frame_means import FrameMeans, frame_means
-from labdata.opened import OpenStack
+from labdata.lazy_stack import LazyStack
 
 Array = NDArray[np.float64]
 
@@ -50,7 +50,7 @@ class Cube:
     seconds: float
 
 
-def cube_of(stack: OpenStack, *, context: Context) -> Cube | None:
+def cube_of(stack: LazyStack, *, context: Context) -> Cube | None:
     """Return the 3-D noise of a stack; None where it is too short or too small to tell it."""
     frames, rows, cols = stack.shape
     if frames < LEAST_FRAMES or min(rows // (2 if context.interlaced else 1), cols) < LEAST_PIXELS:
@@ -58,13 +58,13 @@ def cube_of(stack: OpenStack, *, context: Context) -> Cube | None:
     watch = Stopwatch()
     found = contrasts(stack, interlaced=context.interlaced)
     parts = components(found)
-    shaded = tuple(uneven(found))
+    shaded = tuple(shading_findings(found))
     split = context.interlaced
     findings = {
-        "v": shaded + (() if split else tuple(alternating_rows(found, fixed=True))),
+        "v": shaded + (() if split else tuple(row_parity_findings(found, fixed=True))),
         "h": shaded,
         "vh": shaded,
-        "tv": () if split else tuple(alternating_rows(found, fixed=False)),
+        "tv": () if split else tuple(row_parity_findings(found, fixed=False)),
     }
     return Cube(
         components=parts,

@@ -35,7 +35,7 @@ class MeanSquare:
         return self.value_dn2 * self.freedom / rng.chisquare(self.freedom, count)
 
 
-def centred(part: NDArray, own: tuple[int, ...], *, fixed: bool) -> NDArray:
+def subtract_means(part: NDArray, own: tuple[int, ...], *, fixed: bool) -> NDArray:
     """Return the contrasts that vary along all own axes: means taken away, and smooth shading of a fixed pattern."""
     for axis in own:
         part = part - part.mean(axis=axis, keepdims=True)
@@ -58,7 +58,7 @@ def shading(length: int) -> Array:
 
 
 def mean_square(rest: NDArray, own: tuple[int, ...], *, fixed: bool) -> MeanSquare:
-    """Return the mean square of what `centred` left.
+    """Return the mean square of what `offsets_from_centre` left.
 
     Notes
     -----
@@ -67,16 +67,18 @@ def mean_square(rest: NDArray, own: tuple[int, ...], *, fixed: bool) -> MeanSqua
     g adds g / n to its relative variance, and fields that share their noise with correlation r count 2 / (1 + r^2)
     times. Each of the three is measured, and only what is beyond its own error counts.
     """
-    count = freedom_of(rest.shape, own, fixed=fixed)
+    count = degrees_of_freedom(rest.shape, own, fixed=fixed)
     total = float(np.sum(rest**2))
     if total <= 0:
         return MeanSquare(value_dn2=0.0, freedom=count)
     unit = rest / np.sqrt(total / rest.size)
-    spread = correlated(unit, own, count) + 0.5 * heavy(unit, count)
-    return MeanSquare(value_dn2=total / count, freedom=max(1.0, count / spread / (1.0 + shared(unit, count))))
+    spread = correlation_factor(unit, own, count) + 0.5 * excess_kurtosis(unit, count)
+    return MeanSquare(
+        value_dn2=total / count, freedom=max(1.0, count / spread / (1.0 + squared_field_correlation(unit, count)))
+    )
 
 
-def freedom_of(shape: tuple[int, ...], own: tuple[int, ...], *, fixed: bool) -> float:
+def degrees_of_freedom(shape: tuple[int, ...], own: tuple[int, ...], *, fixed: bool) -> float:
     """Return how many independent values white noise leaves in contrasts of a shape."""
     averaged = np.prod([length for axis, length in enumerate(shape) if axis not in own])
     free = np.prod([shape[axis] - 1 for axis in own])
@@ -84,7 +86,7 @@ def freedom_of(shape: tuple[int, ...], own: tuple[int, ...], *, fixed: bool) -> 
     return float(averaged * (free - taken))
 
 
-def correlated(unit: NDArray, own: tuple[int, ...], count: float) -> float:
+def correlation_factor(unit: NDArray, own: tuple[int, ...], count: float) -> float:
     """Return by how much fewer the independent values are than the values, from the spread of power over modes."""
     from scipy import fft
 
@@ -95,13 +97,13 @@ def correlated(unit: NDArray, own: tuple[int, ...], count: float) -> float:
     return max(1.0, 0.5 * float(np.mean(power**2)) / mean**2 - np.sqrt(10.0 / count)) if mean > 0 else 1.0
 
 
-def heavy(unit: NDArray, count: float) -> float:
+def excess_kurtosis(unit: NDArray, count: float) -> float:
     """Return the excess of the mean fourth power over the normal law's, for values of mean square one."""
     square = unit * unit
     return max(0.0, float(np.mean(square * square)) - 3.0 - np.sqrt(24.0 / count))
 
 
-def shared(unit: NDArray, count: float) -> float:
+def squared_field_correlation(unit: NDArray, count: float) -> float:
     """Return the square of the correlation of the two fields; 0 for one."""
     if len(unit) < 2:
         return 0.0

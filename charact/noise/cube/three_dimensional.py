@@ -16,8 +16,8 @@ from charact.noise.findings import Finding, flags_of, notes_of
 from charact.noise.provenance import provenance
 from charact.noise.quantities import CUT_SHARE
 from charact.noise.stack.frame_means import FrameMeans
-from charact.noise.stack.level import Level
-from labdata.measurement import Measurement, Result, intervals_of, measured, refused
+from charact.noise.stack.stack_statistics import StackStatistics
+from labdata.measurement import Measurement, Result, intervals_of, make_measurement, make_refusal
 
 Array = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ STEEP = 0.3
 MATTERS = 0.25
 
 
-def three_dimensional(levels: list[Level], *, context: Context) -> Result:
+def three_dimensional(levels: list[StackStatistics], *, context: Context) -> Result:
     """Return the seven components of 3-D noise of every dark and flat with enough frames.
 
     Parameters
@@ -53,11 +53,11 @@ def three_dimensional(levels: list[Level], *, context: Context) -> Result:
     result = Result()
     for level in levels:
         if level.cube is not None:
-            result += _of_level(level, level.cube, context, {**fields, "stack": level.label})
-    return result if result.measurements else Result(measurements=_all_refused(_too_few(levels), fields))
+            result += _measure_stack(level, level.cube, context, {**fields, "stack": level.label})
+    return result if result.measurements else Result(measurements=_refusals(_too_few(levels), fields))
 
 
-def _too_few(levels: list[Level]) -> str:
+def _too_few(levels: list[StackStatistics]) -> str:
     most = max((level.frames for level in levels), default=1)
     return (
         f"3-D noise needs a stack of at least {LEAST_FRAMES} frames, and {LEAST_PIXELS} rows and columns in each "
@@ -65,27 +65,29 @@ def _too_few(levels: list[Level]) -> str:
     )
 
 
-def _all_refused(reason: str, fields: dict[str, Any]) -> tuple[Measurement, ...]:
-    return tuple(refused(f"noise_{name}", "DN", reason, **fields) for name in NAMES)
+def _refusals(reason: str, fields: dict[str, Any]) -> tuple[Measurement, ...]:
+    return tuple(make_refusal(f"noise_{name}", "DN", reason, **fields) for name in NAMES)
 
 
-def _of_level(level: Level, cube: Cube, context: Context, fields: dict[str, Any]) -> Result:
+def _measure_stack(level: StackStatistics, cube: Cube, context: Context, fields: dict[str, Any]) -> Result:
     """The seven components of one stack."""
     watch = Stopwatch()
     parts = cube.components
     if parts["tvh"].variance_dn2 <= 0:
         reason = f"no pixel of {level.label} changes for itself from frame to frame"
-        return Result(measurements=_all_refused(reason, fields))
+        return Result(measurements=_refusals(reason, fields))
     rng = np.random.default_rng([context.seed, 7, crc32(level.label.encode())])
     draws = {name: part.draws(rng, DRAWS) for name, part in parts.items()}
-    findings = {name: [*_slopes(name, parts[name], draws[name]), *cube.findings.get(name, ())] for name in NAMES}
-    findings["t"] += _unsteady(cube.means)
-    common = _of_all(level, cube, draws["tvh"])
+    findings = {
+        name: [*_low_frequency_findings(name, parts[name], draws[name]), *cube.findings.get(name, ())] for name in NAMES
+    }
+    findings["t"] += _frame_mean_findings(cube.means)
+    common = _common_findings(level, cube, draws["tvh"])
     out = [_measurement(name, parts[name], draws[name], common + findings[name], fields) for name in NAMES]
     seconds = cube.seconds + watch.seconds()
     return Result(
         measurements=tuple(m.with_(seconds=seconds) for m in out),
-        evidence={f"three-dimensional-noise:{level.label}": _evidence(level, cube)},
+        evidence={f"three-dimensional-noise:{level.label}": _figure_data(level, cube)},
     )
 
 
@@ -102,16 +104,16 @@ def _measurement(name: str, part: Component, draws: Array, findings: list[Findin
         seen = f"no {name} noise is seen (unbiased variance {part.variance_dn2:.2g} DN2)"
         notes = (*notes, f"{seen}: at most {high:.3g} DN")
     around = [(min(one, value), max(two, value)) for one, two in (interval68, (low, high))]
-    return measured(f"noise_{name}", "DN", value, *around, flags=flags_of(findings), notes=notes, **fields)
+    return make_measurement(f"noise_{name}", "DN", value, *around, flags=flags_of(findings), notes=notes, **fields)
 
 
-def _of_all(level: Level, cube: Cube, draws: Array) -> list[Finding]:
+def _common_findings(level: StackStatistics, cube: Cube, draws: Array) -> list[Finding]:
     """What is wrong with every component of the stack."""
     out: list[Finding] = []
     if cube.fields > 1:
         out.append((None, "even and odd rows are cubes of their own; the variances of both are averaged"))
     variance, half = cube.components["tvh"].variance_dn2, _half(draws)
-    for share, which in ((level.low_share, "0"), (level.high_share, "the highest")):
+    for share, which in ((level.low_fraction, "0"), (level.high_fraction, "the highest")):
         # Values cut off a normal law at a code take about twice their share of its variance away.
         if share > CUT_SHARE or 2.0 * share * variance > 0.5 * half:
             out.append(("clipped", f"{100 * share:.2g} % of the values are at code {which}"))
@@ -120,11 +122,11 @@ def _of_all(level: Level, cube: Cube, draws: Array) -> list[Finding]:
     return out
 
 
-def _slopes(name: str, part: Component, draws: Array) -> list[Finding]:
+def _low_frequency_findings(name: str, part: Component, draws: Array) -> list[Finding]:
     """Correlation of the noise that is too long for the stack or the image to tell its mean."""
     out: list[Finding] = []
     for axis, slope in part.slopes.items():
-        if slope.steep > STEEP and abs(slope.expected_dn2) > MATTERS * _half(draws):
+        if slope.min_fraction > STEEP and abs(slope.estimate_dn2) > MATTERS * _half(draws):
             flag, along = ("lag", "frames") if axis == TIME else ("correlated-noise", "pixels")
             out.append((flag, f"noise is shared over so many {along} that little tells it from {name}"))
     return out
@@ -135,7 +137,7 @@ def _half(draws: Array) -> float:
     return 0.5 * float(np.ptp(np.quantile(draws, [0.025, 0.975])))
 
 
-def _unsteady(means: FrameMeans) -> list[Finding]:
+def _frame_mean_findings(means: FrameMeans) -> list[Finding]:
     """Drift, and a line in the spectrum of the frames' means."""
     out: list[Finding] = []
     if means.drift_seen:
@@ -148,7 +150,7 @@ def _unsteady(means: FrameMeans) -> list[Finding]:
     return out
 
 
-def _evidence(level: Level, cube: Cube) -> dict[str, Any]:
+def _figure_data(level: StackStatistics, cube: Cube) -> dict[str, Any]:
     """What the report draws: frames, rows and columns, each by its mean."""
     means = cube.means
     return {

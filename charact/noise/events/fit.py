@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.noise.events.law import Observed, Pulses
+from charact.noise.events.event_distribution import CharacteristicFunctionData, PulsePopulation
 from charact.posterior import laplace
 from labdata.measurement import Posterior
 
@@ -46,7 +46,7 @@ ENOUGH, ROUGHLY = 0.01, 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
-class Peak:
+class PulseOptimum:
     """The best pulses.
 
     Parameters
@@ -63,7 +63,7 @@ class Peak:
         Squared residuals over their variance, and degrees of freedom.
     """
 
-    pulses: Pulses
+    pulses: PulsePopulation
     point: Array
     predicted: Array
     derivative: Array
@@ -80,7 +80,7 @@ class Peak:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Problem:
+class PulseLikelihood:
     """Which parameters of pulses are to be found, from what.
 
     Parameters
@@ -95,10 +95,10 @@ class Problem:
         Pulses whose other parameters hold.
     """
 
-    observed: Observed
+    observed: CharacteristicFunctionData
     names: tuple[str, ...]
     priors: Priors
-    fixed: Pulses
+    fixed: PulsePopulation
 
     @cached_property
     def walls(self) -> Array:
@@ -112,13 +112,13 @@ class Problem:
         prior = [self.priors.get(name, (0.0, np.inf)) for name in self.names]
         return np.array([mean for mean, _ in prior]), np.array([1.0 / sd for _, sd in prior])
 
-    def pulses(self, point: Array) -> Pulses:
+    def pulses(self, point: Array) -> PulsePopulation:
         """Pulses of a point."""
         value = {name: float(np.exp(x)) if name in LOGARITHMIC else float(x)
                  for name, x in zip(self.names, point, strict=True)}  # fmt: skip
         return replace(self.fixed, **value)
 
-    def point(self, pulses: Pulses) -> Array:
+    def point(self, pulses: PulsePopulation) -> Array:
         """Point of pulses, inside the walls."""
         value = [getattr(pulses, name) for name in self.names]
         point = [np.log(x) if name in LOGARITHMIC else x for name, x in zip(self.names, value, strict=True)]
@@ -143,7 +143,7 @@ class Problem:
         return self.observed.predicted(replace(self.fixed, density=0.0, noise_dn2=1.0))
 
 
-def whitening(observed: Observed, covariance: Array) -> Array:
+def whitening(observed: CharacteristicFunctionData, covariance: Array) -> Array:
     """Return the matrix that makes residuals independent, each of unit variance.
 
     A difference of exposures is as often below zero as above it, but for pulses that the run's ends cut: its imaginary
@@ -157,7 +157,7 @@ def whitening(observed: Observed, covariance: Array) -> Array:
     return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), np.float64)
 
 
-def without_pulses(problem: Problem, covariance: Array) -> float:
+def noise_only_chi2(problem: PulseLikelihood, covariance: Array) -> float:
     """Return chi2 of the noise alone, at its best."""
     root = whitening(problem.observed, covariance)
     white, target = root @ problem.noise_alone(), root @ problem.observed.value
@@ -165,7 +165,7 @@ def without_pulses(problem: Problem, covariance: Array) -> float:
     return float(rest @ rest)
 
 
-def started(problem: Problem, covariance: Array, pixel_noise_dn: float) -> Pulses:
+def best_guess(problem: PulseLikelihood, covariance: Array, pixel_noise_dn: float) -> PulsePopulation:
     """Return the best of a few guesses; density and noise enter linearly and follow for each."""
     root, best = whitening(problem.observed, covariance), None
     target, noise = root @ problem.observed.value, root @ problem.noise_alone()
@@ -183,8 +183,8 @@ def started(problem: Problem, covariance: Array, pixel_noise_dn: float) -> Pulse
     return best[1]
 
 
-def climbed(problem: Problem, covariance: Array, start: Pulses, derivative: Array | None = None, *, rough: bool
-            ) -> Peak:  # fmt: skip
+def optimise_pulses(problem: PulseLikelihood, covariance: Array, start: PulsePopulation, derivative: Array | None = None, *, rough: bool
+            ) -> PulseOptimum:  # fmt: skip
     """Return the peak near a start by damped Gauss-Newton steps.
 
     Derivatives, which may be given as they were nearby, are brought up to date by what each step tells (Broyden), and
@@ -218,7 +218,7 @@ def climbed(problem: Problem, covariance: Array, start: Pulses, derivative: Arra
             damping *= 10.0
     slope = np.concatenate([root @ derivative, np.diag(precision)])
     data = at[: len(predicted)]
-    return Peak(
+    return PulseOptimum(
         pulses=problem.pulses(point),
         point=point,
         predicted=predicted,
@@ -242,7 +242,7 @@ def _step(slope: Array, at: Array, damping: float, point: Array, walls: Array) -
         free &= ~held
 
 
-def drawn(problem: Problem, peak: Peak, *, seed: int) -> Posterior:
+def laplace_draws(problem: PulseLikelihood, peak: PulseOptimum, *, seed: int) -> Posterior:
     """Return the posterior by its curvature, of the logarithms where parameters are positive, then turned back.
 
     How often its intervals hold is measured, see `charact.study.flats.dark_events_coverage`.

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.noise.events.filters import MIDDLE, Filter, boxes, common_reach
-from charact.noise.stack.fields import exposures
+from charact.noise.stack.exposure_order import exposures
 from labdata.frames import FrameStack
 
 Array = NDArray[np.float64]
@@ -126,16 +126,16 @@ def _full(data: NDArray, full_scale_dn: float | None) -> float:
     return float(np.mean(data >= full_scale_dn)) / 1e-3
 
 
-def middles(frames: DarkFrames) -> list[Array]:
+def filter_exposures(frames: DarkFrames) -> list[Array]:
     """Return what the filter of a small spot makes of the exposures of each set of rows."""
     one = frames.filters(1, lag=False)[MIDDLE]
     return [one.within(change, one.reach).astype(np.float64) for change in frames.changes]
 
 
-def pulses_seen(frames: DarkFrames) -> bool:
+def has_pulses(frames: DarkFrames) -> bool:
     """Tell whether filtered pixels are skewed towards the bright side, as pulses make them."""
     parts, out = [], []
-    for value in middles(frames):
+    for value in filter_exposures(frames):
         noise = spread(value)
         out.append(float(np.mean(value > OUT * noise)))
         limit = 20.0 * noise
@@ -149,7 +149,7 @@ def pulses_seen(frames: DarkFrames) -> bool:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Lingering:
+class ImageLagCorrelation:
     """Where light of one exposure is seen again.
 
     Parameters
@@ -164,17 +164,17 @@ class Lingering:
     later: bool
 
 
-def lingering(frames: DarkFrames) -> Lingering:
+def image_lag_correlation(frames: DarkFrames) -> ImageLagCorrelation:
     """Tell where pulses are seen again."""
-    one, values = frames.filters(1, lag=False)[MIDDLE], middles(frames)
+    one, values = frames.filters(1, lag=False)[MIDDLE], filter_exposures(frames)
     if frames.stride == 1:
-        return Lingering(across=False, later=_shared(values[0][:-2], values[0][2:], one))
+        return ImageLagCorrelation(across=False, later=_is_correlated(values[0][:-2], values[0][2:], one))
     even, odd = values
-    across = any(_shared(*pair, one, lowered=0.0) for pair in ((even, odd), (odd[:-1], even[1:])))
-    return Lingering(across=across, later=any(_shared(value[:-1], value[1:], one) for value in values))
+    across = any(_is_correlated(*pair, one, lowered=0.0) for pair in ((even, odd), (odd[:-1], even[1:])))
+    return ImageLagCorrelation(across=across, later=any(_is_correlated(value[:-1], value[1:], one) for value in values))
 
 
-def _shared(before: Array, after: Array, one: Filter, lowered: float | None = None) -> bool:
+def _is_correlated(before: Array, after: Array, one: Filter, lowered: float | None = None) -> bool:
     """Tell whether pixels vary together from one set of exposures to another.
 
     The mean over the exposures that was taken away has lowered the correlation; by one over their number if None.
@@ -192,7 +192,7 @@ def _shared(before: Array, after: Array, one: Filter, lowered: float | None = No
     return correlation > SEEN * sd
 
 
-def usable_without(change: Images, one: Filter, limit_dn: float, after: int) -> tuple[NDArray[np.bool_], Array]:
+def usable_values(change: Images, one: Filter, limit_dn: float, after: int) -> tuple[NDArray[np.bool_], Array]:
     """Return which values lie far from every pulse above a limit, and the largest value of each of those.
 
     The brightest value is a pulse, and all around it are its own; then the brightest of the rest, and so on.
@@ -220,7 +220,7 @@ def usable_without(change: Images, one: Filter, limit_dn: float, after: int) -> 
     return usable, np.array(heights)
 
 
-def large_enough(frames: DarkFrames, least: int) -> bool:
+def fits_filters(frames: DarkFrames, least: int) -> bool:
     """Tell whether images leave so many rows and columns inside the reach of the widest filters."""
     reach = common_reach(boxes(3, stride=1, exposures=2, lag=False))
     return all(size - 2 * far >= least for size, far in zip(frames.changes[0].shape[1:], reach, strict=True))

@@ -21,8 +21,8 @@ NODES = 48
 
 
 @dataclass(frozen=True, kw_only=True)
-class Spot:
-    """How a pulse spreads after the gain. Names as in `charact.noise.events.law.Pulses`."""
+class PulseSpread:
+    """How a pulse spreads after the gain. Names as in `charact.noise.events.event_distribution.PulsePopulation`."""
 
     column_px: float
     row_px: float
@@ -44,7 +44,7 @@ def _sides(one: Filter) -> tuple[int, int]:
 
 
 @lru_cache(maxsize=64)
-def _transfer(spot: Spot, sides: tuple[int, int]) -> Array:
+def _transfer(spot: PulseSpread, sides: tuple[int, int]) -> Array:
     """Transfer from a pulse to the light on a pixel, at the frequencies of the places."""
     squares, distance, pixel = _plane(spot.row_pitch, sides)
     gauss = spot.column_px**2 * squares[1] + spot.row_px**2 * squares[0]
@@ -80,7 +80,7 @@ def _weights(one: Filter, line: tuple[float, ...]) -> NDArray[np.complex128]:
     return _comb(np.ones(one.high), fy).real[:, None] * _comb(np.convolve(one.columns, line), fx)
 
 
-def responses(one: Filter, spot: Spot, line: tuple[float, ...] = (1.0,)) -> tuple[Array, Array]:
+def responses(one: Filter, spot: PulseSpread, line: tuple[float, ...] = (1.0,)) -> tuple[Array, Array]:
     """Return what a filter makes of unit pulses at all places: amplitudes, and the area in px of each.
 
     The thousands of places are shared out to a few amplitudes so that area, mean response and mean square stay.
@@ -89,7 +89,7 @@ def responses(one: Filter, spot: Spot, line: tuple[float, ...] = (1.0,)) -> tupl
 
 
 @lru_cache(maxsize=512)
-def _responses(one: Filter, spot: Spot, line: tuple[float, ...]) -> tuple[Array, Array]:
+def _responses(one: Filter, spot: PulseSpread, line: tuple[float, ...]) -> tuple[Array, Array]:
     sides = _sides(one)
     # Filters and spots are even along columns: one half stands for both, its borders for one.
     half = STEPS * sides[0] // 2 + 1
@@ -98,10 +98,10 @@ def _responses(one: Filter, spot: Spot, line: tuple[float, ...]) -> tuple[Array,
     once = np.full(half, 2.0)
     once[[0, -1]] = 1.0
     weight = np.broadcast_to(once[:, None], whole.shape) / STEPS**2
-    return shared_out(whole.ravel() * STEPS**2, weight.ravel())
+    return quantise_amplitudes(whole.ravel() * STEPS**2, weight.ravel())
 
 
-def shared_out(value: Array, weight: Array) -> tuple[Array, Array]:
+def quantise_amplitudes(value: Array, weight: Array) -> tuple[Array, Array]:
     """Return few values with weights in place of many, so that moments up to the second stay.
 
     Each value goes to the three nearest nodes by the weights of quadratic interpolation, some of which are negative;

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.noise.light.area import BINNING, shares_of
-from charact.noise.stack.level import Level
+from charact.noise.snr.area import BINNING, shares_of
 from charact.noise.stack.spectrum import BAND_CY_PER_PX, ROW_LIMIT_CY
+from charact.noise.stack.stack_statistics import StackStatistics
 
 Array = NDArray[np.float64]
 
@@ -61,7 +61,7 @@ class Beyond:
         return self.cosines * density @ self.cosines.T + np.diag((BINNING * self.inside_dn) ** 2)
 
 
-def beyond_of(flats: Sequence[Level], darks: Sequence[Level], weight: Array, signal: Array, known: Array, name: str
+def beyond_of(flats: Sequence[StackStatistics], darks: Sequence[StackStatistics], weight: Array, signal: Array, known: Array, name: str
               ) -> Beyond:  # fmt: skip
     """Return what pixels and their neighbours tell of the light's noise beyond the band.
 
@@ -83,7 +83,7 @@ def beyond_of(flats: Sequence[Level], darks: Sequence[Level], weight: Array, sig
     turned = 2.0 * np.pi * np.stack([bins.column_cy_per_px, bins.row_cy_per_px * bins.row_pitch])
     cosines = np.concatenate([np.ones((1, turned.shape[1])), np.cos(turned)]) * shares
 
-    def of(level: Level) -> tuple[Array, Array]:
+    def of(level: StackStatistics) -> tuple[Array, Array]:
         spectrum = getattr(level, name)
         whole = spectrum.variance_dn2 * np.array([1.0, level.neighbour_correlation, level.below_correlation])
         return whole, cosines @ spectrum.power_dn2[:, 0]
@@ -112,12 +112,12 @@ def points_beyond(row_pitch: float) -> tuple[Array, Array, Array]:
     y, x = np.meshgrid(fine, fine, indexing="ij")
     out = (np.hypot(x, y / row_pitch) >= BAND_CY_PER_PX) | (y > ROW_LIMIT_CY)
 
-    def summed(values: Array) -> Array:
+    def block_sum(values: Array) -> Array:
         return (values * out).reshape(POINTS, PARTS, POINTS, PARTS).sum(axis=(1, 3)).ravel()
 
-    count = summed(np.ones_like(x))
+    count = block_sum(np.ones_like(x))
     some = count > 0
-    return summed(x)[some] / count[some], summed(y)[some] / count[some] / row_pitch, count[some] / fine.size**2
+    return block_sum(x)[some] / count[some], block_sum(y)[some] / count[some] / row_pitch, count[some] / fine.size**2
 
 
 def integrals(beyond: Beyond, power: Callable[[Array, Array], Array]) -> Array:

@@ -9,35 +9,35 @@ from charact.method import Context, register
 from charact.noise.checks import (
     QUANTISED_DN2,
     bend_allowance,
-    bent,
-    coarse_findings,
     exposure_findings,
     exposure_flags,
+    quantisation_findings,
     series_findings,
+    variance_ratio_changes,
 )
 from charact.noise.cube.three_dimensional import three_dimensional
 from charact.noise.dark_current import dark_current
-from charact.noise.events.events import pulses_of_darks
-from charact.noise.evidence import correlation_evidence, spectrum_evidence, transfer_evidence
+from charact.noise.events.event_measurements import pulses_of_darks
+from charact.noise.figure_data import correlation_figure_data, spectrum_figure_data, transfer_figure_data
 from charact.noise.findings import flags_of, notes_of
-from charact.noise.gain import standard
-from charact.noise.gain.fit import Fit, fit
-from charact.noise.gain.forms import forms_of
-from charact.noise.gain.one_gain import LEAST_BINS, OneGain, blur_exponent, one_gain
+from charact.noise.gain import emva1288
+from charact.noise.gain.fit import Fit, fit_spectrum
+from charact.noise.gain.forms import blur_models
 from charact.noise.gain.per_electron import electron_quantities, gain_of
-from charact.noise.gain.series import Series, read_levels, series_of
-from charact.noise.gain.summary import summarise
-from charact.noise.hidden import allowance_of
-from charact.noise.light.separation import separated
-from charact.noise.light.snr import snr_against_light
-from charact.noise.predictive.check import Told, findings_of, predictive, predictive_evidence
+from charact.noise.gain.pooled_noise import pool_noise
+from charact.noise.gain.series import FlatSeries, read_levels, series_of
+from charact.noise.gain.single_setting import LEAST_BINS, SingleSetting, blur_exponent, fit_single_setting
+from charact.noise.gain_feasibility import gain_obstacle, without_flats
+from charact.noise.predictive.check import PredictiveResidual, findings_of, predictive_figure_data, predictive_residuals
 from charact.noise.provenance import provenance
-from charact.noise.quantities import cut, dark_quantities, pattern_quantities, saturation
-from charact.noise.stack.level import Level
+from charact.noise.quantities import dark_clipping_flags, dark_quantities, pattern_quantities, saturation_level
+from charact.noise.snr.gain_separation import separate_gains
+from charact.noise.snr.snr_against_light import snr_against_light
+from charact.noise.stack.stack_statistics import StackStatistics
 from charact.noise.sweep.sweep import gain_sweep
-from charact.noise.tube import intensified
-from charact.noise.verdict import problem, without_flats
-from labdata.measurement import Measurement, Result, from_draws, refused
+from charact.noise.tube import has_intensifier
+from charact.noise.undetected_correlation import allowance_of
+from labdata.measurement import Measurement, Result, make_refusal, measurement_from_draws
 from labdata.session import Session
 
 METHOD = "covariance-sum"
@@ -68,7 +68,7 @@ def covariance_sum(session: Session, *, context: Context) -> Result:
     """
     darks, flats, single = read_levels(session, context=context, spectra=True, cubes=True)
     fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
-    result = _of_levels(session, darks, flats, single, context, fields)
+    result = _measure_levels(session, darks, flats, single, context, fields)
     result += three_dimensional([*darks, *flats], context=context)
     result += dark_current(darks, result, context=context)
     result += gain_sweep(darks, flats, context=context)
@@ -76,24 +76,27 @@ def covariance_sum(session: Session, *, context: Context) -> Result:
     return result + snr_against_light(darks, flats, single=single, context=context)
 
 
-def _of_levels(session: Session, darks: list[Level], flats: list[Level], single: list[str], context: Context,
+def _measure_levels(session: Session, darks: list[StackStatistics], flats: list[StackStatistics], single: list[str], context: Context,
                fields: dict[str, Any]) -> Result:  # fmt: skip
     """Gains and all that follows from them, or why there are none."""
-    small = too_small([*darks, *flats])
+    small = image_size_obstacle([*darks, *flats])
     if small is not None:
-        out = [refused(name, unit, small, **fields) for name, unit in (("covariance_gain", "DN"), ("blur_factor", "1"))]
+        out = [
+            make_refusal(name, unit, small, **fields)
+            for name, unit in (("covariance_gain", "DN"), ("blur_factor", "1"))
+        ]
         out += dark_quantities(tuple(darks), flags=(), **fields) if darks else []
         return Result(measurements=tuple(out))
     series = series_of(flats, darks, single) if flats else None
-    if series is None or problem(series) is not None:
+    if series is None or gain_obstacle(series) is not None:
         out = without_flats(darks, series, single, quantity=("covariance_gain", "DN"), **fields)
         # Beside flats that cannot be used, the blur of the electronics' own noise would pass for that of the light.
         alone = _blur_of_darks(darks, context, fields) if darks and not flats else Result()
         return Result(measurements=(*out, *alone.measurements), evidence=alone.evidence)
-    return _of_series(session, series, context, fields)
+    return _measure_series(session, series, context, fields)
 
 
-def too_small(levels: list[Level]) -> str | None:
+def image_size_obstacle(levels: list[StackStatistics]) -> str | None:
     """Why images hold too few low frequencies to sum a covariance, or None."""
     least = min(levels, key=lambda level: len(level.bins.modes), default=None)
     if least is None or len(least.bins.modes) >= LEAST_BINS:
@@ -104,11 +107,11 @@ def too_small(levels: list[Level]) -> str | None:
     )
 
 
-def _of_series(session: Session, series: Series, context: Context, fields: dict[str, Any]) -> Result:
+def _measure_series(session: Session, series: FlatSeries, context: Context, fields: dict[str, Any]) -> Result:
     """All quantities of a series of flats."""
     context.progress("posterior of the covariance gain", 0.9)
-    pooled = one_gain(series, context=context, quick=context.quick)
-    tube = intensified([level.conditions for level in (*series.flats, *series.all_darks)], context)
+    pooled = fit_single_setting(series, context=context, quick=context.quick)
+    tube = has_intensifier([level.conditions for level in (*series.flats, *series.all_darks)], context)
     if tube and not pooled.white:
         pooled = pooled.at_low_signal(context)
     bend = bend_allowance(series)
@@ -116,56 +119,60 @@ def _of_series(session: Session, series: Series, context: Context, fields: dict[
         pooled = pooled.allowing(bend, np.random.default_rng([context.seed, 24]))
     fit = pooled.fit
     common = series_findings(series, context=context)
-    hidden = bent(series) + exposure_findings(pooled.exposures)
+    hidden = variance_ratio_changes(series) + exposure_findings(pooled.exposures)
     allowance = float(np.hypot(allowance_of(pooled.neighbours, pooled.exposures, tube=tube), bend))
     gains = None if tube and not pooled.white else gain_of(pooled, allowance, context)
     gain = None if gains is None else gains[1]
-    told = _told(session, pooled, gain, context)
+    told = _predictive_residuals(session, pooled, gain, context)
     findings = (
         common
         + findings_of(told)
         + pooled.findings()
-        + (bent(series) if gains is not None else [])
-        + ([] if pooled.white else coarse_findings(series))
+        + (variance_ratio_changes(series) if gains is not None else [])
+        + ([] if pooled.white else quantisation_findings(series))
         + (pooled.departures() if tube or pooled.white else [])
     )
     flags, notes = flags_of(findings), notes_of(findings)
     own = {"flags": flags, "notes": notes, "posterior": fit.posterior, **fields}
     out = [
-        from_draws("covariance_gain", "DN", fit.posterior["covariance_gain"], **own),
-        from_draws("blur_factor", "1", fit.posterior["blur_factor"], **own),
+        measurement_from_draws("covariance_gain", "DN", fit.posterior["covariance_gain"], **own),
+        measurement_from_draws("blur_factor", "1", fit.posterior["blur_factor"], **own),
     ]
     plain = flags_of(common)
     slope = common + hidden + findings_of(told)
     out += (
         electron_quantities(pooled, gains, slope, findings, context, fields)
         if gains is not None
-        else _intensified_quantities(series, fit, context, plain, flags, fields)
+        else _photoelectron_quantities(series, fit, context, plain, flags, fields)
     )
-    out.append(saturation(series, flags=plain, **fields))
+    out.append(saturation_level(series, flags=plain, **fields))
     out += dark_quantities(series.all_darks, flags=plain, **fields) if series.all_darks else []
     gain_flags = flags_of(slope if pooled.white else findings)
     out += pattern_quantities(series, None if gain is None else gain.slope, flags=plain, gain_flags=gain_flags,
                               pair_flags=exposure_flags(pooled.exposures), **fields)  # fmt: skip
-    evidence = _evidence(pooled, gain) | ({"predictive-frames": predictive_evidence(told)} if told else {})
+    evidence = _figure_data(pooled, gain) | (
+        {"predictive_residuals-frames": predictive_figure_data(told)} if told else {}
+    )
     return Result(measurements=tuple(out), evidence=evidence)
 
 
-def _told(session: Session, pooled: OneGain, gain: standard.Line | None, context: Context) -> list[Told]:
+def _predictive_residuals(
+    session: Session, pooled: SingleSetting, gain: emva1288.GainLine | None, context: Context
+) -> list[PredictiveResidual]:
     """Frames drawn from the posterior beside those measured; no quick number waits for that."""
     if context.quick:
         return []
     context.progress("frames drawn from the posterior", 0.95)
     slope = gain.slope if gain is not None and pooled.white else None
-    return predictive(session.stacks, pooled, slope, context=context)
+    return predictive_residuals(session.stacks, pooled, slope, context=context)
 
 
-def _evidence(pooled: OneGain, gain: standard.Line | None) -> dict[str, Any]:
+def _figure_data(pooled: SingleSetting, gain: emva1288.GainLine | None) -> dict[str, Any]:
     """What the report draws."""
     series, summary, fit = pooled.series, pooled.summary, pooled.fit
     spectra = "many" if summary.lag.seen else "few"
     return {
-        "photon-transfer": transfer_evidence(
+        "photon-transfer": transfer_figure_data(
             series,
             gain=None if gain is None else float(np.median(gain.slope)),
             # Frames that share light vary less about their own mean: the variance with that undone.
@@ -177,13 +184,13 @@ def _evidence(pooled: OneGain, gain: standard.Line | None) -> dict[str, Any]:
             blur_factor=float(np.median(fit.posterior["blur_factor"])),
             lag_factor=float(np.median(fit.posterior["lag_factor"])),
         ),
-        "noise-spectrum": spectrum_evidence(summary, fit),
-        "autocorrelation": correlation_evidence(series, summary),
+        "noise-spectrum": spectrum_figure_data(summary, fit),
+        "autocorrelation": correlation_figure_data(series, summary),
     }
 
 
-def _intensified_quantities(
-    series: Series,
+def _photoelectron_quantities(
+    series: FlatSeries,
     fit: Fit,
     context: Context,
     flags: tuple[str, ...],
@@ -196,31 +203,33 @@ def _intensified_quantities(
         f"neighbouring pixels share noise (blur factor {blur:.3g}): the variance over the signal is no gain "
         "per electron; see covariance_gain"
     )
-    apart = separated(series, fit.posterior, context=context, flags=flags, covariance_flags=covariance_flags, **fields)
-    return [refused("system_gain", "DN/e-", reason, **fields), *apart]
+    apart = separate_gains(
+        series, fit.posterior, context=context, flags=flags, covariance_flags=covariance_flags, **fields
+    )
+    return [make_refusal("system_gain", "DN/e-", reason, **fields), *apart]
 
 
-def _blur_of_darks(darks: list[Level], context: Context, fields: dict[str, Any]) -> Result:
+def _blur_of_darks(darks: list[StackStatistics], context: Context, fields: dict[str, Any]) -> Result:
     """Blur factor of the noise of darks alone."""
     dark = max(darks, key=lambda level: (level.frames, -(level.conditions.exposure_s or 0.0)))
     if dark.variance_dn2 <= 0:
-        return Result(measurements=(refused("blur_factor", "1", f"{dark.label} does not change", **fields),))
+        return Result(measurements=(make_refusal("blur_factor", "1", f"{dark.label} does not change", **fields),))
     nothing = replace(dark, label="nothing", variance_dn2=0.0, variance_sd_dn2=0.0, few=_zero(dark.few),
                       many=_zero(dark.many))  # fmt: skip
     one = np.ones(1)
-    series = Series(flats=(dark,), darks=(nothing,), all_darks=(dark,), signal_dn=one,
+    series = FlatSeries(flats=(dark,), darks=(nothing,), all_darks=(dark,), signal_dn=one,
                     variance_dn2=one * dark.variance_dn2, variance_sd_dn2=one * dark.variance_sd_dn2,
                     fitted=np.ones(1, bool), peak=None, reference="dark")  # fmt: skip
     # Noise of the electronics is white whatever reads the light.
-    summary = summarise(series, None)
-    forms = forms_of(blur_exponent(context), blurred=False, floor=False)
-    blur = fit(summary, seed=context.seed, quick=context.quick, forms=forms)
+    summary = pool_noise(series, None)
+    forms = blur_models(blur_exponent(context), blurred=False, floor=False)
+    blur = fit_spectrum(summary, seed=context.seed, quick=context.quick, forms=forms)
     flags = ("model-misfit",) if blur.chance < 1e-4 else ()
-    flags += cut(dark) + (("quantised",) if dark.variance_dn2 < QUANTISED_DN2 else ())
+    flags += dark_clipping_flags(dark) + (("quantised",) if dark.variance_dn2 < QUANTISED_DN2 else ())
     note = ("from the darks alone: the electronics' white noise is in it",)
-    found = from_draws("blur_factor", "1", blur.posterior["blur_factor"], flags=flags + blur.posterior.flags,
+    found = measurement_from_draws("blur_factor", "1", blur.posterior["blur_factor"], flags=flags + blur.posterior.flags,
                        notes=note, posterior=blur.posterior, **fields)  # fmt: skip
-    return Result(measurements=(found,), evidence={"noise-spectrum": spectrum_evidence(summary, blur)})
+    return Result(measurements=(found,), evidence={"noise-spectrum": spectrum_figure_data(summary, blur)})
 
 
 def _zero(spectrum):

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from charact.noise.gain.beyond import integrals
 from charact.noise.gain.forms import FEW_ELECTRONS, TAIL_PRIOR
-from charact.noise.gain.model import REFERENCE_CY_PER_PX, leaked, spectrum_at
-from charact.noise.gain.summary import Summary
+from charact.noise.gain.model import REFERENCE_CY_PER_PX, leakage_ratio, spectrum_at
+from charact.noise.gain.pooled_noise import PooledNoise
 
 Array = NDArray[np.float64]
 
@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 BEGIN = (TAIL_PRIOR[0], 0.2)
 
 
-class Data:
+class SpectrumData:
     """What the model is fitted to: the power in the bins used, and its integrals beyond the band where there are any.
 
     Attributes
@@ -32,7 +32,7 @@ class Data:
         ln of the determinant of that root.
     """
 
-    def __init__(self, summary: Summary, used: NDArray[np.bool_]) -> None:
+    def __init__(self, summary: PooledNoise, used: NDArray[np.bool_]) -> None:
         self.summary, self.used = summary, used
         self.column, self.row = summary.column_cy_per_px[used], summary.row_cy_per_px[used]
         self.measured = summary.power_dn[used]
@@ -65,7 +65,7 @@ class Data:
     def weigh(self, point: Array) -> None:
         """Take leaks and errors for those of all parameters (1, parameter)."""
         summary, beyond = self.summary, self.summary.beyond
-        self.leak = leaked(point, self.column, self.row, summary.reading, summary.leak_cy2_per_px2)
+        self.leak = leakage_ratio(point, self.column, self.row, summary.reading, summary.leak_cy2_per_px2)
         model, bins = self.expected(point)[0], len(self.column)
         covariance = np.zeros((len(model), len(model)))
         own = summary.power_sd_dn[self.used] * model[:bins] / np.maximum(self.measured[:bins], 0.2 * model[:bins])

@@ -37,7 +37,7 @@ class Excess:
     relative_sd: float = 0.0
     note: str | None = None
 
-    def divided(self, slope: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
+    def divide(self, slope: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
         """Return draws of the gain per electron from those of the slope."""
         if self.note is None:
             return slope

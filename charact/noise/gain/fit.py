@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.noise.gain.data import BEGIN, Data
-from charact.noise.gain.forms import EXPONENT_PRIOR, NONE, SPREAD_SEEN, Form
-from charact.noise.gain.model import NAMES, UNITS, leaked, spectrum_at
-from charact.noise.gain.summary import Summary
-from charact.posterior import laplace, maximum, weighed
+from charact.noise.gain.data import BEGIN, SpectrumData
+from charact.noise.gain.forms import EXPONENT_PRIOR, NONE, SPREAD_SEEN, GainBlurModel
+from charact.noise.gain.model import NAMES, UNITS, leakage_ratio, spectrum_at
+from charact.noise.gain.pooled_noise import PooledNoise
+from charact.posterior import find_maximum, importance_sample, laplace
 from charact.posterior.importance import ENOUGH, FIRST_DRAWS
 from labdata.measurement import Posterior
 
@@ -59,7 +59,7 @@ class Fit:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Peak:
+class GainSpectrumOptimum:
     """The best fit of a form over a range of frequency.
 
     Parameters
@@ -72,7 +72,7 @@ class Peak:
         Squared residuals over their variance, degrees of freedom, and the probability of more by chance.
     """
 
-    form: Form
+    form: GainBlurModel
     point: Array
     covariance: Array
     log_probability: Callable[[Array], Array]
@@ -82,17 +82,17 @@ class Peak:
     chance: float
 
 
-def peaks_of(data: Data, forms: Sequence[Form]) -> list[Peak]:
+def form_optima(data: SpectrumData, forms: Sequence[GainBlurModel]) -> list[GainSpectrumOptimum]:
     """Find the peak of every form; the errors of the data are those of the power fitted by the first."""
     first, begin = forms[0], data.start(EXPONENT_PRIOR[0])
     for _ in range(2):
         data.weigh(first.whole(first.part(begin)[None]))
-        peak = _peak_of(data, first, begin)
+        peak = _form_optimum(data, first, begin)
         begin = first.whole(peak.point[None])[0]
     peaks = [peak]
     begin = data.start(NONE["exponent"])
     for form in forms[1:]:
-        peaks.append(_peak_of(data, form, begin))
+        peaks.append(_form_optimum(data, form, begin))
         begin = peaks[1].form.whole(peaks[1].point[None])[0]
         # Half of the blur, wider than the other half, for what has both.
         begin[3], begin[6:] = max(0.25 * float(begin[1] + begin[2]), 0.05), BEGIN
@@ -101,26 +101,26 @@ def peaks_of(data: Data, forms: Sequence[Form]) -> list[Peak]:
     if "spread_share" in best.form.names:
         place = best.form.names.index("spread_share")
         if best.point[place] > SPREAD_SEEN * np.sqrt(best.covariance[place, place]):
-            peaks[at] = _peak_of(data, best.form.freed, best.form.whole(best.point[None])[0])
+            peaks[at] = _form_optimum(data, best.form.freed, best.form.whole(best.point[None])[0])
     return peaks
 
 
-def _peak_of(data: Data, form: Form, begin: Array) -> Peak:
+def _form_optimum(data: SpectrumData, form: GainBlurModel, begin: Array) -> GainSpectrumOptimum:
     """Climb from all parameters of the model."""
     from scipy.stats import chi2 as chi_squared
 
     log_probability = _log_probability(data, form)
-    point, covariance = maximum(log_probability, form.part(begin), form.bounds)
+    point, covariance = find_maximum(log_probability, form.part(begin), form.bounds)
     rest = (data.measured - data.expected(form.whole(point[None]))[0]) @ data.whitened
     chi2, freedom = float(rest @ rest), len(rest) - len(point)
     height = float(log_probability(point[None])[0])
     _, volume = np.linalg.slogdet(2.0 * np.pi * covariance)
-    return Peak(form=form, point=point, covariance=covariance, log_probability=log_probability,
+    return GainSpectrumOptimum(form=form, point=point, covariance=covariance, log_probability=log_probability,
                 log_evidence=height + 0.5 * float(volume), chi2=chi2, freedom=freedom,
                 chance=float(chi_squared.sf(chi2, freedom)))  # fmt: skip
 
 
-def _log_probability(data: Data, form: Form) -> Callable[[Array], Array]:
+def _log_probability(data: SpectrumData, form: GainBlurModel) -> Callable[[Array], Array]:
     """Gaussian likelihood of the data as they are weighed now, and the priors."""
     bounds, measured, root, volume = form.bounds, data.measured, data.root, data.log_volume
     centre = np.where(np.isfinite(bounds[:, 1]), bounds.mean(axis=1), 1.0)
@@ -134,7 +134,7 @@ def _log_probability(data: Data, form: Form) -> Callable[[Array], Array]:
     return log_probability
 
 
-def fit(summary: Summary, *, seed: int, quick: bool, forms: tuple[Form, ...]) -> Fit:
+def fit_spectrum(summary: PooledNoise, *, seed: int, quick: bool, forms: tuple[GainBlurModel, ...]) -> Fit:
     """Fit the model to the pooled spectrum, the variance and the correlation in time.
 
     Parameters
@@ -149,25 +149,25 @@ def fit(summary: Summary, *, seed: int, quick: bool, forms: tuple[Form, ...]) ->
     radius = np.hypot(summary.column_cy_per_px, summary.row_cy_per_px)
     for reach in REACHES_CY_PER_PX:
         used = radius <= reach
-        peaks = peaks_of(Data(summary, used), forms)
+        peaks = form_optima(SpectrumData(summary, used), forms)
         if max(peak.chance for peak in peaks) > LEAST_CHANCE or used.sum() < 24:
             break
     best = max(peaks, key=lambda peak: peak.log_evidence)
-    posterior = _with_gain(_mixed(peaks, seed, quick), summary, np.random.default_rng([seed, 1]))
+    posterior = _with_gain(_mixture_draws(peaks, seed, quick), summary, np.random.default_rng([seed, 1]))
     everywhere = summary.column_cy_per_px, summary.row_cy_per_px, summary.reading
     point = best.form.whole(best.point[None])
-    model = spectrum_at(point, *everywhere)[0] * leaked(point, *everywhere, summary.leak_cy2_per_px2)
+    model = spectrum_at(point, *everywhere)[0] * leakage_ratio(point, *everywhere, summary.leak_cy2_per_px2)
     return Fit(posterior=posterior, used=used, model_dn=model, chi2=best.chi2, freedom=best.freedom, chance=best.chance)
 
 
-def _mixed(peaks: Sequence[Peak], seed: int, quick: bool) -> Posterior:
+def _mixture_draws(peaks: Sequence[GainSpectrumOptimum], seed: int, quick: bool) -> Posterior:
     """Draw from the posteriors of all forms, each its share of the root of the evidence."""
     height = np.array([peak.log_evidence for peak in peaks])
     share = np.exp(EVIDENCE_POWER * (height - height.max()))
     share = np.where(share < LEAST_WEIGHT * share.sum(), 0.0, share) / share.sum()
     # Shares rounded one by one would not always add up to all draws.
     numbers = np.diff(np.rint(np.cumsum(share / share.sum()) * DRAWS).astype(int), prepend=0)
-    own = [(peak, _drawn(peak, int(n), seed, quick)) for peak, n in zip(peaks, numbers, strict=True) if n]
+    own = [(peak, _form_draws(peak, int(n), seed, quick)) for peak, n in zip(peaks, numbers, strict=True) if n]
     draws = np.concatenate([peak.form.whole(drawn.draws) for peak, drawn in own])
     # What a form needs no more of, such as a tail, leans on its bound and harms nothing where another goes without.
     harmless = {"prior-bound"} if len(peaks) > 1 else set()
@@ -179,7 +179,7 @@ def _mixed(peaks: Sequence[Peak], seed: int, quick: bool) -> Posterior:
     )  # fmt: skip
 
 
-def _drawn(peak: Peak, number: int, seed: int, quick: bool) -> Posterior:
+def _form_draws(peak: GainSpectrumOptimum, number: int, seed: int, quick: bool) -> Posterior:
     """Draw a form's part of all draws.
 
     By importance where there is time: strength, falls and exponent lie on a curved ridge along which a chain is slow.
@@ -191,12 +191,14 @@ def _drawn(peak: Peak, number: int, seed: int, quick: bool) -> Posterior:
     }  # fmt: skip
     if quick:
         return laplace(peak.log_probability, **told)
-    drawn = weighed(peak.log_probability, **told, enough=part * ENOUGH, first_draws=max(500, round(part * FIRST_DRAWS)))
+    drawn = importance_sample(
+        peak.log_probability, **told, enough=part * ENOUGH, first_draws=max(500, round(part * FIRST_DRAWS))
+    )
     few = drawn.effective_sample_size[0] < part * LEAST_EFFECTIVE
     return replace(drawn, flags=(*drawn.flags, "not-converged")) if few else drawn
 
 
-def _with_gain(drawn: Posterior, summary: Summary, rng: np.random.Generator) -> Posterior:
+def _with_gain(drawn: Posterior, summary: PooledNoise, rng: np.random.Generator) -> Posterior:
     """Put the gain, the blur factor and the lag factor before the draws of the spectrum.
 
     The variance and the correlation in time are measured apart from the spectrum's height: their errors are drawn

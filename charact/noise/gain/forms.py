@@ -34,7 +34,7 @@ NONE = dict.fromkeys(NAMES, 0.0) | {"exponent": 2.0, "spread_share": 1.0}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Form:
+class GainBlurModel:
     """A form of the blur: which parameters of the whole model are free, and what is known of them before the data.
 
     Parameters
@@ -85,7 +85,7 @@ class Form:
         return out
 
     @property
-    def freed(self) -> "Form":
+    def freed(self) -> "GainBlurModel":
         """The form with the fall of its wider share free up to halfway to the next."""
         fall = (self.strength / SPREAD_STEP, self.strength * SPREAD_STEP)
         return replace(self, priors={**self.priors, "strength": (fall, None)})
@@ -100,7 +100,7 @@ class Form:
         return np.clip(chosen, np.maximum(bounds[:, 0], -1e9) + 1e-6, np.minimum(bounds[:, 1], 1e9) - 1e-6)
 
 
-def forms_of(exponent: tuple[float, float] | None, *, blurred: bool, floor: bool) -> tuple[Form, ...]:
+def blur_models(exponent: tuple[float, float] | None, *, blurred: bool, floor: bool) -> tuple[GainBlurModel, ...]:
     """Return the forms that are thought possible.
 
     Parameters
@@ -115,12 +115,14 @@ def forms_of(exponent: tuple[float, float] | None, *, blurred: bool, floor: bool
     power = ((0.0, np.inf), None)
     share = (SHARE, SHARE_PRIOR if floor else FEW_ELECTRONS)
     falls = {"power": power, "fall_columns": (FALL, None), "fall_rows": (FALL, None)}
-    tube = Form(priors={**falls, "strength": (STRENGTH, None), "exponent": (EXPONENT, exponent or EXPONENT_PRIOR),
+    tube = GainBlurModel(priors={**falls, "strength": (STRENGTH, None), "exponent": (EXPONENT, exponent or EXPONENT_PRIOR),
                         "electron_share": share})  # fmt: skip
     if exponent is not None or not blurred:
         return (tube,)
     gaussian = {**falls, "electron_share": share}
-    tailed = Form(priors={**gaussian, "strength": (WIDE, None), "tail": (TAIL, TAIL_PRIOR)}, split=True)
+    tailed = GainBlurModel(priors={**gaussian, "strength": (WIDE, None), "tail": (TAIL, TAIL_PRIOR)}, split=True)
     spread = {**gaussian, "spread_share": (SPREAD, None)}
-    wide = [Form(priors=spread, strength=fall, odds=1.0 / len(SPREAD_FALLS), split=True) for fall in SPREAD_FALLS]
-    return (tube, Form(priors=gaussian), tailed, *wide)
+    wide = [
+        GainBlurModel(priors=spread, strength=fall, odds=1.0 / len(SPREAD_FALLS), split=True) for fall in SPREAD_FALLS
+    ]
+    return (tube, GainBlurModel(priors=gaussian), tailed, *wide)

@@ -10,7 +10,7 @@ the forms that such transfers have (`charact.noise.gain.forms`), and what they l
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.noise.gain.reading import Reading
+from charact.noise.gain.pixel_readout_model import PixelReadoutModel
 
 Array = NDArray[np.float64]
 
@@ -26,7 +26,7 @@ NO_TAIL = 1e-6
 LEAST = 1e-9
 
 
-def transfer(parameters: Array, column: Array, row: Array, reading: Reading) -> Array:
+def transfer(parameters: Array, column: Array, row: Array, reading: PixelReadoutModel) -> Array:
     """Return |H|^2 of the blur after the gain as it is read, shape (draw, bin).
 
     (1 - q + q sqrt(C))^2 exp(-cx x^2 - cy y^2), C = (1 + t b r^n)^(-1/t), frequencies in units of the reference: the
@@ -49,13 +49,15 @@ def transfer(parameters: Array, column: Array, row: Array, reading: Reading) -> 
     return reading.shown(before, column, row)
 
 
-def spectrum_at(parameters: Array, column: Array, row: Array, reading: Reading) -> Array:
+def spectrum_at(parameters: Array, column: Array, row: Array, reading: PixelReadoutModel) -> Array:
     """Return the power per DN of signal at one time lag 0, shape (draw, bin), DN."""
     share = parameters[:, 5:6]
     return parameters[:, :1] * ((1.0 - share) * transfer(parameters, column, row, reading) + share)
 
 
-def leaked(point: Array, column: Array, row: Array, reading: Reading, leak_cy2_per_px2: tuple[float, float]) -> Array:
+def leakage_ratio(
+    point: Array, column: Array, row: Array, reading: PixelReadoutModel, leak_cy2_per_px2: tuple[float, float]
+) -> Array:
     """Return the power that the modes of faded images have over that of `spectrum_at`, shape (bin,), dimensionless.
 
     Each mode is a mean over frequencies nearby, which to second order is the mean of two on either side.

@@ -13,30 +13,30 @@ import numpy as np
 from charact.method import Context
 from charact.noise.checks import light_findings
 from charact.noise.findings import Finding, flags_of, notes_of
-from charact.noise.gain import standard
+from charact.noise.gain import emva1288
 from charact.noise.gain.excess import excess_of
-from charact.noise.gain.one_gain import OneGain
+from charact.noise.gain.single_setting import SingleSetting
 from charact.noise.gain.white_floor import floor_of
 from charact.noise.quantities import white_quantities
 from labdata import flags
-from labdata.measurement import Measurement, from_draws
+from labdata.measurement import Measurement, measurement_from_draws
 
 # Covariance sum over variance beyond which no charge that spreads in silicon explains what neighbours share (each of
 # four would get more than 8 %): an undescribed tube may stand before the chip.
 LEAST_BLUR_FACTOR = 0.5
 
 
-def gain_of(pooled: OneGain, allowance: float, context: Context) -> tuple[standard.Line, standard.Line]:
+def gain_of(pooled: SingleSetting, allowance: float, context: Context) -> tuple[emva1288.GainLine, emva1288.GainLine]:
     """Return the slope of the standard and the gain per electron that other quantities follow from."""
-    plain = standard.gain_line(pooled.series, context=context, allowance=allowance)
+    plain = emva1288.gain_line(pooled.series, context=context, allowance=allowance)
     if pooled.white:
         return plain, plain
     excess = excess_of(pooled.series.flats[0].conditions, context)
-    draws = excess.divided(pooled.posterior["covariance_gain"], context.seed)
+    draws = excess.divide(pooled.posterior["covariance_gain"], context.seed)
     return plain, replace(plain, posterior=pooled.posterior, slope=draws)
 
 
-def electron_quantities(pooled: OneGain, gains: tuple[standard.Line, standard.Line], findings: list[Finding],
+def electron_quantities(pooled: SingleSetting, gains: tuple[emva1288.GainLine, emva1288.GainLine], findings: list[Finding],
                         covariance: list[Finding], context: Context, fields: dict[str, Any]
                         ) -> list[Measurement]:  # fmt: skip
     """Return the system gain and what follows from it.
@@ -55,16 +55,16 @@ def electron_quantities(pooled: OneGain, gains: tuple[standard.Line, standard.Li
     series, (plain, gain) = pooled.series, gains
     excess = excess_of(series.flats[0].conditions, context)
     notes = () if excess.note is None else (excess.note,)
-    own = findings if pooled.white else [*findings, _shared(pooled, plain, gain)]
-    first = from_draws("system_gain", "DN/e-", plain.slope, flags=flags_of(own) + plain.posterior.flags,
+    own = findings if pooled.white else [*findings, _correlation_finding(pooled, plain, gain)]
+    first = measurement_from_draws("system_gain", "DN/e-", plain.slope, flags=flags_of(own) + plain.posterior.flags,
                        notes=notes_of(own) + notes, posterior=plain.posterior, **fields)  # fmt: skip
-    why = findings if pooled.white else [*covariance, *_beyond_silicon(pooled)]
+    why = findings if pooled.white else [*covariance, *_blur_findings(pooled)]
     out = [first, *white_quantities(series, gain, context=context, findings=why, light=light_findings(series),
                                     notes=notes, factor=excess.factor, **fields)]  # fmt: skip
     return out if pooled.white else [*out, *_floor(pooled, covariance, context, fields)]
 
 
-def _shared(pooled: OneGain, plain: standard.Line, gain: standard.Line) -> Finding:
+def _correlation_finding(pooled: SingleSetting, plain: emva1288.GainLine, gain: emva1288.GainLine) -> Finding:
     """What neighbours share, as a share of the gain."""
     low, right = float(np.median(plain.slope)), float(np.median(gain.slope))
     percent = 100.0 * (1.0 - low / right)
@@ -75,7 +75,7 @@ def _shared(pooled: OneGain, plain: standard.Line, gain: standard.Line) -> Findi
     )
 
 
-def _beyond_silicon(pooled: OneGain) -> list[Finding]:
+def _blur_findings(pooled: SingleSetting) -> list[Finding]:
     """Neighbours that share more than any chip lets them."""
     blur = float(np.median(pooled.posterior["blur_factor"]))
     if blur >= LEAST_BLUR_FACTOR:
@@ -85,11 +85,13 @@ def _beyond_silicon(pooled: OneGain) -> list[Finding]:
     return [flags.Finding(flag="correlated-noise", effect=effect, remedy=remedy)]
 
 
-def _floor(pooled: OneGain, covariance: list[Finding], context: Context, fields: dict[str, Any]) -> list[Measurement]:
+def _floor(
+    pooled: SingleSetting, covariance: list[Finding], context: Context, fields: dict[str, Any]
+) -> list[Measurement]:
     """Gain of what is counted behind the blur, where the spectrum shows it."""
-    if not _beyond_silicon(pooled):
+    if not _blur_findings(pooled):
         return []
     floor = floor_of(pooled.series, pooled.posterior, context=context)
     if not floor.seen:
         return []
-    return [from_draws("conversion_gain", "DN/e-", floor.draws, flags=flags_of(covariance), **fields)]
+    return [measurement_from_draws("conversion_gain", "DN/e-", floor.draws, flags=flags_of(covariance), **fields)]

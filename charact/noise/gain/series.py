@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.noise.stack.level import Level
-from charact.noise.stack.parts import read_levels_of
+from charact.noise.stack.parallel_reading import read_levels_of
+from charact.noise.stack.stack_statistics import StackStatistics
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.session import Session
@@ -24,7 +24,7 @@ GAINS = ("mcp_v", "gain_control", "em_gain", "camera_gain_db")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Series:
+class FlatSeries:
     """Flats at one gain in order of rising level, each with the dark it is measured against.
 
     Parameters
@@ -49,9 +49,9 @@ class Series:
         Stacks of a single frame, which took no part either.
     """
 
-    flats: tuple[Level, ...]
-    darks: tuple[Level, ...]
-    all_darks: tuple[Level, ...]
+    flats: tuple[StackStatistics, ...]
+    darks: tuple[StackStatistics, ...]
+    all_darks: tuple[StackStatistics, ...]
     signal_dn: Array
     variance_dn2: Array
     variance_sd_dn2: Array
@@ -69,7 +69,7 @@ def without_noise(single: Sequence[str]) -> str:
 
 def read_levels(
     session: Session, *, context: Context, spectra: bool, cubes: bool = False
-) -> tuple[list[Level], list[Level], list[str]]:
+) -> tuple[list[StackStatistics], list[StackStatistics], list[str]]:
     """Read every dark and flat of a session, part by part.
 
     Returns
@@ -102,24 +102,24 @@ def gain_of(conditions: Conditions) -> tuple[float | None, ...]:
     return tuple(getattr(conditions, name) for name in GAINS)
 
 
-def longest_series(flats: list[Level]) -> list[Level]:
+def longest_series(flats: list[StackStatistics]) -> list[StackStatistics]:
     """The flats of the gain that most of them were taken at, in order of rising level.
 
     Of gains with as many, the one with the brightest flat that is not cut by the highest code: its noise stands
     furthest above that of the camera and above its steps.
     """
 
-    def worth(group: list[Level]) -> tuple[int, float]:
-        return len(group), max((flat.mean_dn for flat in group if flat.high_share <= CLIPPED_SHARE), default=-np.inf)
+    def worth(group: list[StackStatistics]) -> tuple[int, float]:
+        return len(group), max((flat.mean_dn for flat in group if flat.high_fraction <= CLIPPED_SHARE), default=-np.inf)
 
-    groups: dict[tuple, list[Level]] = {}
+    groups: dict[tuple, list[StackStatistics]] = {}
     for flat in flats:
         groups.setdefault(gain_of(flat.conditions), []).append(flat)
     chosen = max(groups.values(), key=worth) if groups else []
     return sorted(chosen, key=lambda level: level.mean_dn)
 
 
-def series_of(flats: list[Level], darks: list[Level], single: Sequence[str] = ()) -> Series:
+def series_of(flats: list[StackStatistics], darks: list[StackStatistics], single: Sequence[str] = ()) -> FlatSeries:
     """Set the flats of the gain that most were taken at against their darks."""
     chosen = longest_series(flats)
     here = {flat.label for flat in chosen}
@@ -127,7 +127,7 @@ def series_of(flats: list[Level], darks: list[Level], single: Sequence[str] = ()
     return replace(series_of_one_gain(chosen, darks), left_out=left_out, single=tuple(single))
 
 
-def series_of_one_gain(chosen: list[Level], darks: list[Level]) -> Series:
+def series_of_one_gain(chosen: list[StackStatistics], darks: list[StackStatistics]) -> FlatSeries:
     """Set flats of one gain, in order of rising level, against their darks; find where a gain may be fitted."""
     reference = "dark"
     if not darks:
@@ -138,19 +138,19 @@ def series_of_one_gain(chosen: list[Level], darks: list[Level]) -> Series:
     variance = np.array([f.variance_dn2 - d.variance_dn2 for f, d in zip(chosen, matched, strict=True)])
     sd = np.array([np.hypot(f.variance_sd_dn2, d.variance_sd_dn2) for f, d in zip(chosen, matched, strict=True)])
     peak = _peak(chosen, signal)
-    high = np.array([flat.high_share for flat in chosen])
+    high = np.array([flat.high_fraction for flat in chosen])
     fitted = (signal > 0) & (high <= CLIPPED_SHARE)
     if peak is not None:
         fitted &= signal <= FIT_SHARE * signal[peak]
-    return Series(flats=tuple(chosen), darks=matched, all_darks=tuple(darks) if reference == "dark" else (),
+    return FlatSeries(flats=tuple(chosen), darks=matched, all_darks=tuple(darks) if reference == "dark" else (),
                   signal_dn=signal, variance_dn2=variance, variance_sd_dn2=sd, fitted=fitted, peak=peak,
                   reference=reference)  # fmt: skip
 
 
-def _dark_of(flat: Level, darks: list[Level]) -> Level:
+def _dark_of(flat: StackStatistics, darks: list[StackStatistics]) -> StackStatistics:
     """The dark whose conditions agree in most; of equals the one of the nearest exposure, then of most frames."""
 
-    def unlike(dark: Level) -> tuple[int, float, int]:
+    def unlike(dark: StackStatistics) -> tuple[int, float, int]:
         here, there = flat.conditions, dark.conditions
         same = sum(
             getattr(here, name) is not None and getattr(here, name) == getattr(there, name)
@@ -162,7 +162,7 @@ def _dark_of(flat: Level, darks: list[Level]) -> Level:
     return min(darks, key=unlike)
 
 
-def _peak(flats: list[Level], signal: Array) -> int | None:
+def _peak(flats: list[StackStatistics], signal: Array) -> int | None:
     """Index of the variance peak if the variance falls beyond it, and levels below it show that it rose before."""
     if len(flats) < 3:
         return None

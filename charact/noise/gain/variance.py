@@ -5,20 +5,31 @@ from typing import Any
 import numpy as np
 
 from charact.method import Context, register
-from charact.noise.checks import bend_allowance, bent, exposure_flags, hidden_findings, light_findings, series_findings
+from charact.noise.checks import (
+    bend_allowance,
+    correlation_findings,
+    exposure_flags,
+    light_findings,
+    series_findings,
+    variance_ratio_changes,
+)
 from charact.noise.cube.three_dimensional import three_dimensional
 from charact.noise.dark_current import dark_current
-from charact.noise.evidence import transfer_evidence
+from charact.noise.figure_data import transfer_figure_data
 from charact.noise.findings import flags_of, notes_of
-from charact.noise.gain import standard
+from charact.noise.gain import emva1288
 from charact.noise.gain.excess import excess_of
 from charact.noise.gain.series import read_levels, series_of
-from charact.noise.hidden import allowance_of, shared_by_exposures, shared_by_neighbours
+from charact.noise.gain_feasibility import gain_obstacle, without_flats
 from charact.noise.provenance import provenance
-from charact.noise.quantities import dark_quantities, pattern_quantities, saturation, white_quantities
-from charact.noise.tube import intensified
-from charact.noise.verdict import problem, without_flats
-from labdata.measurement import Result, from_draws
+from charact.noise.quantities import dark_quantities, pattern_quantities, saturation_level, white_quantities
+from charact.noise.tube import has_intensifier
+from charact.noise.undetected_correlation import (
+    allowance_of,
+    spatially_correlated_fraction,
+    temporally_correlated_fraction,
+)
+from labdata.measurement import Result, measurement_from_draws
 from labdata.session import Session
 
 METHOD = "variance"
@@ -45,27 +56,27 @@ def variance(session: Session, *, context: Context) -> Result:
     cubes = three_dimensional([*darks, *flats], context=context)
     fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
     series = series_of(flats, darks, single) if flats else None
-    if series is None or problem(series) is not None:
+    if series is None or gain_obstacle(series) is not None:
         result = Result(measurements=tuple(without_flats(darks, series, single, **fields))) + cubes
         return result + dark_current(darks, result, context=context)
-    neighbours, exposures = shared_by_neighbours(series), shared_by_exposures(series)
+    neighbours, exposures = spatially_correlated_fraction(series), temporally_correlated_fraction(series)
     findings = series_findings(series, context=context)
     flags = flags_of(findings)
-    findings += bent(series) + hidden_findings(neighbours, exposures)
-    tube = intensified([level.conditions for level in (*darks, *flats)], context)
+    findings += variance_ratio_changes(series) + correlation_findings(neighbours, exposures)
+    tube = has_intensifier([level.conditions for level in (*darks, *flats)], context)
     allowance = float(np.hypot(allowance_of(neighbours, exposures, tube=tube), bend_allowance(series)))
-    gain = standard.gain_line(series, context=context, allowance=allowance)
+    gain = emva1288.gain_line(series, context=context, allowance=allowance)
     own = flags_of(findings) + gain.posterior.flags
     excess = excess_of(series.flats[0].conditions, context)
     notes = () if excess.note is None else (excess.note,)
-    out = [from_draws("system_gain", "DN/e-", gain.slope, flags=own, notes=notes_of(findings) + notes,
+    out = [measurement_from_draws("system_gain", "DN/e-", gain.slope, flags=own, notes=notes_of(findings) + notes,
                       posterior=gain.posterior, **fields)]  # fmt: skip
     out += dark_quantities(series.all_darks, flags=flags, **fields) if series.all_darks else []
-    out.append(saturation(series, flags=flags, **fields))
+    out.append(saturation_level(series, flags=flags, **fields))
     out += white_quantities(series, gain, context=context, findings=findings, light=light_findings(series),
                             notes=notes, factor=excess.factor, **fields)  # fmt: skip
     out += pattern_quantities(series, gain.slope, flags=flags, gain_flags=own, pair_flags=exposure_flags(exposures),
                               **fields)  # fmt: skip
-    evidence = {"photon-transfer": transfer_evidence(series, gain=float(np.median(gain.slope)))}
+    evidence = {"photon-transfer": transfer_figure_data(series, gain=float(np.median(gain.slope)))}
     result = Result(measurements=tuple(out), evidence=evidence) + cubes
     return result + dark_current(darks, result, context=context)

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from charact.method import Context
 from charact.noise.gain.beyond import points_beyond
 from charact.noise.gain.model import NAMES, transfer
-from charact.noise.gain.reading import Reading
-from charact.noise.gain.series import Series
-from charact.noise.light.calibrated import drawn
+from charact.noise.gain.pixel_readout_model import PixelReadoutModel
+from charact.noise.gain.series import FlatSeries
+from charact.noise.snr.cathode_radiometry import lognormal_draws
 from labdata.measurement import Posterior
 
 Array = NDArray[np.float64]
@@ -57,7 +57,7 @@ class Floor:
     why_unseen: str = ""
 
 
-def floor_of(series: Series, posterior: Posterior, *, context: Context) -> Floor:
+def floor_of(series: FlatSeries, posterior: Posterior, *, context: Context) -> Floor:
     """Return K from the floor where that is seen; else from the sensor; else anything the spectrum leaves room for.
 
     Parameters
@@ -70,7 +70,7 @@ def floor_of(series: Series, posterior: Posterior, *, context: Context) -> Floor
         The sensor, seed, and whether fields are interlaced.
     """
     rng = np.random.default_rng([context.seed, 31])
-    white = not smoothed(series, context)
+    white = not has_electronic_smoothing(series, context)
     draws = posterior["power"] * posterior["electron_share"]
     if white:
         pulses = float(np.median(posterior["power"] - draws)) * _transfer_beyond(series, posterior, context)
@@ -80,7 +80,7 @@ def floor_of(series: Series, posterior: Posterior, *, context: Context) -> Floor
             return Floor(draws=np.maximum(draws, 0.0), seen=True, source="the white floor of the noise")
     why = HIDDEN if white else FILTERED
     if context.sensor is not None:
-        draws = drawn(context.sensor.video.conversion_gain_dn_per_e, rng, len(draws))
+        draws = lognormal_draws(context.sensor.video.conversion_gain_dn_per_e, rng, len(draws))
         return Floor(draws=draws, seen=False, source="the sensor's conversion gain", why_unseen=why)
     if not white:
         # A covariance that falls with the light tells no gain, and leaves no room for K.
@@ -90,24 +90,24 @@ def floor_of(series: Series, posterior: Posterior, *, context: Context) -> Floor
     return Floor(draws=draws, seen=False, source=source, why_unseen=why)
 
 
-def _transfer_beyond(series: Series, posterior: Posterior, context: Context) -> float:
+def _transfer_beyond(series: FlatSeries, posterior: Posterior, context: Context) -> float:
     """Mean of |H|^2 of the blur as fitted over the modes beyond the band."""
     row_pitch = series.flats[0].bins.row_pitch
     column, row, share = points_beyond(row_pitch)
     step = max(1, len(posterior.draws) // SOME_DRAWS)
     some = np.column_stack([posterior[name][::step] for name in NAMES])
-    passed = np.minimum(transfer(some, column, row, Reading.of(row_pitch, context.sensor)), 1.0)
+    passed = np.minimum(transfer(some, column, row, PixelReadoutModel.of(row_pitch, context.sensor)), 1.0)
     return float(np.median(passed @ share)) / float(share.sum())
 
 
-def analogue(context: Context) -> bool:
+def has_analogue_chain(context: Context) -> bool:
     """Return whether electronics behind the CCD may filter along the rows, electrons and pulses alike."""
     return context.interlaced or (context.sensor is not None and not context.sensor.video.digital)
 
 
-def smoothed(series: Series, context: Context) -> bool:
+def has_electronic_smoothing(series: FlatSeries, context: Context) -> bool:
     """Return whether electronics smooth what they read, so that no noise behind them is white."""
-    return analogue(context) or any(
+    return has_analogue_chain(context) or any(
         dark.variance_dn2 > 0 and dark.neighbour_correlation > SMOOTH + SIGNIFICANT * dark.neighbour_sd
         for dark in series.darks
     )

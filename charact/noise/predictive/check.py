@@ -15,11 +15,11 @@ from charact.method import Context
 from charact.noise.checks import QUANTISED_DN2
 from charact.noise.findings import Finding
 from charact.noise.gain.excess import excess_of
-from charact.noise.gain.one_gain import OneGain
-from charact.noise.predictive.light import LightNoise, of_electrons, of_pulses
-from charact.noise.predictive.signs import SIDE_PX, SIGNS, signs_of
-from charact.noise.stack.fields import fields_of
-from labdata.opened import open_stack
+from charact.noise.gain.single_setting import SingleSetting
+from charact.noise.predictive.predictive_frames import LightNoise, electron_noise, pulse_noise
+from charact.noise.predictive.summary_statistics import SIDE_PX, STATISTICS, summary_statistics
+from charact.noise.stack.exposure_order import split_fields
+from labdata.lazy_stack import open_lazy_stack
 from labdata.session import StackEntry
 
 Array = NDArray[np.float64]
@@ -38,7 +38,7 @@ EVEN_PX = 17
 
 
 @dataclass(frozen=True, kw_only=True)
-class Told:
+class PredictiveResidual:
     """One sign of one stack.
 
     Parameters
@@ -59,8 +59,8 @@ class Told:
     chance: float
 
 
-def predictive(entries: tuple[StackEntry, ...], pooled: OneGain, gain_dn: Array | None, *, context: Context
-               ) -> list[Told]:  # fmt: skip
+def predictive_residuals(entries: tuple[StackEntry, ...], pooled: SingleSetting, gain_dn: Array | None, *, context: Context
+               ) -> list[PredictiveResidual]:  # fmt: skip
     """Return the signs of some flats beside those of frames drawn from the posterior.
 
     Parameters
@@ -83,33 +83,33 @@ def predictive(entries: tuple[StackEntry, ...], pooled: OneGain, gain_dn: Array 
     """
     by_label = {entry.label: entry for entry in entries}
     rng = np.random.default_rng([context.seed, 61])
-    out: list[Told] = []
+    out: list[PredictiveResidual] = []
     for index in _levels(pooled):
         flat, dark = pooled.series.flats[index], pooled.series.darks[index]
         frames, base = (_middle(by_label[label], context) for label in (flat.label, dark.label))
         if frames is None or base is None:
             continue
-        law = _laws(pooled, index, gain_dn, context, rng)
+        law = _noise_source(pooled, index, gain_dn, context, rng)
         steps = float(dark.variance_dn2 < QUANTISED_DN2)
-        out += _told(flat.label, frames, base, law, 2 if context.interlaced else 1, rng, steps)
+        out += _stack_residuals(flat.label, frames, base, law, 2 if context.interlaced else 1, rng, steps)
     return out
 
 
-def findings_of(told: list[Told]) -> list[Finding]:
+def findings_of(told: list[PredictiveResidual]) -> list[Finding]:
     """Return what frames drawn from the posterior have otherwise, beyond chance."""
     odd = [one for one in told if one.chance * len(told) < LEVEL]
     worst = sorted(odd, key=lambda one: one.chance)[:3]
     return [
         (
             "model-misfit",
-            f"{one.stack} is unlike frames drawn from the posterior: {SIGNS[one.sign].words} is {one.measured:.3g}, "
+            f"{one.stack} is unlike frames drawn from the posterior: {STATISTICS[one.sign].words} is {one.measured:.3g}, "
             f"expected {one.expected:.3g} ± {one.sd:.2g}",
         )
         for one in worst
     ]
 
 
-def predictive_evidence(told: list[Told]) -> dict[str, Any]:
+def predictive_figure_data(told: list[PredictiveResidual]) -> dict[str, Any]:
     """Return what the report draws of it."""
     return {
         "figure": "predictive-frames",
@@ -118,12 +118,12 @@ def predictive_evidence(told: list[Told]) -> dict[str, Any]:
         "measured": [one.measured for one in told],
         "expected": [one.expected for one in told],
         "sd": [one.sd for one in told],
-        "harmless": [SIGNS[one.sign].harmless for one in told],
+        "harmless": [STATISTICS[one.sign].harmless for one in told],
         "chance": [one.chance for one in told],
     }
 
 
-def _levels(pooled: OneGain) -> list[int]:
+def _levels(pooled: SingleSetting) -> list[int]:
     """The dimmest, the middle and the brightest of the flats fitted."""
     fitted = np.flatnonzero(pooled.series.fitted)
     some = np.unique(np.linspace(0, len(fitted) - 1, min(LEVELS, len(fitted))).round().astype(int))
@@ -135,9 +135,9 @@ def _middle(entry: StackEntry, context: Context) -> Array | None:
 
     Exposures that follow one another: glow is compared too.
     """
-    stack = open_stack(entry)
+    stack = open_lazy_stack(entry)
     data = stack.frames(0, min(len(stack), EXPOSURES))
-    field = fields_of(data, 2 if context.interlaced else 1)[0]
+    field = split_fields(data, 2 if context.interlaced else 1)[0]
     rows, cols = (SIDE_PX * (min(length, SIDE) // SIDE_PX) for length in field.shape[1:])
     if min(rows, cols) < LEAST_SIDE or len(field) < 2:
         return None
@@ -145,34 +145,34 @@ def _middle(entry: StackEntry, context: Context) -> Array | None:
     return field[:, top : top + rows, left : left + cols].astype(np.float64)
 
 
-def _laws(pooled: OneGain, index: int, gain_dn: Array | None, context: Context, rng: np.random.Generator
+def _noise_source(pooled: SingleSetting, index: int, gain_dn: Array | None, context: Context, rng: np.random.Generator
           ) -> Callable[[], LightNoise]:  # fmt: skip
     """What gives the noise of a level by one draw of the posterior after another."""
     if gain_dn is not None:
         factor = excess_of(pooled.series.flats[0].conditions, context).factor
-        return lambda: of_electrons(float(rng.choice(gain_dn)), factor)
+        return lambda: electron_noise(float(rng.choice(gain_dn)), factor)
     posterior, reading = pooled.posterior, pooled.summary.reading
     share = pooled.level_share(index)
-    return lambda: of_pulses(posterior, int(rng.integers(len(posterior.draws))), share, reading, rng)
+    return lambda: pulse_noise(posterior, int(rng.integers(len(posterior.draws))), share, reading, rng)
 
 
-def _told(label: str, frames: Array, base: Array, law: Callable[[], LightNoise], every: int, rng: np.random.Generator,
-          steps_dn: float = 0.0) -> list[Told]:  # fmt: skip
+def _stack_residuals(label: str, frames: Array, base: Array, law: Callable[[], LightNoise], every: int, rng: np.random.Generator,
+          steps_dn: float = 0.0) -> list[PredictiveResidual]:  # fmt: skip
     """Signs of one stack beside those of its replicates, with rounding by steps of up to `steps_dn`."""
     from scipy.ndimage import uniform_filter
 
     light = np.maximum(uniform_filter(frames.mean(axis=0) - base.mean(axis=0), EVEN_PX, mode="nearest"), 0.0)
     change = (base - base.mean(axis=0)) * np.sqrt(len(base) / (len(base) - 1))
     drawn = [
-        signs_of(
+        summary_statistics(
             law().frames(light, len(frames), every, rng)
-            + _turned(change, len(frames), rng)
+            + _resampled_dark_noise(change, len(frames), rng)
             + _rounding(frames.shape, steps_dn, rng)
         )
         for _ in range(REPLICATES)
     ]
-    ours = signs_of(frames)
-    return [_one(label, name, value, np.array([one[name] for one in drawn])) for name, value in ours.items()]
+    ours = summary_statistics(frames)
+    return [_residual(label, name, value, np.array([one[name] for one in drawn])) for name, value in ours.items()]
 
 
 def _rounding(shape: tuple[int, ...], most_dn: float, rng: np.random.Generator) -> Array:
@@ -183,7 +183,7 @@ def _rounding(shape: tuple[int, ...], most_dn: float, rng: np.random.Generator) 
     return height * rng.uniform(-0.5, 0.5, shape)
 
 
-def _turned(change: Array, count: int, rng: np.random.Generator) -> Array:
+def _resampled_dark_noise(change: Array, count: int, rng: np.random.Generator) -> Array:
     """Frames of the dark's noise, drawn with repeats, mirrored and shifted at random."""
     rows, cols = change.shape[1:]
     out = []
@@ -193,13 +193,13 @@ def _turned(change: Array, count: int, rng: np.random.Generator) -> Array:
     return np.array(out)
 
 
-def _one(label: str, name: str, measured: float, drawn: Array) -> Told:
+def _residual(label: str, name: str, measured: float, drawn: Array) -> PredictiveResidual:
     """How far off one sign is, by Student's law: mean and scatter are those of a few replicates."""
     from scipy.stats import t as student
 
     expected, sd = float(drawn.mean()), max(float(drawn.std(ddof=1)), 1e-12)
-    away = measured - expected if SIGNS[name].upwards else abs(measured - expected)
-    beyond = max(away - SIGNS[name].harmless, 0.0) / (sd * np.sqrt(1.0 + 1.0 / len(drawn)))
-    sides = 1.0 if SIGNS[name].upwards else 2.0
+    away = measured - expected if STATISTICS[name].upwards else abs(measured - expected)
+    beyond = max(away - STATISTICS[name].harmless, 0.0) / (sd * np.sqrt(1.0 + 1.0 / len(drawn)))
+    sides = 1.0 if STATISTICS[name].upwards else 2.0
     chance = min(1.0, sides * float(student.sf(beyond, len(drawn) - 1))) if beyond > 0 else 1.0
-    return Told(stack=label, sign=name, measured=measured, expected=expected, sd=sd, chance=chance)
+    return PredictiveResidual(stack=label, sign=name, measured=measured, expected=expected, sd=sd, chance=chance)

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, fields
 
-from charact.noise.stack.parts import WHOLE_BYTES
+from charact.noise.stack.parallel_reading import WHOLE_BYTES
 from labdata.frames import FrameStack
 from labdata.session import StackEntry
 
@@ -11,7 +11,7 @@ MAPPED = (".npy", ".zarr")
 
 
 @dataclass(frozen=True, kw_only=True)
-class KeptStack(StackEntry):
+class LoadedStackEntry(StackEntry):
     """A stack whose frames were read.
 
     Parameters
@@ -27,7 +27,7 @@ class KeptStack(StackEntry):
         return self.kept
 
 
-def keep_frames(entries: tuple[StackEntry, ...]) -> tuple[StackEntry, ...]:
+def load_frames(entries: tuple[StackEntry, ...]) -> tuple[StackEntry, ...]:
     """Return darks and flats with their frames, as many as fit `WHOLE_BYTES`."""
     left, out = WHOLE_BYTES, []
     for entry in entries:
@@ -39,5 +39,5 @@ def keep_frames(entries: tuple[StackEntry, ...]) -> tuple[StackEntry, ...]:
         frames = entry.read()
         left -= frames.data.nbytes
         whole = {item.name: getattr(entry, item.name) for item in fields(StackEntry)}
-        out.append(KeptStack(**whole, kept=frames) if left >= 0 else entry)
+        out.append(LoadedStackEntry(**whole, kept=frames) if left >= 0 else entry)
     return tuple(out)

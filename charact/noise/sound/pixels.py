@@ -10,14 +10,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.noise.sound.survey import Survey
+from charact.noise.sound.survey import PixelSurvey
 from charact.noise.sound.thresholds import BLINKING_SHARE, CHANCE, LARGEST_PULSE, MOST_SHARE, UNEVEN
 
 Places = NDArray[np.int64]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Unsound:
+class DefectivePixels:
     """Pixels of a session that are left out. Places are row times columns plus column.
 
     Parameters
@@ -43,7 +43,7 @@ class Unsound:
         return f"judged on sound pixels: {' and '.join(parts)} are left out" if parts else None
 
 
-def unsound_pixels(surveys: Sequence[Survey], *, multiplies: bool) -> Unsound:
+def find_defective_pixels(surveys: Sequence[PixelSurvey], *, multiplies: bool) -> DefectivePixels:
     """Return the pixels that misbehave.
 
     Parameters
@@ -60,13 +60,13 @@ def unsound_pixels(surveys: Sequence[Survey], *, multiplies: bool) -> Unsound:
     if np.count_nonzero(wrong) > MOST_SHARE * pixels:
         wrong[:] = False
     least = LARGEST_PULSE * _slope(surveys) if multiplies else 0.0
-    blinks = _blinking(surveys, wrong)
+    blinks = _blinking_mask(surveys, wrong)
     away = wrong | blinks
-    struck = {one.label: hits for one in surveys if len((hits := _struck(one, away, least))[0])}
-    return Unsound(places=np.flatnonzero(away), blinking=np.flatnonzero(blinks), struck=struck)
+    struck = {one.label: hits for one in surveys if len((hits := _outlying_values(one, away, least))[0])}
+    return DefectivePixels(places=np.flatnonzero(away), blinking=np.flatnonzero(blinks), struck=struck)
 
 
-def _slope(surveys: Sequence[Survey]) -> float:
+def _slope(surveys: Sequence[PixelSurvey]) -> float:
     """Variance over signal of the flats by robust statistics, DN; 0 where there are none."""
     darks = [one for one in surveys if one.kind == "dark"]
     dark, noise = (
@@ -77,18 +77,18 @@ def _slope(surveys: Sequence[Survey]) -> float:
     return max(float(np.median(slopes)), 0.0) if slopes else 0.0
 
 
-def _few(one: Survey) -> bool:
+def _departures_are_rare(one: PixelSurvey) -> bool:
     """Whether those that depart suddenly are a minority."""
     return len(one.sudden) <= MOST_SHARE * one.pixels
 
 
-def _blinking(surveys: Sequence[Survey], wrong: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _blinking_mask(surveys: Sequence[PixelSurvey], wrong: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Pixels that depart more often than chance lets any."""
     from scipy.stats import binom
 
     counts, trials = np.zeros(len(wrong), np.int64), 0
     for one in surveys:
-        if _few(one):
+        if _departures_are_rare(one):
             counts[one.sudden] += one.times
             trials += one.trials
     if not trials:
@@ -101,7 +101,7 @@ def _blinking(surveys: Sequence[Survey], wrong: NDArray[np.bool_]) -> NDArray[np
     return blinks if np.count_nonzero(blinks) <= MOST_SHARE * len(wrong) else np.zeros(len(wrong), bool)
 
 
-def _struck(one: Survey, away: NDArray[np.bool_], least: float) -> tuple[Places, Places]:
+def _outlying_values(one: PixelSurvey, away: NDArray[np.bool_], least: float) -> tuple[Places, Places]:
     """Values far beyond the tail of their stack."""
     rest = ~away[one.sudden]
     own = one.kind == "flat" or least > 0 or np.count_nonzero(rest) > BLINKING_SHARE * one.pixels

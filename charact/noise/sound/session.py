@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 
 from charact.method import Context
-from charact.noise.sound.kept import keep_frames
-from charact.noise.sound.pixels import Unsound, unsound_pixels
+from charact.noise.sound.kept import load_frames
+from charact.noise.sound.pixels import DefectivePixels, find_defective_pixels
 from charact.noise.sound.step import common_step
-from charact.noise.sound.survey import Survey, survey
+from charact.noise.sound.survey import PixelSurvey, survey_pixels
 from charact.noise.sound.thresholds import LEAST_PIXELS, LEAST_SIDE, MEANS
-from charact.noise.sound.view import view_of
-from charact.noise.tube import multiplies
+from charact.noise.sound.view import frame_view
+from charact.noise.tube import has_multiplication
 from labdata.measurement import Interval, Measurement, Posterior, Result
 from labdata.session import Session
 
@@ -40,8 +40,8 @@ class Prepared:
     session: Session
     context: Context
     unit_dn: float
-    surveys: tuple[Survey, ...]
-    found: Unsound | None
+    surveys: tuple[PixelSurvey, ...]
+    found: DefectivePixels | None
 
     def in_dn(self, result: Result) -> Result:
         """Return a result whose levels are DN of the files, with a note on what was left out."""
@@ -49,13 +49,15 @@ class Prepared:
         notes = () if note is None else (note,)
         if self.unit_dn == 1.0:
             return (
-                replace(result, measurements=tuple(_noted(m, notes) for m in result.measurements)) if notes else result
+                replace(result, measurements=tuple(_with_notes(m, notes) for m in result.measurements))
+                if notes
+                else result
             )
         notes += (f"DN of the other notes are units of {self.unit_dn:.4g} of the files' values",)
         return replace(
             result,
-            measurements=tuple(_scaled(_noted(m, notes), self.unit_dn) for m in result.measurements),
-            evidence={name: _evidence(data, self.unit_dn) for name, data in result.evidence.items()},
+            measurements=tuple(_in_dn(_with_notes(m, notes), self.unit_dn) for m in result.measurements),
+            evidence={name: _scale_figure_data(data, self.unit_dn) for name, data in result.evidence.items()},
         )
 
 
@@ -73,18 +75,19 @@ def prepare(session: Session, *, context: Context) -> Prepared:
     -----
     Means are compared pixel by pixel in eight stacks spread over the levels: a pixel that is wrong is so in several.
     """
-    session = replace(session, stacks=keep_frames(session.stacks) if context.spread is map else session.stacks)
+    session = replace(session, stacks=load_frames(session.stacks) if context.spread is map else session.stacks)
     entries = session.of_kind("dark", "flat")
     spread = set(np.linspace(0, len(entries) - 1, min(MEANS, len(entries))).round().astype(int).tolist())
     spread |= {i for i, entry in enumerate(entries) if entry.kind == "dark"} if len(entries) <= MEANS else set()
-    surveys = [survey(entry, means=i in spread) for i, entry in enumerate(entries)]
+    surveys = [survey_pixels(entry, means=i in spread) for i, entry in enumerate(entries)]
     many = [one for one in surveys if one.frames > 1]
     sizes = {one.size for one in surveys}
     large = many and len(sizes) == 1 and many[0].pixels >= LEAST_PIXELS and min(many[0].size) >= LEAST_SIDE
-    found = unsound_pixels(many, multiplies=multiplies(session, context)) if large else None
+    found = find_defective_pixels(many, multiplies=has_multiplication(session, context)) if large else None
     unit, whole = _unit(surveys)
     views = {
-        one.label: view_of(one.label, found, one.size, unit_dn=unit, whole=whole, seed=context.seed) for one in surveys
+        one.label: frame_view(one.label, found, one.size, unit_dn=unit, whole=whole, seed=context.seed)
+        for one in surveys
     }
     stacks = tuple(replace(entry, view=views.get(entry.label)) for entry in session.stacks)
     full = None if context.full_scale_dn is None else context.full_scale_dn / unit
@@ -92,7 +95,7 @@ def prepare(session: Session, *, context: Context) -> Prepared:
                     surveys=tuple(many), found=found)  # fmt: skip
 
 
-def _unit(surveys: list[Survey]) -> tuple[float, bool]:
+def _unit(surveys: list[PixelSurvey]) -> tuple[float, bool]:
     """The unit of the values, DN, and whether they are whole numbers of it."""
     step = common_step([one.step_dn for one in surveys])
     if step is None:
@@ -103,7 +106,7 @@ def _unit(surveys: list[Survey]) -> tuple[float, bool]:
     return (2.0 ** np.floor(np.log2(min(noise) / FINE)), False) if noise else (1.0, False)
 
 
-def _noted(measurement: Measurement, notes: tuple[str, ...]) -> Measurement:
+def _with_notes(measurement: Measurement, notes: tuple[str, ...]) -> Measurement:
     return replace(measurement, notes=(*measurement.notes, *notes)) if measurement.value is not None else measurement
 
 
@@ -114,7 +117,7 @@ def power_of_dn(unit: str) -> int:
     return powers.get(above, 0) - powers.get(below, 0)
 
 
-def _scaled(measurement: Measurement, unit_dn: float) -> Measurement:
+def _in_dn(measurement: Measurement, unit_dn: float) -> Measurement:
     """A measurement whose levels were counted in units."""
     factor = unit_dn ** power_of_dn(measurement.unit)
 
@@ -143,12 +146,12 @@ def _posterior(kept: Posterior, unit_dn: float) -> Posterior:
     return replace(kept, draws=draws)
 
 
-def _evidence(data: Any, unit_dn: float, factor: float = 1.0) -> Any:
+def _scale_figure_data(data: Any, unit_dn: float, factor: float = 1.0) -> Any:
     """What the report draws, each entry by the unit in its name."""
     if isinstance(data, dict):
-        return {key: _evidence(value, unit_dn, _factor(key, unit_dn, factor)) for key, value in data.items()}
+        return {key: _scale_figure_data(value, unit_dn, _factor(key, unit_dn, factor)) for key, value in data.items()}
     if isinstance(data, list):
-        return [_evidence(value, unit_dn, factor) for value in data]
+        return [_scale_figure_data(value, unit_dn, factor) for value in data]
     return data * factor if isinstance(data, float) and factor != 1.0 else data
 
 

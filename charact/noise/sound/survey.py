@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 from charact.noise.sound.step import step_of
 from charact.noise.sound.thresholds import DECADES, FAR, LEAST_PIXELS, LEAST_SIDE, MOST_SHARE, SAMPLE, SUDDEN
-from charact.noise.stack.fields import RUN_FRAMES
+from charact.noise.stack.exposure_order import RUN_FRAMES
 from labdata.errors import BadInput
-from labdata.opened import open_stack
+from labdata.lazy_stack import open_lazy_stack
 from labdata.session import StackEntry
 
 Array = NDArray[np.float64]
@@ -25,7 +25,7 @@ def _no_places() -> Places:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Survey:
+class PixelSurvey:
     """What stands apart in one stack. Places are row times columns plus column.
 
     Parameters
@@ -92,7 +92,7 @@ class Survey:
         return max(float(far + DECADES * (far - near)), SUDDEN * self.sd_dn)
 
 
-def survey(entry: StackEntry, *, means: bool) -> Survey:
+def survey_pixels(entry: StackEntry, *, means: bool) -> PixelSurvey:
     """Return the survey of a stack.
 
     Parameters
@@ -107,9 +107,9 @@ def survey(entry: StackEntry, *, means: bool) -> Survey:
     BadInput
         If the frames cannot be read or values are beyond all bounds.
     """
-    stack = open_stack(entry)
+    stack = open_lazy_stack(entry)
     frames, rows, cols = stack.shape
-    first = _plain(stack.frames(0, min(frames, 2)), entry)
+    first = _pixel_rows(stack.frames(0, min(frames, 2)), entry)
     every = max(1, rows * cols // SAMPLE) | 1
     place = np.arange(0, rows * cols, every)
     values = first[:, place].astype(np.float64)
@@ -123,12 +123,12 @@ def survey(entry: StackEntry, *, means: bool) -> Survey:
         "sample": (change / np.sqrt(2.0)).astype(np.float32), "sample_place": place,
     }  # fmt: skip
     if frames < 2 or rows * cols < LEAST_PIXELS or min(rows, cols) < LEAST_SIDE or sd <= 0:
-        return Survey(**common, departure_dn=np.empty(0))
+        return PixelSurvey(**common, departure_dn=np.empty(0))
     blocks = (
-        (at, _plain(stack.frames(at, min(at + RUN_FRAMES, frames)), entry)) for at in range(0, frames, RUN_FRAMES)
+        (at, _pixel_rows(stack.frames(at, min(at + RUN_FRAMES, frames)), entry)) for at in range(0, frames, RUN_FRAMES)
     )
     if frames == 2:
-        found = _of_pair(first, SUDDEN * sd)
+        found = _sudden_in_pair(first, SUDDEN * sd)
         total = first.sum(axis=0, dtype=np.float32)
         highest, lowest = np.float32(first.max(axis=0)), np.float32(first.min(axis=0))
     else:
@@ -140,11 +140,11 @@ def survey(entry: StackEntry, *, means: bool) -> Survey:
     if means:
         # A mean without its largest value: one struck frame makes no bright pixel.
         rest = [(total - top) / np.float32(frames - 1) for top in (highest, lowest)]
-        common |= _apart(rest[0].reshape(rows, cols), rest[1].reshape(rows, cols), sd / np.sqrt(frames))
-    return Survey(**common, **found)
+        common |= _outlying_means(rest[0].reshape(rows, cols), rest[1].reshape(rows, cols), sd / np.sqrt(frames))
+    return PixelSurvey(**common, **found)
 
 
-def _plain(data: NDArray, entry: StackEntry) -> NDArray:
+def _pixel_rows(data: NDArray, entry: StackEntry) -> NDArray:
     """Frames as rows of pixels, of a type that loops are compiled for."""
     flat = data.reshape(len(data), -1)
     if flat.dtype in (np.uint8, np.uint16):
@@ -180,7 +180,7 @@ def _pair_departs(first, second, middle, limit, out):
     return count
 
 
-def _of_pair(pair: NDArray, limit: float) -> dict:
+def _sudden_in_pair(pair: NDArray, limit: float) -> dict:
     """Pixels in which two frames differ."""
     middle = float(np.median(pair[1, ::7].astype(np.float64) - pair[0, ::7]))
     out = np.empty(int(MOST_SHARE * pair.shape[1]) + 1, np.int64)
@@ -239,9 +239,9 @@ def _extend(block, at, total, high, next_high, low, next_low, high_at, low_at):
                         next_low[i] = value
 
 
-def _apart(without_top: NDArray[np.float32], without_low: NDArray[np.float32], error: float) -> dict:
+def _outlying_means(without_top: NDArray[np.float32], without_low: NDArray[np.float32], error: float) -> dict:
     """Pixels whose mean lies far from the median around them, rows and columns taken away."""
-    above, below = _rest(without_top), _rest(without_low)
+    above, below = _high_pass(without_top), _high_pass(without_low)
     size = 0.5 * (above + below).ravel()[::3]
     threshold = FAR * max(1.4826 * float(np.median(np.abs(size - np.median(size)))), error)
 
@@ -256,7 +256,7 @@ def _apart(without_top: NDArray[np.float32], without_low: NDArray[np.float32], e
             "most": (beyond(-error), beyond(-1.96 * error))}  # fmt: skip
 
 
-def _rest(image: NDArray[np.float32]) -> NDArray[np.float32]:
+def _high_pass(image: NDArray[np.float32]) -> NDArray[np.float32]:
     """What is left of an image without its slow changes and its uneven rows and columns."""
     from cv2 import medianBlur
 

@@ -5,15 +5,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.noise.sound.pixels import Unsound
+from charact.noise.sound.pixels import DefectivePixels
 from charact.noise.sound.thresholds import NEAR
-from labdata.opened import OpenStack
+from labdata.lazy_stack import LazyStack
 
 Places = NDArray[np.int64]
 
 
 @dataclass(frozen=True, kw_only=True)
-class View:
+class FrameView:
     """What is done to the frames of one stack as they are read.
 
     Parameters
@@ -42,13 +42,13 @@ class View:
     frame: Places
     struck_donors: Places
 
-    def through(self, stack: OpenStack) -> OpenStack:
+    def through(self, stack: LazyStack) -> LazyStack:
         """Return the stack as it is measured."""
         if self.unit_dn == 1.0 and not len(self.places) and not len(self.struck):
             return stack
         place, donor = np.concatenate([self.places, self.struck]), np.concatenate([self.donors, self.struck_donors])
         first = stack.frames(0, min(len(stack), 2)).mean(axis=0, dtype=np.float64)
-        shift = _around(first, place) - _around(first, donor)
+        shift = _surrounding_median(first, place) - _surrounding_median(first, donor)
         exact = stack.dtype.kind in "ui" or self.whole
         shift = np.rint(shift / self.unit_dn) * self.unit_dn if exact else shift
         throughout = len(self.places)
@@ -57,14 +57,14 @@ class View:
             data = np.array(stack.frames(start, stop))
             flat = data.reshape(len(data), -1)
             if throughout:
-                put(flat, np.s_[:], self.places, flat[:, self.donors], shift[:throughout])
+                write_values(flat, np.s_[:], self.places, flat[:, self.donors], shift[:throughout])
             for at, frame, source, change in zip(
                 self.struck, self.frame, self.struck_donors, shift[throughout:], strict=True
             ):
                 if frame < 0:
-                    put(flat, np.s_[:], at, flat[:, source], change)
+                    write_values(flat, np.s_[:], at, flat[:, source], change)
                 elif start <= frame < stop:
-                    put(flat, frame - start, at, flat[frame - start, source], change)
+                    write_values(flat, frame - start, at, flat[frame - start, source], change)
             return self._scaled(data)
 
         full = None if stack.full_scale_dn is None else stack.full_scale_dn / self.unit_dn
@@ -78,7 +78,7 @@ class View:
         return (np.rint(scaled) if self.whole else scaled).astype(np.float32)
 
 
-def put(flat: NDArray, frames, places, values: NDArray, shift) -> None:
+def write_values(flat: NDArray, frames, places, values: NDArray, shift) -> None:
     """Write values, shifted, where whole numbers have room for them."""
     moved = values.astype(np.float64) + shift
     if flat.dtype.kind in "ui":
@@ -87,7 +87,7 @@ def put(flat: NDArray, frames, places, values: NDArray, shift) -> None:
     flat[frames, places] = moved.astype(flat.dtype)
 
 
-def _around(image: NDArray[np.float64], places: Places) -> NDArray[np.float64]:
+def _surrounding_median(image: NDArray[np.float64], places: Places) -> NDArray[np.float64]:
     """Median of the 24 pixels around each place, DN."""
     rows, cols = image.shape
     row, col = np.divmod(places, cols)
@@ -97,28 +97,30 @@ def _around(image: NDArray[np.float64], places: Places) -> NDArray[np.float64]:
     return np.median(image[near_row, near_col], axis=1) if len(places) else np.empty(0)
 
 
-def donors_of(places: Places, unsound: NDArray[np.bool_], size: tuple[int, int], rng: np.random.Generator) -> Places:
+def choose_donors(
+    places: Places, unsound: NDArray[np.bool_], size: tuple[int, int], rng: np.random.Generator
+) -> Places:
     """Return a sound pixel near each place."""
     rows, cols = size
     found = np.full(len(places), -1)
     while (left := np.flatnonzero(found < 0)).size:
         row, col = np.divmod(places[left], cols)
-        row = _inside(row + rng.integers(-NEAR, NEAR + 1, len(left)), rows)
-        col = _inside(col + rng.integers(-NEAR, NEAR + 1, len(left)), cols)
+        row = _mirror_inside(row + rng.integers(-NEAR, NEAR + 1, len(left)), rows)
+        col = _mirror_inside(col + rng.integers(-NEAR, NEAR + 1, len(left)), cols)
         pixel = row * cols + col
         found[left] = np.where(unsound[pixel], -1, pixel)
     return found
 
 
-def _inside(place: NDArray, length: int) -> NDArray:
+def _mirror_inside(place: NDArray, length: int) -> NDArray:
     """Places beyond the rim, mirrored into the image."""
     place = np.abs(place) % (2 * length)
     return np.where(place < length, place, 2 * length - 1 - place)
 
 
-def view_of(
-    label: str, found: Unsound | None, size: tuple[int, int], *, unit_dn: float, whole: bool, seed: int
-) -> View:
+def frame_view(
+    label: str, found: DefectivePixels | None, size: tuple[int, int], *, unit_dn: float, whole: bool, seed: int
+) -> FrameView:
     """Return the view of one stack."""
     none = np.empty(0, np.int64)
     places, struck, frame = none, none, none
@@ -127,5 +129,5 @@ def view_of(
     away = np.zeros(size[0] * size[1], bool)
     away[places] = away[struck] = True
     rng = np.random.default_rng([seed, 71])
-    return View(unit_dn=unit_dn, whole=whole, places=places, donors=donors_of(places, away, size, rng), struck=struck,
-                frame=frame, struck_donors=donors_of(struck, away, size, rng))  # fmt: skip
+    return FrameView(unit_dn=unit_dn, whole=whole, places=places, donors=choose_donors(places, away, size, rng), struck=struck,
+                frame=frame, struck_donors=choose_donors(struck, away, size, rng))  # fmt: skip

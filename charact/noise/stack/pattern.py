@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.noise.stack.fields import Order
+from charact.noise.stack.exposure_order import Order
 from charact.noise.stack.pixels import PixelSums
 
 Array = NDArray[np.float64]
@@ -34,7 +34,7 @@ class Pattern:
     settled: bool
 
 
-def fixed_pattern(order: Order, sums: PixelSums, least: int) -> Pattern:
+def measure_fixed_pattern(order: Order, sums: PixelSums, least: int) -> Pattern:
     """Return the variance over the image of what does not change in time.
 
     Parameters
@@ -52,7 +52,7 @@ def fixed_pattern(order: Order, sums: PixelSums, least: int) -> Pattern:
     of it has to be known and subtracted. Light that lags is alike in exposures near in time. The distance is doubled
     until pairs further apart share no less.
     """
-    parts = [_of_rows(order, sums, int(parity), least) for parity in np.unique(order.parity)]
+    parts = [_field_pattern(order, sums, int(parity), least) for parity in np.unique(order.parity)]
     return Pattern(
         variance_dn2=float(np.mean([part.variance_dn2 for part in parts])),
         sd_dn2=float(np.sqrt(np.sum([part.sd_dn2**2 for part in parts])) / len(parts)),
@@ -60,7 +60,7 @@ def fixed_pattern(order: Order, sums: PixelSums, least: int) -> Pattern:
     )
 
 
-def _of_rows(order: Order, sums: PixelSums, parity: int, least: int) -> Pattern:
+def _field_pattern(order: Order, sums: PixelSums, parity: int, least: int) -> Pattern:
     """The pattern of the exposures of the same rows."""
     same = np.flatnonzero(order.parity == parity)
     cross = sums.with_mean[same]
@@ -72,7 +72,7 @@ def _of_rows(order: Order, sums: PixelSums, parity: int, least: int) -> Pattern:
         found, sd = _mean(products, distance >= apart, spread)
         further = distance >= 2 * apart
         if not further.any():
-            rest = _rest(excess)
+            rest = _remaining_correlation(excess)
             return Pattern(variance_dn2=found, sd_dn2=float(np.hypot(sd, rest)), settled=rest <= LEFT * abs(found))
         beside = (distance >= apart) & ~further
         if not beside.any():
@@ -90,7 +90,7 @@ def _of_rows(order: Order, sums: PixelSums, parity: int, least: int) -> Pattern:
         apart *= 2
 
 
-def _rest(excess: list[float]) -> float:
+def _remaining_correlation(excess: list[float]) -> float:
     """What is still shared beyond the last distance, if the excess goes on falling by the ratio of the last two."""
     before, last = ([np.nan, *excess])[-2:]
     if last <= 0:

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from charact.noise.stack.fields import Order, fields_of
+from charact.noise.stack.exposure_order import Order, split_fields
 from charact.noise.stack.spectrum import Bins, along_rows, modes_of, products_of, smooth_length
 
 Array = NDArray[np.float64]
@@ -25,7 +25,7 @@ BAND_PIXELS = 2**17
 
 @dataclass(frozen=True, kw_only=True)
 class PixelSums:
-    """Products of the fluctuations of pixels: what changes in time, see `charact.noise.stack.fields.fluctuations`.
+    """Products of the fluctuations of pixels: what changes in time, see `charact.noise.stack.exposure_order.fluctuations`.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def pixel_sums(data: NDArray, order: Order, bins: Bins) -> PixelSums:
     bins
         Bins of the spectra; `NO_BINS` for none.
     """
-    fields = fields_of(data, order.row_step)
+    fields = split_fields(data, order.row_step)
     rows, cols = fields[0].shape[1:]
     row_cuts = np.linspace(0, rows, min(BLOCKS[0], rows) + 1).astype(np.int64)
     col_cuts = np.linspace(0, cols, min(BLOCKS[1], cols) + 1).astype(np.int64)
@@ -117,7 +117,7 @@ def pixel_sums(data: NDArray, order: Order, bins: Bins) -> PixelSums:
         middle=tuple(found.middle for found in passes),
         mean_middle=tuple(found.mean_middle for found in passes),
         pairs=sum(len(found.first) for found in passes),
-        spectra=_of_all(products_of(np.array(modes), bins), order.parity),
+        spectra=_complete_products(products_of(np.array(modes), bins), order.parity),
         **mean,
     )
 
@@ -162,7 +162,7 @@ class _Pass:
             self.along[:, start:stop] = along_rows(band[:-1, : stop - start], start, self.bins)
 
 
-def _of_all(products: Array, parity: Whole) -> Array:
+def _complete_products(products: Array, parity: Whole) -> Array:
     """Products of the modes of all exposures from those of all but the last of each parity, shape (bin, i, j).
 
     Centred exposures add up to nothing: the last is minus the sum of the others.
@@ -310,7 +310,7 @@ def _line_power(lines: NDArray[np.float32]) -> float:
     return float(power[0] - power[1] - power[2])
 
 
-def beside(sums: PixelSums) -> tuple[float, float]:
+def right_neighbour(sums: PixelSums) -> tuple[float, float]:
     """Return the correlation of pixels next to each other in a row, and its standard error.
 
     Nothing, and known to be nothing, where a row has a single pixel.
@@ -318,7 +318,7 @@ def beside(sums: PixelSums) -> tuple[float, float]:
     return _correlation(sums, sums.beside) if sums.size[1] > 1 else (0.0, 0.0)
 
 
-def below(sums: PixelSums) -> tuple[float, float]:
+def lower_neighbour(sums: PixelSums) -> tuple[float, float]:
     """Return the same of pixels next to each other in a column of one exposure."""
     return _correlation(sums, sums.below) if sums.size[0] > 1 else (0.0, 0.0)
 
@@ -334,7 +334,7 @@ def _correlation(sums: PixelSums, products: Array) -> tuple[float, float]:
     return float(products.mean() / max(float(power.mean()), 1e-12)) + own, float(error)
 
 
-def successors(sums: PixelSums, parity: Whole) -> tuple[float, float]:
+def successor_correlation(sums: PixelSums, parity: Whole) -> tuple[float, float]:
     """Return by how much exposures nearest in time correlate beyond the others, and its standard error.
 
     Centred exposures add up to nothing, so that what all pairs share follows from the variance: the contrast of near

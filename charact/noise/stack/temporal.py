@@ -46,11 +46,11 @@ def autocovariance(products: Array, time: NDArray[np.int64], parity: NDArray[np.
 
 def _solution(time, parity, lags, within_parity: bool):
     """The pairs of every lag, and the matrix that undoes the centring."""
-    return _solved(tuple(time.tolist()), tuple(parity.tolist()), tuple(lags.tolist()), within_parity)
+    return _cached_solution(tuple(time.tolist()), tuple(parity.tolist()), tuple(lags.tolist()), within_parity)
 
 
 @lru_cache(maxsize=64)
-def _solved(time: tuple[int, ...], parity: tuple[int, ...], lags: tuple[int, ...], within_parity: bool):
+def _cached_solution(time: tuple[int, ...], parity: tuple[int, ...], lags: tuple[int, ...], within_parity: bool):
     """The same, remembered: most stacks of a session are exposed alike."""
     when, rows = np.array(time), np.array(parity)
     usable = (rows[:, None] == rows[None, :]) if within_parity else np.ones((len(when), len(when)), bool)
@@ -61,7 +61,7 @@ def _solved(time: tuple[int, ...], parity: tuple[int, ...], lags: tuple[int, ...
     return pairs, np.linalg.inv(np.array([[matrix[pair].mean() for matrix in centred] for pair in pairs]))
 
 
-def beyond(time: NDArray[np.int64], parity: NDArray[np.int64], lags: NDArray[np.int64]
+def truncation_bias(time: NDArray[np.int64], parity: NDArray[np.int64], lags: NDArray[np.int64]
            ) -> tuple[NDArray[np.int64], Array]:  # fmt: skip
     """Return the distances beyond the last lag, and what a covariance of 1 there adds to `autocovariance`.
 
@@ -73,14 +73,16 @@ def beyond(time: NDArray[np.int64], parity: NDArray[np.int64], lags: NDArray[np.
         What the covariance at each lag reads too much, shape (lag, distance): below zero, as centring takes away what
         exposures share.
     """
-    return _beyond(tuple(time.tolist()), tuple(parity.tolist()), tuple(lags.tolist()))
+    return _cached_truncation_bias(tuple(time.tolist()), tuple(parity.tolist()), tuple(lags.tolist()))
 
 
 @lru_cache(maxsize=64)
-def _beyond(time: tuple[int, ...], parity: tuple[int, ...], lags: tuple[int, ...]) -> tuple[NDArray[np.int64], Array]:
+def _cached_truncation_bias(
+    time: tuple[int, ...], parity: tuple[int, ...], lags: tuple[int, ...]
+) -> tuple[NDArray[np.int64], Array]:
     """The same, remembered."""
     when = np.array(time)
-    pairs, solve = _solved(time, parity, lags, False)
+    pairs, solve = _cached_solution(time, parity, lags, False)
     apart = np.abs(when[:, None] - when[None, :])
     distance = np.unique(apart[apart > lags[-1]])
     project = centring(np.array(parity))
@@ -88,7 +90,7 @@ def _beyond(time: tuple[int, ...], parity: tuple[int, ...], lags: tuple[int, ...
     return distance, solve @ np.array([[one[pair].mean() for one in centred] for pair in pairs])
 
 
-def independent(time: NDArray[np.int64], parity: NDArray[np.int64], lags: NDArray[np.int64], correlation: Array, *,
+def n_effective_samples(time: NDArray[np.int64], parity: NDArray[np.int64], lags: NDArray[np.int64], correlation: Array, *,
                 within_parity: bool = False) -> float:  # fmt: skip
     """Return how many independent exposures know the covariance at lag 0 as well as `autocovariance` does.
 
@@ -102,14 +104,16 @@ def independent(time: NDArray[np.int64], parity: NDArray[np.int64], lags: NDArra
     The estimate is a sum of products with weights M; for Gaussian modes its relative variance is tr(P M P R P M P R).
     """
     known = tuple(np.asarray(correlation, float).tolist())
-    return _counted(tuple(time.tolist()), tuple(parity.tolist()), tuple(lags.tolist()), known, within_parity)
+    return _cached_n_effective_samples(
+        tuple(time.tolist()), tuple(parity.tolist()), tuple(lags.tolist()), known, within_parity
+    )
 
 
 @lru_cache(maxsize=64)
-def _counted(time: tuple[int, ...], parity: tuple[int, ...], lags: tuple[int, ...], correlation: tuple[float, ...],
+def _cached_n_effective_samples(time: tuple[int, ...], parity: tuple[int, ...], lags: tuple[int, ...], correlation: tuple[float, ...],
              within_parity: bool) -> float:  # fmt: skip
     """The same, remembered."""
-    pairs, solve = _solved(time, parity, lags, within_parity)
+    pairs, solve = _cached_solution(time, parity, lags, within_parity)
     weight = sum(share * pair / pair.sum() for share, pair in zip(solve[0], pairs, strict=True))
     when = np.array(time)
     distance = np.abs(when[:, None] - when[None, :])
@@ -119,18 +123,18 @@ def _counted(time: tuple[int, ...], parity: tuple[int, ...], lags: tuple[int, ..
     return float(1.0 / np.trace(chain @ chain))
 
 
-def errors_together(time: NDArray[np.int64], parity: NDArray[np.int64], lags: NDArray[np.int64]) -> Array:
+def error_correlation(time: NDArray[np.int64], parity: NDArray[np.int64], lags: NDArray[np.int64]) -> Array:
     """Return the correlation of the errors of `autocovariance` at all lags, shape (lag, lag).
 
     Exposures of the same kind that share nothing; errors go together, as the same mean was taken from all of them.
     """
-    return _together(tuple(time.tolist()), tuple(parity.tolist()), tuple(lags.tolist()))
+    return _cached_error_correlation(tuple(time.tolist()), tuple(parity.tolist()), tuple(lags.tolist()))
 
 
 @lru_cache(maxsize=64)
-def _together(time: tuple[int, ...], parity: tuple[int, ...], lags: tuple[int, ...]) -> Array:
+def _cached_error_correlation(time: tuple[int, ...], parity: tuple[int, ...], lags: tuple[int, ...]) -> Array:
     """The same, remembered."""
-    pairs, solve = _solved(time, parity, lags, False)
+    pairs, solve = _cached_solution(time, parity, lags, False)
     project = centring(np.array(parity))
     each = np.array([pair / pair.sum() for pair in pairs])
     weights = (project @ np.tensordot(solve, each, 1) @ project).reshape(len(lags), -1)

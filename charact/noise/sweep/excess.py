@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.noise.findings import Finding
-from charact.noise.sweep.response import Response
-from charact.noise.sweep.settings import Setting
+from charact.noise.sweep.responsivity import SweepResponsivity
+from charact.noise.sweep.settings import SweepSetting
 
 Array = NDArray[np.float64]
 
@@ -21,8 +21,8 @@ PLATE, CAMERA = 1.0, 3.0
 AGREES = 2.5
 
 
-def untired(settings: tuple[Setting, ...], lit: tuple[int, ...], response: Response, *, seed: int
-            ) -> tuple[Setting, ...]:  # fmt: skip
+def correct_saturation(settings: tuple[SweepSetting, ...], lit: tuple[int, ...], response: SweepResponsivity, *, seed: int
+            ) -> tuple[SweepSetting, ...]:  # fmt: skip
     """Return the settings with their noise carried to small signals, where the response shows how the plate tires.
 
     The pulses of a tired plate are lower, and with them covariance and variance over signal, by the share of gain lost.
@@ -30,7 +30,7 @@ def untired(settings: tuple[Setting, ...], lit: tuple[int, ...], response: Respo
     if not response.bendable:
         return settings
 
-    def carried(s: Setting) -> Setting:
+    def corrected(s: SweepSetting) -> SweepSetting:
         left = 1.0 - response.lost_per_dn * s.mean_signal_dn
         return replace(
             s,
@@ -39,10 +39,10 @@ def untired(settings: tuple[Setting, ...], lit: tuple[int, ...], response: Respo
             log_variance_sd=float(np.hypot(s.log_variance_sd, np.std(left) / np.median(left))),
         )
 
-    return tuple(carried(s) if i in lit else s for i, s in enumerate(settings))
+    return tuple(corrected(s) if i in lit else s for i, s in enumerate(settings))
 
 
-def relative_excess(settings: tuple[Setting, ...], pulses_dn: Array, response: Response, *, seed: int
+def relative_excess(settings: tuple[SweepSetting, ...], pulses_dn: Array, response: SweepResponsivity, *, seed: int
                     ) -> tuple[Array, int]:  # fmt: skip
     """Return draws of F^2 of every setting over that of the one known best, shape (draw, setting), and which it is.
 
@@ -72,7 +72,7 @@ def relative_excess(settings: tuple[Setting, ...], pulses_dn: Array, response: R
     return ratio / ratio[:, reference : reference + 1], reference
 
 
-def saturates(response: Response) -> bool:
+def reaches_saturation(response: SweepResponsivity) -> bool:
     """Whether the sweep reaches the saturation of the plate."""
     lost = response.posterior["lost"]
     return bool(
@@ -80,7 +80,7 @@ def saturates(response: Response) -> bool:
     )
 
 
-def not_reached(response: Response) -> str:
+def saturation_limit(response: SweepResponsivity) -> str:
     """Why the saturation of the plate is refused, with its limit."""
     if not response.bendable:
         return "saturation of the plate takes two lights at one setting at least, the brighter 1.5 times the other"
@@ -93,7 +93,7 @@ def not_reached(response: Response) -> str:
     )
 
 
-def bending_findings(settings: tuple[Setting, ...], response: Response) -> list[Finding]:
+def bending_findings(settings: tuple[SweepSetting, ...], response: SweepResponsivity) -> list[Finding]:
     """Whether the noise says that the plate tires, or that the camera behind it bends."""
     told = _fall_of_noise(settings, float(np.median(response.lost_per_dn)))
     if told is None:
@@ -108,7 +108,7 @@ def bending_findings(settings: tuple[Setting, ...], response: Response) -> list[
     return [("nonlinear", f"{seen}: that of a plate that tires falls as the power 1, that of a bent camera 3")]
 
 
-def _fall_of_noise(settings: tuple[Setting, ...], lost_per_dn: float) -> tuple[float, float] | None:
+def _fall_of_noise(settings: tuple[SweepSetting, ...], lost_per_dn: float) -> tuple[float, float] | None:
     """Slope of ln(covariance over signal) against ln(1 - S/S_s) within settings, and its standard error."""
     top = square = cross = 0.0
     freedom = -1

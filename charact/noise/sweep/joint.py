@@ -7,23 +7,23 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.noise.findings import Finding, flag_of, note_of
-from charact.noise.gain.one_gain import WIDEST_SHARE
-from charact.noise.sweep.excess import untired
-from charact.noise.sweep.law import (
+from charact.noise.gain.single_setting import WIDEST_SHARE
+from charact.noise.sweep.excess import correct_saturation
+from charact.noise.sweep.gain_law import (
     BENT,
     BENT_ERRORS,
     BLUR,
     DEPARTURE,
     ELECTRON_SHARE,
     Axis,
+    GainLaw,
     Gains,
-    Law,
-    bend,
     law_of,
-    straight,
+    line_departure,
+    weighted_line,
 )
-from charact.noise.sweep.response import Response, response_of
-from charact.noise.sweep.settings import Setting, Sweep
+from charact.noise.sweep.responsivity import SweepResponsivity, response_of
+from charact.noise.sweep.settings import Sweep, SweepSetting
 
 Array = NDArray[np.float64]
 
@@ -39,7 +39,7 @@ STRAY = 1.5 * DEPARTURE
 
 
 @dataclass(frozen=True, kw_only=True)
-class Joint:
+class SweepJointFit:
     """What all settings tell together.
 
     Parameters
@@ -60,9 +60,9 @@ class Joint:
 
     sweep: Sweep
     axis: Axis
-    law: Law
+    law: GainLaw
     lit: tuple[int, ...]
-    response: Response | None
+    response: SweepResponsivity | None
     findings: tuple[Finding, ...] = ()
 
     @property
@@ -71,34 +71,34 @@ class Joint:
         return self.source.posterior["rise"] / self.axis.span
 
     @property
-    def source(self) -> Law | Response:
+    def source(self) -> GainLaw | SweepResponsivity:
         """What the law of the gain is taken from: signal over light, which is the surer, where it is known."""
         return self.law if self.response is None else self.response
 
     @property
-    def lit_settings(self) -> tuple[Setting, ...]:
+    def responsivity_settings(self) -> tuple[SweepSetting, ...]:
         """The settings of the response."""
         return tuple(self.sweep.settings[i] for i in self.lit)
 
     @property
-    def resolved(self) -> bool:
+    def is_resolved(self) -> bool:
         """Whether the rise stands out of its noise."""
         return bool(np.std(self.rise) <= WIDEST_SHARE * abs(np.median(self.rise)))
 
 
-def joint_of(sweep: Sweep, *, context: Context) -> Joint:
+def fit_sweep(sweep: Sweep, *, context: Context) -> SweepJointFit:
     """Fit response and law to the settings of a sweep, at least two."""
     axis = Axis.of(sweep.knob.place(np.array([s.value for s in sweep.settings])))
-    lit = _lit(sweep.settings)
+    lit = _lit_indices(sweep.settings)
     response = None
     if len(lit) > 1:
         of_lit = tuple(sweep.settings[i] for i in lit)
         response = response_of(of_lit, axis.x[list(lit)], seed=context.seed + 1, quick=context.quick)
-        sweep = replace(sweep, settings=untired(sweep.settings, lit, response, seed=context.seed))
+        sweep = replace(sweep, settings=correct_saturation(sweep.settings, lit, response, seed=context.seed))
     gains = _gains(sweep.settings)
     share = _share(sweep, float(gains.covariance.min()), context)
     law = law_of(axis.x, gains, share=share, seed=context.seed, quick=context.quick)
-    joint = Joint(sweep=sweep, axis=axis, law=law, lit=lit, response=response)
+    joint = SweepJointFit(sweep=sweep, axis=axis, law=law, lit=lit, response=response)
     allowed = ALLOWED if response is None else ALLOWED + IN_THE_SCATTER
     own = [(flag_of(one), note_of(one)) for s in sweep.settings for one in s.findings]
     findings: list[Finding] = [(None if flag in allowed else flag, note) for flag, note in own]
@@ -106,7 +106,7 @@ def joint_of(sweep: Sweep, *, context: Context) -> Joint:
     return replace(joint, findings=(*findings, *((None, sentence) for sentence in sweep.left_out)))
 
 
-def _gains(settings: tuple[Setting, ...]) -> Gains:
+def _gains(settings: tuple[SweepSetting, ...]) -> Gains:
     """What the noise of every setting tells of its gain."""
     log_gain, sd = np.array([s.log_gain for s in settings]).T
     if settings[0].white:
@@ -115,7 +115,7 @@ def _gains(settings: tuple[Setting, ...]) -> Gains:
     return Gains(covariance=log_gain, covariance_sd=sd, variance=variance, variance_sd=variance_sd)
 
 
-def _lit(settings: tuple[Setting, ...]) -> tuple[int, ...]:
+def _lit_indices(settings: tuple[SweepSetting, ...]) -> tuple[int, ...]:
     """Settings whose light is known in one and the same unit."""
     units = [s.light_unit for s in settings if s.light is not None]
     unit = max(sorted(set(units)), key=units.count) if units else ""
@@ -134,33 +134,33 @@ def _share(sweep: Sweep, least: float, context: Context) -> tuple[float, float] 
     return share, max(spread, 0.05) * share
 
 
-def _law_findings(joint: Joint) -> list[Finding]:
+def _law_findings(joint: SweepJointFit) -> list[Finding]:
     """What speaks against one law for all settings."""
     knob = joint.sweep.knob
     found: list[Finding] = []
     if len(joint.sweep.settings) < 3:
         found.append(("too-few-frames", "only 2 settings: that the law holds between them is taken on trust"))
     found += [(flag, "see the posterior") for flag in joint.law.posterior.flags + joint.source.posterior.flags]
-    found += _bent(joint) + _strays(joint) + _blurs(joint)
+    found += _curvature_findings(joint) + _outlier_findings(joint) + _blur_findings(joint)
     if np.quantile(joint.rise, 0.975) < FOLLOWS[knob.unit]:
         found.append(("agc", f"the gain does not follow the {knob.words}: something else holds it"))
     return found
 
 
-def _bent(joint: Joint) -> list[Finding]:
+def _curvature_findings(joint: SweepJointFit) -> list[Finding]:
     """Whether the law is no straight line, from the gain that is known best."""
     x, log_gain, sd = _own_gains(joint)
-    told = bend(x, log_gain, sd)
+    told = line_departure(x, log_gain, sd)
     if told is None or abs(told[0]) <= BENT_ERRORS * told[1]:
         return []
-    leaves, slope = told[0], straight(x, log_gain, sd)[1] / joint.axis.span
+    leaves, slope = told[0], weighted_line(x, log_gain, sd)[1] / joint.axis.span
     ends = [slope + side * 8.0 * leaves / joint.axis.span for side in (-1.0, 1.0)]
     words = f"from {ends[0]:.3g} at the lowest setting to {ends[1]:.3g} at the highest"
     flag = "nonlinear" if abs(leaves) > BENT else None
     return [(flag, f"the law of the gain is bent by {100 * abs(leaves):.1f} %: its slope goes {words}")]
 
 
-def _own_gains(joint: Joint) -> tuple[Array, Array, Array]:
+def _own_gains(joint: SweepJointFit) -> tuple[Array, Array, Array]:
     """Places of settings, the logarithms of their own gains without the law, and their errors."""
     if joint.response is not None:
         return joint.axis.x[list(joint.lit)], joint.response.own, joint.response.own_sd
@@ -170,7 +170,7 @@ def _own_gains(joint: Joint) -> tuple[Array, Array, Array]:
     return joint.axis.x, np.median(own, axis=0), np.std(away, axis=0)
 
 
-def _strays(joint: Joint) -> list[Finding]:
+def _outlier_findings(joint: SweepJointFit) -> list[Finding]:
     """Settings that lie off the law by more than departures and noise allow."""
     found: list[Finding] = []
     x, own, sd = _own_gains(joint)
@@ -182,13 +182,13 @@ def _strays(joint: Joint) -> list[Finding]:
     return found
 
 
-def _places(joint: Joint) -> list[float]:
+def _places(joint: SweepJointFit) -> list[float]:
     """Values of the settings whose own gains are known best."""
-    settings = joint.sweep.settings if joint.response is None else joint.lit_settings
+    settings = joint.sweep.settings if joint.response is None else joint.responsivity_settings
     return [s.value for s in settings]
 
 
-def _blurs(joint: Joint) -> list[Finding]:
+def _blur_findings(joint: SweepJointFit) -> list[Finding]:
     """Settings whose blur is not that of the others."""
     if joint.sweep.settings[0].white:
         return []

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.noise.checks import QUANTISED_DN2
-from charact.noise.sweep.law import Law
-from charact.noise.sweep.settings import Setting
+from charact.noise.sweep.gain_law import GainLaw
+from charact.noise.sweep.settings import SweepSetting
 
 Array = NDArray[np.float64]
 
@@ -44,7 +44,7 @@ class Knee:
     flags: tuple[str, ...] = ()
 
 
-def knee_of(settings: tuple[Setting, ...], law: Law, *, seed: int) -> Knee | str:
+def knee_of(settings: tuple[SweepSetting, ...], law: GainLaw, *, seed: int) -> Knee | str:
     """Return the knee of a sweep, or why there is none.
 
     Parameters
@@ -70,7 +70,7 @@ def knee_of(settings: tuple[Setting, ...], law: Law, *, seed: int) -> Knee | str
     return Knee(read_noise_dn=np.sqrt(floor), gain_dn=pulses + law.electron_gain_dn, place=place, flags=_flags(own))
 
 
-def missed(knee: Knee) -> str | None:
+def outside_reason(knee: Knee) -> str | None:
     """Return on which side of the sweep the knee lies, or None where it lies inside."""
     middle = float(np.median(knee.place))
     if abs(middle) <= 0.5:
@@ -84,7 +84,7 @@ def missed(knee: Knee) -> str | None:
     )
 
 
-def _pulses_at(floor_dn2: Array, law: Law) -> Array:
+def _pulses_at(floor_dn2: Array, law: GainLaw) -> Array:
     """Draws of the pulses' gain P, DN, at which (K + S P)(K + P) n is the read noise squared, K the electrons' gain."""
     left = np.exp(law.posterior["log_blur"]) if "log_blur" in law.posterior.names else np.ones(len(floor_dn2))
     half, electrons = 0.5 * (1.0 + left) * law.electron_gain_dn, law.electron_gain_dn
@@ -92,7 +92,7 @@ def _pulses_at(floor_dn2: Array, law: Law) -> Array:
     return np.maximum(root - half, 1e-6 * root) / left
 
 
-def _floor(gain: Array, settings: list[Setting], rng: np.random.Generator) -> Array:
+def _floor(gain: Array, settings: list[SweepSetting], rng: np.random.Generator) -> Array:
     """Draws of the darks' variance without gain, shape (draw,), DN^2: D = r^2 + c C^2, c for scintillation."""
     variance = np.array([s.dark_variance_dn2 for s in settings], float)
     sd = np.hypot([s.dark_variance_sd_dn2 for s in settings], MODEL * variance)
@@ -106,7 +106,7 @@ def _floor(gain: Array, settings: list[Setting], rng: np.random.Generator) -> Ar
     return np.where(slope > 0, mean - slope * (square @ weight) / total, mean)
 
 
-def _flags(dark: list[Setting]) -> tuple[str, ...]:
+def _flags(dark: list[SweepSetting]) -> tuple[str, ...]:
     """One dark does not tell what of its noise goes with the gain; small noise is that of the digitiser's steps."""
     flags = ("unlike-conditions",) if len(dark) < 2 else ()
     least = min(s.dark_variance_dn2 or 0.0 for s in dark)

@@ -8,15 +8,15 @@ from numpy.typing import NDArray
 from charact.method import Context
 from charact.noise.checks import series_findings
 from charact.noise.findings import Finding, flag_of, note_of
-from charact.noise.gain import standard
-from charact.noise.gain.one_gain import LEAST_BINS, OneGain, one_gain, stepped_share
+from charact.noise.gain import emva1288
 from charact.noise.gain.series import longest_series, series_of_one_gain
-from charact.noise.hidden import allowance_of
-from charact.noise.light.stated import relative_sd_of
-from charact.noise.stack.level import Level
-from charact.noise.sweep.knob import KNOBS, Knob, rounded, turned
-from charact.noise.tube import intensified
-from charact.noise.verdict import problem
+from charact.noise.gain.single_setting import LEAST_BINS, SingleSetting, fit_single_setting, quantisation_fraction
+from charact.noise.gain_feasibility import gain_obstacle
+from charact.noise.snr.stated_illumination import relative_sd_of
+from charact.noise.stack.stack_statistics import StackStatistics
+from charact.noise.sweep.gain_control import KNOBS, GainControl, repeatable_value, setting_of
+from charact.noise.tube import has_intensifier
+from charact.noise.undetected_correlation import allowance_of
 
 Array = NDArray[np.float64]
 
@@ -27,7 +27,7 @@ QUANTISED_SHARE = 0.02
 
 
 @dataclass(frozen=True, kw_only=True)
-class Setting:
+class SweepSetting:
     """What the flats and darks of one setting tell.
 
     Parameters
@@ -123,13 +123,13 @@ class Sweep:
         Sentences on settings and stacks that take no part.
     """
 
-    knob: Knob
-    settings: tuple[Setting, ...]
+    knob: GainControl
+    settings: tuple[SweepSetting, ...]
     main: float
     left_out: tuple[str, ...] = field(default=())
 
 
-def sweep_of(darks: list[Level], flats: list[Level], *, context: Context) -> Sweep | None:
+def sweep_of(darks: list[StackStatistics], flats: list[StackStatistics], *, context: Context) -> Sweep | None:
     """Return the sweep in a session's flats; None where no knob was turned, or images are too small for any gain.
 
     Parameters
@@ -139,19 +139,19 @@ def sweep_of(darks: list[Level], flats: list[Level], *, context: Context) -> Swe
     context
         Seed and sensor.
     """
-    found = [(knob, turned(flats, knob)) for knob in KNOBS]
+    found = [(knob, setting_of(flats, knob)) for knob in KNOBS]
     knob, groups = max(found, key=lambda entry: len(entry[1]))
     if len(groups) < 2 or min(len(level.bins.modes) for level in (*darks, *flats)) < LEAST_BINS:
         return None
     gains, sentences = [], _not_of(groups, flats, knob)
     for value, own in groups:
         series = series_of_one_gain(sorted(own, key=lambda level: level.mean_dn), darks)
-        reason = problem(series)
+        reason = gain_obstacle(series)
         if reason is not None:
             sentences.append(f"at {knob.text(value)}: {reason}")
             continue
         context.progress(f"noise at {knob.text(value)}", 0.9)
-        gains.append((value, one_gain(series, context=context, quick=True)))
+        gains.append((value, fit_single_setting(series, context=context, quick=True)))
     # Where read noise outweighs it, shared noise goes unseen at the lowest gains.
     white = all(one.white for _, one in gains)
     settings = [_setting(value, one, white, knob, context) for value, one in gains]
@@ -159,14 +159,16 @@ def sweep_of(darks: list[Level], flats: list[Level], *, context: Context) -> Swe
     return Sweep(knob=knob, settings=tuple(settings), main=float(main or 0.0), left_out=tuple(sentences))
 
 
-def _not_of(groups: list[tuple[float, list[Level]]], flats: list[Level], knob: Knob) -> list[str]:
+def _not_of(
+    groups: list[tuple[float, list[StackStatistics]]], flats: list[StackStatistics], knob: GainControl
+) -> list[str]:
     """Which flats belong to no setting of the sweep."""
     here = {flat.label for _, own in groups for flat in own}
     rest = [flat.label for flat in flats if flat.label not in here]
     return [f"no part of the sweep of the {knob.words}: {', '.join(rest)}"] if rest else []
 
 
-def _setting(value: float, one: OneGain, white: bool, knob: Knob, context: Context) -> Setting:
+def _setting(value: float, one: SingleSetting, white: bool, knob: GainControl, context: Context) -> SweepSetting:
     """Statistics of one setting."""
     series = one.series
     chosen = np.flatnonzero(series.fitted)
@@ -179,10 +181,10 @@ def _setting(value: float, one: OneGain, white: bool, knob: Knob, context: Conte
         np.sqrt(max(gain * signal, 0.0) + 2.0 * series.darks[i].variance_dn2) / np.sqrt(flat.pixels * flat.frames)
         for i, flat, gain, signal in zip(chosen, flats, covariance, series.signal_dn[chosen], strict=True)
     ]
-    own = [dark for dark in series.darks if series.reference == "dark" and _own(dark, flats[0], knob)]
+    own = [dark for dark in series.darks if series.reference == "dark" and _is_dark_of(dark, flats[0], knob)]
     own = [dark for dark in own if dark.variance_dn2 > 0]
     dark = min(own, key=lambda level: level.conditions.exposure_s or 0.0) if own else None
-    setting = Setting(
+    setting = SweepSetting(
         value=value,
         labels=tuple(flat.label for flat in flats),
         gain_dn=_white_gain(one, context) if white else carried.posterior["covariance_gain"],
@@ -208,11 +210,11 @@ def _setting(value: float, one: OneGain, white: bool, knob: Knob, context: Conte
         findings=tuple(_findings(one, value, knob, context)),
     )
     least = min(level.variance_dn2 for level in (*series.darks, *flats))
-    share = stepped_share(series, one.summary)
-    return _quantised(setting, share, least, knob) if share else setting
+    share = quantisation_fraction(series, one.summary)
+    return _with_quantisation(setting, share, least, knob) if share else setting
 
 
-def _quantised(s: Setting, share: float, least_dn2: float, knob: Knob) -> Setting:
+def _with_quantisation(s: SweepSetting, share: float, least_dn2: float, knob: GainControl) -> SweepSetting:
     """Return a setting whose noise is smaller than the digitiser's steps, with what these may have added to it."""
     told = f"noise of {np.sqrt(least_dn2):.2g} DN is less than the digitiser's steps, which add {100 * share:.2g} %"
     found = (("quantised", f"at {knob.text(s.value)}: {told}"),) if share > QUANTISED_SHARE else ()
@@ -224,27 +226,27 @@ def _quantised(s: Setting, share: float, least_dn2: float, knob: Knob) -> Settin
     )
 
 
-def _own(dark: Level, flat: Level, knob: Knob) -> bool:
+def _is_dark_of(dark: StackStatistics, flat: StackStatistics, knob: GainControl) -> bool:
     """Whether a dark was taken at a flat's setting, as far as is known."""
     value = getattr(dark.conditions, knob.name)
-    return value is None or rounded(dark.conditions, knob.name) == rounded(flat.conditions, knob.name)
+    return value is None or repeatable_value(dark.conditions, knob.name) == repeatable_value(flat.conditions, knob.name)
 
 
-def _white_gain(one: OneGain, context: Context) -> Array:
+def _white_gain(one: SingleSetting, context: Context) -> Array:
     """Draws of the photon transfer curve's slope."""
-    tube = intensified([flat.conditions for flat in one.series.flats], context)
+    tube = has_intensifier([flat.conditions for flat in one.series.flats], context)
     allowance = allowance_of(one.neighbours, one.exposures, tube=tube)
-    return standard.gain_line(one.series, context=replace(context, quick=True), allowance=allowance).slope
+    return emva1288.gain_line(one.series, context=replace(context, quick=True), allowance=allowance).slope
 
 
-def _findings(one: OneGain, value: float, knob: Knob, context: Context) -> list[Finding]:
+def _findings(one: SingleSetting, value: float, knob: GainControl, context: Context) -> list[Finding]:
     """What speaks against a setting, with the setting named; remarks that flag nothing stay with its own gain."""
     found = [entry for entry in series_findings(one.series, context=context) if flag_of(entry) not in OF_ONE_SERIES]
     found += one.findings()
     return [(flag, f"at {knob.text(value)}: {note_of(one)}") for one in found if (flag := flag_of(one)) is not None]
 
 
-def _light(flats: list[Level]) -> tuple[Array | None, str]:
+def _light(flats: list[StackStatistics]) -> tuple[Array | None, str]:
     """Light of every flat in one unit, or None where one is unknown."""
     known = [flat.conditions for flat in flats]
     photons = [c.photons_per_px for c in known]

@@ -6,20 +6,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.method.stopwatch import timed
+from charact.method.stopwatch import with_timing
 from charact.noise.checks import QUANTISED_DN2
 from charact.noise.findings import flags_of, notes_of
-from charact.noise.gain import standard
+from charact.noise.gain import emva1288
 from charact.noise.provenance import provenance
-from charact.noise.stack.level import Level
-from charact.noise.sweep.evidence import levels_evidence, sweep_evidence
-from charact.noise.sweep.excess import bending_findings, not_reached, relative_excess, saturates
-from charact.noise.sweep.joint import Joint, joint_of
-from charact.noise.sweep.knee import STATED_PE, Knee, knee_of, missed
-from charact.noise.sweep.knob import Knob
-from charact.noise.sweep.law import BLUR
-from charact.noise.sweep.settings import Setting, Sweep, sweep_of
-from labdata.measurement import Measurement, Result, from_draws, from_sd, refused
+from charact.noise.stack.stack_statistics import StackStatistics
+from charact.noise.sweep.excess import bending_findings, reaches_saturation, relative_excess, saturation_limit
+from charact.noise.sweep.figure_data import levels_figure_data, sweep_figure_data
+from charact.noise.sweep.gain_control import GainControl
+from charact.noise.sweep.gain_law import BLUR
+from charact.noise.sweep.joint import SweepJointFit, fit_sweep
+from charact.noise.sweep.knee import STATED_PE, Knee, knee_of, outside_reason
+from charact.noise.sweep.settings import Sweep, SweepSetting, sweep_of
+from labdata.measurement import Measurement, Result, make_refusal, measurement_from_draws, measurement_from_sd
 
 Array = NDArray[np.float64]
 Fields = dict[str, Any]
@@ -29,8 +29,8 @@ DROWNS = "the settings lie too close together, or the gain does not follow them:
 ABSOLUTE = "F2 itself takes a known flux or the pulse heights of single photoelectrons"
 
 
-@timed
-def gain_sweep(darks: list[Level], flats: list[Level], *, context: Context) -> Result:
+@with_timing
+def gain_sweep(darks: list[StackStatistics], flats: list[StackStatistics], *, context: Context) -> Result:
     """Return what a sweep of the gain tells; nothing where the gain was not changed.
 
     Parameters
@@ -47,37 +47,37 @@ def gain_sweep(darks: list[Level], flats: list[Level], *, context: Context) -> R
         over that of one; gain, blur, read noise and response of each setting, whose `stack` is its brightest flat.
     """
     sweep = sweep_of(darks, flats, context=context)
-    return Result() if sweep is None else of_sweep(sweep, context=context)
+    return Result() if sweep is None else measure_sweep(sweep, context=context)
 
 
-def of_sweep(sweep: Sweep, *, context: Context) -> Result:
+def measure_sweep(sweep: Sweep, *, context: Context) -> Result:
     """Return what the statistics of a sweep tell, see `gain_sweep`."""
     fields: Fields = {"method": METHOD, "provenance": provenance(context, knob=sweep.knob.name)}
     if len(sweep.settings) < 2:
         reason = "; ".join(["the law of the gain takes usable flats at two settings at least", *sweep.left_out])
-        return Result(measurements=(refused(*_quantity_of(sweep.knob), reason, **fields),))
-    joint = joint_of(sweep, context=context)
-    knee = knee_of(joint.sweep.settings, joint.law, seed=context.seed) if joint.resolved else DROWNS
+        return Result(measurements=(make_refusal(*_quantity_of(sweep.knob), reason, **fields),))
+    joint = fit_sweep(sweep, context=context)
+    knee = knee_of(joint.sweep.settings, joint.law, seed=context.seed) if joint.is_resolved else DROWNS
     out = [_rise(joint, fields), *_knee(joint, knee, fields)]
     out += [_saturation(joint, fields)] if sweep.knob.tube else []
     out += _excess(joint, context, fields) if sweep.knob.unit != "dB" else []
     for number, setting in enumerate(joint.sweep.settings):
         out += _of_setting(joint, number, setting, context, fields)
     evidence = {
-        "noise-against-gain": sweep_evidence(joint, knee if isinstance(knee, Knee) else None),
-        "noise-by-gain": levels_evidence(joint),
+        "noise-against-gain": sweep_figure_data(joint, knee if isinstance(knee, Knee) else None),
+        "noise-by-gain": levels_figure_data(joint),
     }
     return Result(measurements=tuple(out), evidence=evidence)
 
 
-def _quantity_of(knob: Knob) -> tuple[str, str]:
+def _quantity_of(knob: GainControl) -> tuple[str, str]:
     """Quantity and unit of the law along a knob."""
     if knob.logarithmic:
         return "gain_exponent", "1"
     return ("gain_slope", "dB/dB") if knob.unit == "dB" else ("gain_doubling", knob.unit)
 
 
-def _rise(joint: Joint, fields: Fields) -> Measurement:
+def _rise(joint: SweepJointFit, fields: Fields) -> Measurement:
     """Exponent, doubling or slope of the law."""
     quantity, unit = _quantity_of(joint.sweep.knob)
     departure = 100.0 * np.exp(np.quantile(joint.source.posterior["log_departure"], [0.5, 0.975]))
@@ -88,19 +88,19 @@ def _rise(joint: Joint, fields: Fields) -> Measurement:
         f"{departure[1]:.2g} %"
     )
     notes = (*notes_of(joint.findings), note)
-    if not joint.resolved:
-        return refused(quantity, unit, DROWNS, notes=notes, **fields)
+    if not joint.is_resolved:
+        return make_refusal(quantity, unit, DROWNS, notes=notes, **fields)
     draws = np.log(2.0) / np.maximum(joint.rise, 1e-9) if quantity == "gain_doubling" else joint.rise
-    return from_draws(quantity, unit, draws, flags=flags_of(joint.findings), notes=notes,
+    return measurement_from_draws(quantity, unit, draws, flags=flags_of(joint.findings), notes=notes,
                       posterior=joint.source.posterior, **fields)  # fmt: skip
 
 
-def _knee(joint: Joint, knee: Knee | str, fields: Fields) -> list[Measurement]:
+def _knee(joint: SweepJointFit, knee: Knee | str, fields: Fields) -> list[Measurement]:
     """Setting and covariance gain at the knee."""
     knob = joint.sweep.knob
-    reason = knee if isinstance(knee, str) else missed(knee)
+    reason = knee if isinstance(knee, str) else outside_reason(knee)
     if isinstance(knee, str) or reason is not None:
-        return [refused("gain_knee", unit, str(reason), **fields) for unit in (knob.unit, "DN")]
+        return [make_refusal("gain_knee", unit, str(reason), **fields) for unit in (knob.unit, "DN")]
     note = (
         f"at {STATED_PE:g} photoelectron a pixel and exposure, as noise counts them (n of unequal pulses count as "
         "n/F2); at n of them the covariance gain of the knee is smaller by the root of n"
@@ -108,36 +108,36 @@ def _knee(joint: Joint, knee: Knee | str, fields: Fields) -> list[Measurement]:
     own = {"flags": flags_of(joint.findings) + knee.flags, "notes": (note,), **fields}
     places = knob.value(joint.axis.middle + joint.axis.span * knee.place)
     return [
-        from_draws("gain_knee", knob.unit, places, **own),
-        from_draws("gain_knee", "DN", knee.gain_dn, **own),
+        measurement_from_draws("gain_knee", knob.unit, places, **own),
+        measurement_from_draws("gain_knee", "DN", knee.gain_dn, **own),
     ]
 
 
-def _saturation(joint: Joint, fields: Fields) -> Measurement:
+def _saturation(joint: SweepJointFit, fields: Fields) -> Measurement:
     """Signal towards which a plate that tires bends the response."""
     response = joint.response
     if response is None:
         reason = "saturation of the plate takes light recorded at two settings at least"
-        return refused("plate_saturation", "DN", reason, **fields)
-    if not saturates(response):
-        return refused("plate_saturation", "DN", not_reached(response), **fields)
-    findings = [*joint.findings, *bending_findings(joint.lit_settings, response)]
+        return make_refusal("plate_saturation", "DN", reason, **fields)
+    if not reaches_saturation(response):
+        return make_refusal("plate_saturation", "DN", saturation_limit(response), **fields)
+    findings = [*joint.findings, *bending_findings(joint.responsivity_settings, response)]
     lost = response.lost_per_dn
     percent = 100.0 * float(np.median(response.posterior["lost"]))
     note = f"{percent:.2g} % of the gain is lost at the brightest level, {response.brightest_dn:.4g} DN above the dark"
-    return from_draws("plate_saturation", "DN", 1.0 / lost[lost > 0], flags=flags_of(findings),
+    return measurement_from_draws("plate_saturation", "DN", 1.0 / lost[lost > 0], flags=flags_of(findings),
                       notes=(*notes_of(findings), note), posterior=response.posterior, **fields)  # fmt: skip
 
 
-def _excess(joint: Joint, context: Context, fields: Fields) -> list[Measurement]:
+def _excess(joint: SweepJointFit, context: Context, fields: Fields) -> list[Measurement]:
     """Excess noise of every setting over that of the one known best."""
     if joint.response is None:
         reason = (
             "covariance gain goes as gain times F2, and only light recorded at every setting tells the gain by itself: "
             f"state illuminance_lux or photons_per_px; {ABSOLUTE}"
         )
-        return [refused("relative_excess_noise_factor", "1", reason, **fields)]
-    settings, text = joint.lit_settings, joint.sweep.knob.text
+        return [make_refusal("relative_excess_noise_factor", "1", reason, **fields)]
+    settings, text = joint.responsivity_settings, joint.sweep.knob.text
     pulses = joint.law.pulses[:, list(joint.lit)]
     draws, reference = relative_excess(settings, pulses, joint.response, seed=context.seed)
     note = (
@@ -146,13 +146,15 @@ def _excess(joint: Joint, context: Context, fields: Fields) -> list[Measurement]
     )
     shared = settings[reference].findings
     return [
-        from_draws("relative_excess_noise_factor", "1", draws[:, i], flags=flags_of([*s.findings, *shared]),
+        measurement_from_draws("relative_excess_noise_factor", "1", draws[:, i], flags=flags_of([*s.findings, *shared]),
                    notes=(f"at {text(s.value)}", note), stack=s.stack, **fields)
         for i, s in enumerate(settings) if i != reference
     ]  # fmt: skip
 
 
-def _of_setting(joint: Joint, number: int, s: Setting, context: Context, fields: Fields) -> list[Measurement]:
+def _of_setting(
+    joint: SweepJointFit, number: int, s: SweepSetting, context: Context, fields: Fields
+) -> list[Measurement]:
     """Response of a setting and, besides the one that the session's own gain is measured at, gain, blur and noise."""
     knob = joint.sweep.knob
     own = {"flags": flags_of(s.findings), "notes": (f"at {knob.text(s.value)}: {', '.join(s.labels)}",), **fields}
@@ -160,18 +162,20 @@ def _of_setting(joint: Joint, number: int, s: Setting, context: Context, fields:
     if joint.response is not None and number in joint.lit:
         draws = joint.response.settings[:, joint.lit.index(number)]
         meter = s.light_relative_sd * np.random.default_rng([context.seed, 12]).standard_normal(len(draws))
-        out.append(from_draws("responsivity", f"DN/{s.light_unit}", draws * np.exp(meter), stack=s.stack, **own))
+        out.append(
+            measurement_from_draws("responsivity", f"DN/{s.light_unit}", draws * np.exp(meter), stack=s.stack, **own)
+        )
     if number == int(np.argmin([abs(other.value - joint.sweep.main) for other in joint.sweep.settings])):
         return out
     # A law that does not hold would draw the settings the wrong way.
     gain = s.gain_dn if "nonlinear" in flags_of(joint.findings) else joint.law.settings[:, number]
-    out.append(from_draws(*(("system_gain", "DN/e-") if s.white else ("covariance_gain", "DN")), gain, stack=s.stack,
+    out.append(measurement_from_draws(*(("system_gain", "DN/e-") if s.white else ("covariance_gain", "DN")), gain, stack=s.stack,
                           **own))  # fmt: skip
     if not s.white:
-        out.append(from_draws("blur_factor", "1", s.blur_factor, stack=s.stack, **own))
+        out.append(measurement_from_draws("blur_factor", "1", s.blur_factor, stack=s.stack, **own))
     if s.dark_variance_dn2 is not None and s.dark_variance_dn2 > 0:
-        noise = standard.noise_of(s.dark_variance_dn2, s.dark_variance_sd_dn2)
+        noise = emva1288.noise_of(s.dark_variance_dn2, s.dark_variance_sd_dn2)
         small = ("quantised",) if s.dark_variance_dn2 < QUANTISED_DN2 else ()
         own = {**own, "flags": flags_of(s.findings) + small}
-        out.append(from_sd("read_noise", "DN", *noise, stack=s.dark, **own))
+        out.append(measurement_from_sd("read_noise", "DN", *noise, stack=s.dark, **own))
     return out

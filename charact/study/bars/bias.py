@@ -19,18 +19,18 @@ import numpy as np
 
 import charact.mtf  # noqa: F401  (registers the methods)
 from charact.method import Context, choose
+from charact.study.bars.bias_table import TABLE, BarScenarioOutcome, lines, read, tally, write_table
 from charact.study.bars.strips import StripScene
-from charact.study.bars.tally import TABLE, Outcome, lines, read, tally, written
-from charact.study.edge.scene import Blur
-from charact.study.failure_map import one_thread_each
-from charact.study.harness import judged
+from charact.study.edge.scene import TrueBlur
+from charact.study.harness import judge_measurement
+from charact.study.stability_sweep import one_thread_each
 from labdata.measurement import Measurement
 
 METHOD = "bars-forward"
 BLURS = {
-    "Gaussian 0.8 px": Blur(sigma_px=0.8),
-    "Gaussian 1.5 px": Blur(sigma_px=1.5),
-    "tube fc 0.25 n 1.1": Blur(form="exponential", frequency_cy_per_px=0.25, exponent=1.1),
+    "Gaussian 0.8 px": TrueBlur(sigma_px=0.8),
+    "Gaussian 1.5 px": TrueBlur(sigma_px=1.5),
+    "tube fc 0.25 n 1.1": TrueBlur(form="exponential", frequency_cy_per_px=0.25, exponent=1.1),
 }
 FREQUENCIES = (0.05, 0.1, 0.2, 0.3, 0.35, 0.4)
 TILTS_DEG = (0.0, 2.0, 8.0)
@@ -83,7 +83,7 @@ def _cells() -> tuple[Cell, ...]:
     return (*evenly, *phases)
 
 
-def _scene(blur: Blur, frequency: float, tilt_deg: float, *, grain: bool) -> StripScene:
+def _scene(blur: TrueBlur, frequency: float, tilt_deg: float, *, grain: bool) -> StripScene:
     scene = StripScene(blur=blur, frequency_cy_per_px=frequency, angle_deg=tilt_deg)
     return replace(scene, noise_blur_px=0.7, turned=True) if grain else scene
 
@@ -91,7 +91,7 @@ def _scene(blur: Blur, frequency: float, tilt_deg: float, *, grain: bool) -> Str
 CELLS = _cells()
 
 
-def measured_once(scene: StripScene, number: int, pair: int, method: str = METHOD) -> Measurement:
+def measure_scene(scene: StripScene, number: int, pair: int, method: str = METHOD) -> Measurement:
     """Measure one scene with the noise of a cell's pair."""
     stack = scene.frames_drawn(np.random.default_rng([number, DRAWN, pair]))
     context = Context(seed=pair, quick=True, full_scale_dn=scene.full_scale_dn)
@@ -99,16 +99,18 @@ def measured_once(scene: StripScene, number: int, pair: int, method: str = METHO
     return choose("bars", method).function(stack, context=context, **asked).measurements[0]
 
 
-def measured_cell(number: int, *, least: int = LEAST_PAIRS, most: int = MOST_PAIRS, method: str = METHOD) -> Outcome:
+def measure_scenario(
+    number: int, *, least: int = LEAST_PAIRS, most: int = MOST_PAIRS, method: str = METHOD
+) -> BarScenarioOutcome:
     """Measure pairs of a cell until its bias is known, or the method says that it is not."""
     cell = CELLS[number]
     found: list[list[Measurement]] = []
-    while len(found) < least or (len(found) < most and _unsettled(found, cell.scene.truth_mtf)):
-        found.append([measured_once(scene, number, len(found), method) for scene in cell.drawn(len(found))])
+    while len(found) < least or (len(found) < most and _needs_more_pairs(found, cell.scene.truth_mtf)):
+        found.append([measure_scene(scene, number, len(found), method) for scene in cell.drawn(len(found))])
     return _outcome(number, cell, found)
 
 
-def _unsettled(found: Sequence[Sequence[Measurement]], truth: float) -> bool:
+def _needs_more_pairs(found: Sequence[Sequence[Measurement]], truth: float) -> bool:
     """Tell whether more pairs are wanted: most numbers are ok, and the bias is not yet known well enough."""
     ok = sum(one.status == "ok" for pair in found for one in pair)
     _, standard_error = _bias(found, truth)
@@ -124,14 +126,14 @@ def _bias(found: Sequence[Sequence[Measurement]], truth: float) -> tuple[float |
     return float(mean.mean()), float(mean.std(ddof=1) / np.sqrt(mean.size))
 
 
-def _outcome(number: int, cell: Cell, found: Sequence[Sequence[Measurement]]) -> Outcome:
+def _outcome(number: int, cell: Cell, found: Sequence[Sequence[Measurement]]) -> BarScenarioOutcome:
     """Count what became of the pairs of a cell."""
     truth = cell.scene.truth_mtf
     every = [one for pair in found for one in pair]
     numbers = [one for one in every if one.value is not None]
     error = np.array([100.0 * (one.value / truth - 1.0) for one in numbers if one.value is not None])
     bias, standard_error = _bias(found, truth)
-    return Outcome(
+    return BarScenarioOutcome(
         number=number,
         blur=cell.blur,
         frequency_cy_per_px=cell.scene.frequency_cy_per_px,
@@ -147,7 +149,7 @@ def _outcome(number: int, cell: Cell, found: Sequence[Sequence[Measurement]]) ->
         scatter_percent=float(np.sqrt(np.mean(error**2))) if error.size else None,
         held68=sum(_holds(one.interval68, truth) for one in numbers),
         held95=sum(_holds(one.interval95, truth) for one in numbers),
-        silent=sum(judged(one, truth)["silent"] for one in numbers),
+        silent=sum(judge_measurement(one, truth)["silent"] for one in numbers),
         first=[one.value for one in every[:FIRST]],
     )
 
@@ -156,10 +158,10 @@ def _holds(interval: tuple[float, float] | None, truth: float) -> bool:
     return interval is not None and interval[0] <= truth <= interval[1]
 
 
-def measured_cells(numbers: Sequence[int], *, workers: int | None = None, **asked: Any) -> list[Outcome]:
-    """Measure cells as `measured_cell` does, on all cores unless told otherwise."""
+def measure_scenarios(numbers: Sequence[int], *, workers: int | None = None, **asked: Any) -> list[BarScenarioOutcome]:
+    """Measure cells as `measure_scenario` does, on all cores unless told otherwise."""
     with one_thread_each(), ProcessPoolExecutor(workers or os.cpu_count(), mp_context=get_context("spawn")) as pool:
-        return list(pool.map(partial(measured_cell, **asked), numbers))
+        return list(pool.map(partial(measure_scenario, **asked), numbers))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -175,10 +177,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     asked = parser.parse_args(arguments)
     numbers = range(asked.first, min(asked.first + asked.cells, len(CELLS)))
     ask = {"least": asked.least, "most": asked.most, "method": asked.method}
-    new = measured_cells(numbers, workers=asked.workers, **ask)
+    new = measure_scenarios(numbers, workers=asked.workers, **ask)
     kept = [one for one in read(asked.out) if one.number not in numbers] if asked.out.is_file() else []
     outcomes = sorted([*kept, *new], key=lambda one: one.number)
-    written(outcomes, asked.out, method=asked.method)
+    write_table(outcomes, asked.out, method=asked.method)
     print("\n".join([*lines(new), *tally(outcomes).lines()]))
 
 

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from charact.study.bars.tally import ALLOWED_PERCENT, Outcome, read, tally
-from charact.study.draw import COLOURS, _pyplot
+from charact.study.bars.bias_table import ALLOWED_PERCENT, BarScenarioOutcome, read, tally
+from charact.study.study_figures import COLOURS, _pyplot
 
 FIGURE = Path("docs/mtf/bar-bias.png")
 # Tilts apart by so much, so that their bars do not hide each other, cycles per pixel.
@@ -13,7 +13,7 @@ APART = 0.004
 MARKS = {0.0: "o", 2.0: "s", 8.0: "^"}
 
 
-def draw_bias(outcomes: Sequence[Outcome], path: Path = FIGURE) -> Path:
+def plot_bias(outcomes: Sequence[BarScenarioOutcome], path: Path = FIGURE) -> Path:
     """Draw the bias of every cell that is measured, and name the frequencies that are told as low signal.
 
     Parameters
@@ -43,7 +43,7 @@ def draw_bias(outcomes: Sequence[Outcome], path: Path = FIGURE) -> Path:
     return path
 
 
-def _draw_panel(panel: Any, cells: Sequence[Outcome]) -> None:
+def _draw_panel(panel: Any, cells: Sequence[BarScenarioOutcome]) -> None:
     """Draw one blur: tilts by mark, white and blurred noise by colour; frequencies without a measured cell in words."""
     panel.axhspan(-ALLOWED_PERCENT, ALLOWED_PERCENT, color="0.9", zorder=0)
     panel.axhline(0.0, color="0.6", linewidth=0.8)
@@ -67,4 +67,4 @@ def _draw_panel(panel: Any, cells: Sequence[Outcome]) -> None:
 
 if __name__ == "__main__":
     print("\n".join(tally(read()).lines()))
-    print(draw_bias(read()))
+    print(plot_bias(read()))

@@ -6,9 +6,9 @@ import numpy as np
 
 from charact.study.bars.scene import BarScene
 from charact.study.bars.strips import StripScene
-from charact.study.edge.scene import Blur
+from charact.study.edge.scene import TrueBlur
 from charact.study.harness import Case
-from charact.study.knobs import Axes, Place, in_scope, turned
+from charact.study.sweep_axes import Axes, AxisPosition, cases_along_axes, cases_in_scope
 
 # Axis: unit, positions, and the first and last position inside the scope that bar methods declare.
 AXES: Axes = {
@@ -61,8 +61,11 @@ def _scene(axis: str, position: float, common: dict[str, Any]) -> Scene:
         "frequency": {"frequency_cy_per_px": position, "rows": 200, "cols": 220},
         "frequency, untilted": {"frequency_cy_per_px": position, "angle_deg": 0.0},
         "tilt": {"angle_deg": position},
-        "blur": {"blur": Blur(sigma_px=position), "frequency_cy_per_px": float(min(0.12, 0.2 / max(position, 1e-9)))},
-        "cut-off of a tube": {"blur": Blur(form="exponential", frequency_cy_per_px=position)},
+        "blur": {
+            "blur": TrueBlur(sigma_px=position),
+            "frequency_cy_per_px": float(min(0.12, 0.2 / max(position, 1e-9))),
+        },
+        "cut-off of a tube": {"blur": TrueBlur(form="exponential", frequency_cy_per_px=position)},
         "bars": {"bars": int(position)},
         "clipped share of the level": {"clip_share": position / 100},
         "gamma": {"gamma": position},
@@ -80,30 +83,30 @@ def _scene(axis: str, position: float, common: dict[str, Any]) -> Scene:
     return BarScene(**{**common, **knob})
 
 
-def _asked(axis: str, position: float, scene: Scene) -> dict[str, Any]:
+def _method_arguments(axis: str, position: float, scene: Scene) -> dict[str, Any]:
     """What the method is told of the target: the truth, but on the axes of a wrong word."""
     bars = int(position) if axis == "bars asked for, of 4" else scene.bars
     off = 1 + position / 100 if axis == "frequency asked for" else 1.0
     return {"bars": bars, "frequency_cy_per_px": scene.frequency_cy_per_px * off}
 
 
-def _case(at: Place, scene: Scene, rng: np.random.Generator) -> Case:
+def _case(at: AxisPosition, scene: Scene, rng: np.random.Generator) -> Case:
     return at.case(
         rng,
         kind="bars",
         quantity="mtf",
         truth=scene.truth_mtf,
         draw=scene.frames_drawn,
-        arguments=_asked(at.axis, at.position, scene),
+        arguments=_method_arguments(at.axis, at.position, scene),
         context={"interlaced": at.axis == "interlace motion", "full_scale_dn": scene.full_scale_dn},
     )
 
 
 def _common(rng: np.random.Generator, tube: bool) -> dict[str, Any]:
     """Blur, tilt, phase and frequency of a draw."""
-    wide = Blur(form="exponential", frequency_cy_per_px=float(rng.uniform(0.2, 0.35)))
+    wide = TrueBlur(form="exponential", frequency_cy_per_px=float(rng.uniform(0.2, 0.35)))
     return {
-        "blur": wide if tube else Blur(sigma_px=float(rng.uniform(0.6, 1.2))),
+        "blur": wide if tube else TrueBlur(sigma_px=float(rng.uniform(0.6, 1.2))),
         "frequency_cy_per_px": float(rng.uniform(0.08, 0.2)),
         "angle_deg": float(rng.uniform(2, 8)),
         "row_px": float(rng.uniform(-1, 1)),
@@ -125,10 +128,10 @@ def stability_cases(seed: int, repeats: int, axes: tuple[str, ...] = tuple(AXES)
     """
     rng = np.random.default_rng([seed, 7])
 
-    def drawn(at: Place, repeat: int) -> Case:
+    def make_case(at: AxisPosition, repeat: int) -> Case:
         return _case(at, _scene(at.axis, at.position, _common(rng, tube=repeat % 2 == 1)), rng)
 
-    cases = turned(AXES, axes, repeats, drawn)
+    cases = cases_along_axes(AXES, axes, repeats, make_case)
     return (*cases, *(_noise_case(kind, rng) for kind in ("white", "correlated") for _ in range(repeats)))
 
 
@@ -137,7 +140,7 @@ def _noise_case(kind: str, rng: np.random.Generator) -> Case:
     flat = BarScene(
         level_dn=1e-3, pedestal_dn=100.0, snr=1e-4, shot_share=1.0, noise_blur_px=1.0 if kind == "correlated" else 0.0
     )
-    at = Place(axis="noise alone", position=float(kind == "correlated"), unit="1 = correlated", in_scope=False)
+    at = AxisPosition(axis="noise alone", position=float(kind == "correlated"), unit="1 = correlated", in_scope=False)
     return at.case(
         rng,
         kind="bars",
@@ -153,10 +156,10 @@ def chart_cases(seed: int, count: int) -> tuple[Case, ...]:
     """Cases inside the scope, drawn at random: blur, frequency, number, direction, phase, noise and its correlation."""
     rng = np.random.default_rng([seed, 8])
 
-    def drawn(at: Place, number: int) -> Case:
-        tube = Blur(form="exponential", frequency_cy_per_px=float(rng.uniform(0.2, 0.5)))
+    def make_case(at: AxisPosition, number: int) -> Case:
+        tube = TrueBlur(form="exponential", frequency_cy_per_px=float(rng.uniform(0.2, 0.5)))
         scene = BarScene(
-            blur=Blur(sigma_px=float(rng.uniform(0.5, 1.2))) if number % 2 else tube,
+            blur=TrueBlur(sigma_px=float(rng.uniform(0.5, 1.2))) if number % 2 else tube,
             frequency_cy_per_px=float(rng.uniform(0.06, 0.25)),
             bars=int(rng.choice([3, 4, 5])),
             frames=int(rng.choice([4, 8, 16])),
@@ -172,4 +175,4 @@ def chart_cases(seed: int, count: int) -> tuple[Case, ...]:
         )
         return _case(at, scene, rng)
 
-    return in_scope(count, drawn)
+    return cases_in_scope(count, make_case)

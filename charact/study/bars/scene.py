@@ -6,9 +6,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.study.edge.scene import Blur
-from charact.study.noise import correlated
-from charact.study.sharpened import boost, sharpened
+from charact.study.edge.scene import TrueBlur
+from charact.study.noise import correlate_noise
+from charact.study.sharpening_camera import boost, sharpen_images
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 
@@ -19,7 +19,7 @@ ALIASES = 3
 
 @lru_cache(maxsize=16)
 def _bars_image(
-    blur: Blur, bars: int, frequency_cy_per_px: float, angle_deg: float, row_px: float, col_px: float
+    blur: TrueBlur, bars: int, frequency_cy_per_px: float, angle_deg: float, row_px: float, col_px: float
 ) -> NDArray[np.floating]:
     """Blurred bars sampled at whole pixels, 1 on a wide bar, shape (PERIOD_PX, PERIOD_PX), centred on its middle.
 
@@ -86,12 +86,12 @@ class BarScene:
     neighbour_px
         Gap between the target and another of three quarters of its frequency along the bars, px; infinite: none.
     sharpening
-        Share by which the camera raises fine detail, see `charact.study.sharpened`.
+        Share by which the camera raises fine detail, see `charact.study.sharpening_camera`.
     black_dn, full_scale_dn
         Codes at no light and at the top, DN.
     """
 
-    blur: Blur = field(default_factory=Blur)
+    blur: TrueBlur = field(default_factory=TrueBlur)
     bars: int = 4
     frequency_cy_per_px: float = 0.12
     rows: int = 160
@@ -186,9 +186,9 @@ class BarScene:
         half_way = self.pedestal_dn + 0.5 * self.level_dn - self.black_dn
         shot = np.sqrt(self.shot_share * sd**2 * np.maximum(light, 0) / half_way)
         shape = (self.frames, self.rows, self.cols)
-        drawn = self._response(light + correlated(shot * rng.standard_normal(shape), self.noise_blur_px))
+        drawn = self._response(light + correlate_noise(shot * rng.standard_normal(shape), self.noise_blur_px))
         drawn = drawn + np.sqrt(1 - self.shot_share) * sd * rng.standard_normal(shape)
-        drawn = sharpened(drawn, self.sharpening)
+        drawn = sharpen_images(drawn, self.sharpening)
         drawn = np.where(rng.random(shape[1:]) < self.hot_share, self.full_scale_dn, drawn)
         codes = np.clip(np.rint(drawn), 0, self.full_scale_dn).astype(np.uint8 if self.full_scale_dn < 256 else "u2")
         return FrameStack(data=codes, full_scale_dn=self.full_scale_dn, black_level_dn=self.black_dn)

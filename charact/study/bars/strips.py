@@ -6,8 +6,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.study.edge.scene import Blur
-from charact.study.noise import correlated
+from charact.study.edge.scene import TrueBlur
+from charact.study.noise import correlate_noise
 from labdata.frames import FrameStack
 
 # Length of the tabulated profile and its step, px; highest frequency of its spectrum, cycles per pixel.
@@ -15,7 +15,7 @@ PERIOD_PX, STEP_PX, HIGHEST = 4096, 1 / 32, 3
 
 
 @lru_cache(maxsize=64)
-def _profile(blur: Blur, bars: int, frequency: float, angle_deg: float) -> NDArray[np.floating]:
+def _profile(blur: TrueBlur, bars: int, frequency: float, angle_deg: float) -> NDArray[np.floating]:
     """Blurred profile across the bars, 1 on a wide bar, every `STEP_PX`, centred."""
     v = np.arange(HIGHEST * PERIOD_PX) / PERIOD_PX
     width = 0.5 / frequency
@@ -52,7 +52,7 @@ class StripScene:
         Ground, step, and highest code, DN.
     """
 
-    blur: Blur = field(default_factory=Blur)
+    blur: TrueBlur = field(default_factory=TrueBlur)
     bars: int = 4
     frequency_cy_per_px: float = 0.12
     rows: int = 20
@@ -85,7 +85,7 @@ class StripScene:
     def frames_drawn(self, rng: np.random.Generator) -> FrameStack:
         """Draw the stack: the picture, noise, whole codes."""
         light = self.light()
-        noise = correlated(rng.standard_normal((self.frames, *light.shape)), self.noise_blur_px)
+        noise = correlate_noise(rng.standard_normal((self.frames, *light.shape)), self.noise_blur_px)
         drawn = self.pedestal_dn + self.level_dn * (light + self.noise_sign * noise / self.snr)
         codes = np.clip(np.rint(drawn), 0, self.full_scale_dn).astype(np.uint16)
         if self.turned:

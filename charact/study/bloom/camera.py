@@ -19,7 +19,7 @@ MANY = 50.0
 FRAMES_PER_S = 30.0
 
 
-def expected(scene: BloomScene, overload: float, *, faintest: float | None = None) -> Array:
+def noiseless_frame(scene: BloomScene, overload: float, *, faintest: float | None = None) -> Array:
     """Return the noiseless picture of a source that stands still, not clipped and not digitised, (row, col), DN.
 
     `faintest` is that of `stack`.
@@ -46,11 +46,11 @@ def stack(scene: BloomScene, overload: float, rng: np.random.Generator, *, faint
         light = scale * np.stack([picture_of(optics, move) for move in moves]) + scene.background_dn
     mean = _plate(scene, light)
     noise = _pulses(scene, at_pixels(light), len(moves), rng) - at_pixels(mean)
-    pulses = _after_gain(scene, mean) + _blurred(scene, noise)
+    pulses = _after_gain(scene, mean) + _blur_light(scene, noise)
     if scene.lag > 0:
         pulses = (1.0 - scene.lag) * pulses[1:] + scene.lag * pulses[:-1]
     charge = _gain(scene, overload, faintest) * _columns(scene, pulses)
-    return digitised(scene, scene.dark_dn + charge, rng)
+    return digitise_frames(scene, scene.dark_dn + charge, rng)
 
 
 def _plate(scene: BloomScene, light: Array) -> Array:
@@ -83,10 +83,10 @@ def _after_gain(scene: BloomScene, light: Array) -> Array:
 
     A Gaussian of 0.5 px that is sampled at pixels is 6 % narrower than it says.
     """
-    return at_pixels(_blurred(scene, light, FINE))
+    return at_pixels(_blur_light(scene, light, FINE))
 
 
-def _blurred(scene: BloomScene, light: Array, finer: int = 1) -> Array:
+def _blur_light(scene: BloomScene, light: Array, finer: int = 1) -> Array:
     """Blur along the last two axes, which have so many samples in a pixel."""
     from scipy.ndimage import gaussian_filter
 
@@ -101,13 +101,13 @@ def _columns(scene: BloomScene, light: Array) -> Array:
     """What the columns of the sensor make of the light: overflow, then smear, shape (.., row, col)."""
     charge = light
     if scene.full_well_dn is not None:
-        charge = overflowed(light, scene.full_well_dn * scene.drain_ratio)
+        charge = apply_column_blooming(light, scene.full_well_dn * scene.drain_ratio)
     if scene.smear_fraction > 0:
         charge = charge + scene.smear_fraction * light.mean(axis=-2, keepdims=True)
     return charge
 
 
-def overflowed(charge: Array, holds: float) -> Array:
+def apply_column_blooming(charge: Array, holds: float) -> Array:
     """Return charge settled along its columns: what a pixel cannot hold spills half up and half down, over and over.
 
     Parameters
@@ -138,11 +138,13 @@ def _gain(scene: BloomScene, overload: float, faintest: float | None) -> float:
     if not scene.agc or faintest is None:
         return 1.0
     fixed = replace(scene, agc=False)
-    seen = [np.minimum(expected(fixed, one) - scene.dark_dn, scene.span_dn).mean() for one in (faintest, overload)]
+    seen = [
+        np.minimum(noiseless_frame(fixed, one) - scene.dark_dn, scene.span_dn).mean() for one in (faintest, overload)
+    ]
     return float(seen[0] / seen[1])
 
 
-def digitised(scene: BloomScene, level_dn: Array, rng: np.random.Generator) -> FrameStack:
+def digitise_frames(scene: BloomScene, level_dn: Array, rng: np.random.Generator) -> FrameStack:
     """Read frames of given levels, shape (frame, row, col), DN: white noise, whole codes, the highest one."""
     noisy = level_dn + scene.read_noise_dn * rng.standard_normal(level_dn.shape)
     codes = np.clip(np.rint(noisy), 0, scene.full_scale_dn).astype(np.uint8 if scene.bits <= 8 else np.uint16)

@@ -8,7 +8,7 @@ import numpy as np
 from charact.study.bloom.scene import BloomScene
 from charact.study.bloom.series import BloomSeries, halo_overload, levels_in_scope, scene_in_scope, series_in_scope
 from charact.study.harness import Case
-from charact.study.knobs import Axes, Place, in_scope, turned
+from charact.study.sweep_axes import Axes, AxisPosition, cases_along_axes, cases_in_scope
 
 AXES: Axes = {
     "halo's share of the light": ("1", (0.001, 0.003, 0.01, 0.02, 0.1, 0.3), (0.02, 0.3)),
@@ -76,7 +76,7 @@ def _knobs(position: float, base: BloomScene) -> dict[str, dict[str, Any]]:
     }
 
 
-def _case(at: Place, series: BloomSeries, rng: np.random.Generator) -> Case:
+def _case(at: AxisPosition, series: BloomSeries, rng: np.random.Generator) -> Case:
     return at.case(
         rng,
         kind="bloom",
@@ -100,7 +100,7 @@ def stability_cases(seed: int, repeats: int, axes: tuple[str, ...] = tuple(AXES)
         Names of `AXES`.
     """
     rng = np.random.default_rng([seed, 31])
-    cases = turned(AXES, axes, repeats, lambda at, _: _case(at, _series(at.axis, at.position, rng), rng))
+    cases = cases_along_axes(AXES, axes, repeats, lambda at, _: _case(at, _series(at.axis, at.position, rng), rng))
     return (*cases, *(_bare(rng) for _ in range(2 * repeats)))
 
 
@@ -108,10 +108,10 @@ def _bare(rng: np.random.Generator) -> Case:
     """A source without a halo: nothing to measure."""
     series = series_in_scope(rng, widest_px=50.0, most_frames=8)
     bare = replace(series, scene=replace(series.scene, halo_fraction=0.0))
-    return _case(Place(axis="no halo", position=0.0, unit="", in_scope=False), bare, rng)
+    return _case(AxisPosition(axis="no halo", position=0.0, unit="", in_scope=False), bare, rng)
 
 
 def chart_cases(seed: int, count: int) -> tuple[Case, ...]:
     """Cases inside the scope, drawn at random (`charact.study.bloom.series`)."""
     rng = np.random.default_rng([seed, 32])
-    return in_scope(count, lambda at, _: _case(at, series_in_scope(rng), rng))
+    return cases_in_scope(count, lambda at, _: _case(at, series_in_scope(rng), rng))

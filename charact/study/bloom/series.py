@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from charact.method import Context, Method
-from charact.study.bloom.scene import BloomScene, session, truth
+from charact.study.bloom.scene import BloomScene, bloom_session, truth
 from charact.study.bloom.truth import plateau_per_px2
-from charact.study.harness import Stopwatch
+from charact.study.harness import CaseTimer
 from labdata.errors import BadInput
 from labdata.measurement import Measurement
 from labdata.session import Session
@@ -40,7 +40,7 @@ class BloomSeries:
 
     def session_drawn(self, rng: np.random.Generator) -> Session:
         """Draw its frames."""
-        return session(self.scene, self.overloads, rng, darks=self.darks)
+        return bloom_session(self.scene, self.overloads, rng, darks=self.darks)
 
     def truth(self, quantity: str, stack: str | None) -> float | None:
         """Return what should be found of the session, or of the stack of a label; None: nothing is known of it."""
@@ -122,7 +122,7 @@ def without_halo(series: BloomSeries) -> BloomSeries:
     return replace(series, scene=replace(series.scene, halo_fraction=0.0))
 
 
-def measured(
+def measure_series(
     method: Method, series: BloomSeries, drawn: Session, *, seed: int, quick: bool
 ) -> tuple[tuple[Measurement, ...] | None, float]:
     """Put a method to the frames of a series: its measurements, and its seconds.
@@ -131,7 +131,7 @@ def measured(
     would see.
     """
     context = Context(quick=quick, seed=seed, full_scale_dn=series.scene.full_scale_dn)
-    clock = Stopwatch()
+    clock = CaseTimer()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")

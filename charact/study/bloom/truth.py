@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.study.bloom.camera import expected
+from charact.study.bloom.camera import noiseless_frame
 from charact.study.bloom.light import halo_share_between
 from charact.study.bloom.source import GLARE_SIDE_PX, BloomScene, optics_of, radial_halo, radial_light
 
@@ -43,7 +43,7 @@ def truth(scene: BloomScene, overload: float, *, faintest: float | None = None) 
         `encircled_radius_90` (of the linear light without glare), `core_compression`, `veiling_glare` (%),
         `smear_fraction`. Shares are of the light that falls on the frame.
     """
-    picture = expected(scene, overload, faintest=faintest)
+    picture = noiseless_frame(scene, overload, faintest=faintest)
     half = scene.dark_dn + 0.5 * scene.span_dn
     levels = {
         "bloom_diameter": half,
@@ -61,7 +61,7 @@ def truth(scene: BloomScene, overload: float, *, faintest: float | None = None) 
         "core_compression": _compression(scene, overload),
         "smear_fraction": scene.smear_fraction,
         **halo_truth(scene),
-        **{f"encircled_radius_{share:.0f}": _encircled(scene, share / 100.0) for share in (50.0, 90.0)},
+        **{f"encircled_radius_{share:.0f}": _radius_of_energy(scene, share / 100.0) for share in (50.0, 90.0)},
     }
 
 
@@ -114,7 +114,7 @@ def _full(scene: BloomScene, picture: Array) -> NDArray[np.bool_]:
 
 def _dry(scene: BloomScene, overload: float, picture: Array) -> Array:
     """The picture before wells overflow."""
-    return expected(replace(scene, full_well_dn=None), overload) if _full(scene, picture).any() else picture
+    return noiseless_frame(replace(scene, full_well_dn=None), overload) if _full(scene, picture).any() else picture
 
 
 def _region(scene: BloomScene, picture: Array, level_dn: float, dry: Array | None) -> NDArray[np.bool_]:
@@ -163,7 +163,7 @@ def _compression(scene: BloomScene, overload: float) -> float:
     if scene.plate_saturation_dn is None:
         return 1.0
     calm = replace(scene, full_well_dn=None, smear_fraction=0.0, agc=False)
-    tired, fresh = (expected(one, overload) for one in (calm, replace(calm, plate_saturation_dn=None)))
+    tired, fresh = (noiseless_frame(one, overload) for one in (calm, replace(calm, plate_saturation_dn=None)))
     row, col = scene.centre
     down = (np.arange(scene.rows) - row)[:, None] * scene.row_pitch
     near = np.hypot(down, (np.arange(scene.cols) - col)[None, :]) < CORE_SIGMAS * scene.core_sigma_px
@@ -197,7 +197,7 @@ def plateau_per_px2(scene: BloomScene) -> float:
     return share / (np.pi * (last**2 - first**2))
 
 
-def _encircled(scene: BloomScene, share: float) -> float:
+def _radius_of_energy(scene: BloomScene, share: float) -> float:
     """Radius that holds a share of the light without glare, column pitches; inf beyond 200 px."""
     radius, density = _radial(optics_of(scene))
     ring = 2.0 * np.pi * radius * density * STEP_PX / (1.0 - scene.glare_fraction)

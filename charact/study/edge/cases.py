@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from charact.study.edge.scene import Blur, EdgeScene
+from charact.study.edge.scene import EdgeScene, TrueBlur
 from charact.study.harness import Case
-from charact.study.knobs import Axes, Place, in_scope, turned
+from charact.study.sweep_axes import Axes, AxisPosition, cases_along_axes, cases_in_scope
 
 # Axis: unit, positions, and the first and last position inside the scope that edge methods declare.
 # Bounds of the scope follow the failure table of the slanted edge: biases under a percent or two.
@@ -41,7 +41,7 @@ def _scene(axis: str, position: float, common: dict[str, Any]) -> EdgeScene:
         "edge SNR": {"snr": position},
         "edge SNR, 16 frames": {"snr": position, "frames": 16},
         "tilt": {"angle_deg": position},
-        "blur": {"blur": Blur(sigma_px=position)},
+        "blur": {"blur": TrueBlur(sigma_px=position)},
         "gamma": {"gamma": position},
         "gamma, low contrast": {"gamma": position, "dark_dn": 110.0, "bright_dn": 150.0, "snr": 25.0},
         "clipped share of the step": {"clip_share": position / 100},
@@ -63,7 +63,7 @@ def _scene(axis: str, position: float, common: dict[str, Any]) -> EdgeScene:
     return EdgeScene(**{**common, **knob})
 
 
-def _case(at: Place, scene: EdgeScene, seeds: np.random.Generator, *, edge: bool = True) -> Case:
+def _case(at: AxisPosition, scene: EdgeScene, seeds: np.random.Generator, *, edge: bool = True) -> Case:
     return at.case(
         seeds,
         kind="edge",
@@ -88,32 +88,32 @@ def stability_cases(seed: int, repeats: int, axes: tuple[str, ...] = tuple(AXES)
     """
     seeds, rng = np.random.default_rng(seed), np.random.default_rng([seed, 1])
 
-    def drawn(at: Place, repeat: int) -> Case:
-        tube = Blur(form="exponential", frequency_cy_per_px=float(rng.uniform(0.2, 0.35)))
-        blur = tube if repeat % 2 else Blur(sigma_px=float(rng.uniform(0.7, 1.3)))
+    def make_case(at: AxisPosition, repeat: int) -> Case:
+        tube = TrueBlur(form="exponential", frequency_cy_per_px=float(rng.uniform(0.2, 0.35)))
+        blur = tube if repeat % 2 else TrueBlur(sigma_px=float(rng.uniform(0.7, 1.3)))
         common = {"blur": blur, "angle_deg": rng.uniform(4, 8), "offset_px": rng.uniform(-1, 1)}
         return _case(at, _scene(at.axis, at.position, common), seeds)
 
-    cases = turned(AXES, axes, repeats, drawn)
+    cases = cases_along_axes(AXES, axes, repeats, make_case)
     return (*cases, *(_noise_case(kind, seeds) for kind in ("white", "correlated") for _ in range(repeats)))
 
 
 def _noise_case(kind: str, seeds: np.random.Generator) -> Case:
     """A frame without an edge: nothing to measure."""
     flat = EdgeScene(dark_dn=100.0, bright_dn=100.0001, snr=1e-5, noise_blur_px=1.0 if kind == "correlated" else 0.0)
-    at = Place(axis="noise alone", position=float(kind == "correlated"), unit="1 = correlated", in_scope=False)
+    at = AxisPosition(axis="noise alone", position=float(kind == "correlated"), unit="1 = correlated", in_scope=False)
     return _case(at, flat, seeds, edge=False)
 
 
-def _blur(number: int, rng: np.random.Generator) -> Blur:
+def _blur(number: int, rng: np.random.Generator) -> TrueBlur:
     """Return a lens, a tube, wings of a power law or a lens with a halo, in turn."""
     sigma, cut = float(rng.uniform(0.5, 1.8)), float(rng.uniform(0.15, 0.4))
     share, diameter = float(rng.uniform(0.05, 0.25)), float(rng.uniform(15.0, 35.0))
     return (
-        Blur(sigma_px=sigma),
-        Blur(form="exponential", frequency_cy_per_px=cut),
-        Blur(form="moffat", moffat_px=sigma + 0.8, moffat_exponent=float(rng.uniform(1.8, 4.0))),
-        Blur(sigma_px=sigma, halo_share=share, halo_px=diameter),
+        TrueBlur(sigma_px=sigma),
+        TrueBlur(form="exponential", frequency_cy_per_px=cut),
+        TrueBlur(form="moffat", moffat_px=sigma + 0.8, moffat_exponent=float(rng.uniform(1.8, 4.0))),
+        TrueBlur(sigma_px=sigma, halo_share=share, halo_px=diameter),
     )[number % 4]
 
 
@@ -121,7 +121,7 @@ def chart_cases(seed: int, count: int) -> tuple[Case, ...]:
     """Cases inside the scope, drawn at random: blur, direction, phase, polarity, size, noise and its correlation."""
     seeds, rng = np.random.default_rng(seed), np.random.default_rng([seed, 2])
 
-    def drawn(at: Place, number: int) -> Case:
+    def make_case(at: AxisPosition, number: int) -> Case:
         blur = _blur(number, rng)
         side = int(rng.integers(80, 129))
         scene = EdgeScene(
@@ -138,4 +138,4 @@ def chart_cases(seed: int, count: int) -> tuple[Case, ...]:
         )
         return _case(at, scene, seeds)
 
-    return in_scope(count, drawn)
+    return cases_in_scope(count, make_case)

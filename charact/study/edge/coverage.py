@@ -15,11 +15,11 @@ import numpy as np
 
 import charact.mtf  # registers the methods
 from charact.method import Context
-from charact.method.registry import of_kind
-from charact.study.edge.scene import Blur, EdgeScene
-from charact.study.failure_map import one_thread_each
-from charact.study.harness import judged
+from charact.method.registry import methods_of_kind
+from charact.study.edge.scene import EdgeScene, TrueBlur
+from charact.study.harness import judge_measurement
 from charact.study.speed_accuracy import write_json
+from charact.study.stability_sweep import one_thread_each
 from labdata.frames import FrameStack
 
 TABLE = Path(__file__).resolve().parents[1] / "tables" / "edge_coverage.json"
@@ -29,11 +29,11 @@ METHODS = ("edge-parametric", "edge-free", "edge-slanted", "edge-gradient", "edg
 MOST = {**dict.fromkeys(METHODS, 1000), "edge-parametric": 4000, "edge-forward": 200}
 
 
-def mixed_scene(seed: int) -> EdgeScene:
+def draw_mixed_scene(seed: int) -> EdgeScene:
     """Return a scene of mixed blur, direction, size, noise and light inside the declared scope."""
     rng = np.random.default_rng([seed, 7])
     form = str(rng.choice(["gaussian", "exponential", "moffat", "halo"]))
-    blur = Blur(
+    blur = TrueBlur(
         form="gaussian" if form == "halo" else form,  # pyright: ignore[reportArgumentType]
         sigma_px=float(rng.uniform(0.5, 1.8)),
         frequency_cy_per_px=float(rng.uniform(0.15, 0.4)),
@@ -62,7 +62,7 @@ def mixed_scene(seed: int) -> EdgeScene:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Trial:
+class EdgeTrial:
     """What a method made of one frame."""
 
     method: str
@@ -74,16 +74,16 @@ class Trial:
     seconds: float
 
 
-def _trial(method: str, scene: EdgeScene, stack: FrameStack, context: Context) -> Trial:
-    found = of_kind("edge")[method].function(stack, context=context).find("mtf50")[0]
+def _trial(method: str, scene: EdgeScene, stack: FrameStack, context: Context) -> EdgeTrial:
+    found = methods_of_kind("edge")[method].function(stack, context=context).find("mtf50")[0]
     if found.value is None or found.interval68 is None:
-        return Trial(
+        return EdgeTrial(
             method=method, status=found.status, relative_error=None, covers68=None, covers95=None, silent=False,
             seconds=found.seconds or 0.0,
         )  # fmt: skip
     truth = scene.truth_mtf50
-    verdict = judged(found, truth)
-    return Trial(
+    verdict = judge_measurement(found, truth)
+    return EdgeTrial(
         method=method,
         status=found.status,
         relative_error=found.value / truth - 1.0,
@@ -94,14 +94,14 @@ def _trial(method: str, scene: EdgeScene, stack: FrameStack, context: Context) -
     )
 
 
-def covered(seed: int, methods: Sequence[str], *, quick: bool = True) -> list[Trial]:
+def measure_mixed_scene(seed: int, methods: Sequence[str], *, quick: bool = True) -> list[EdgeTrial]:
     """Put the methods to one frame of a mixed scene."""
-    scene = mixed_scene(seed)
+    scene = draw_mixed_scene(seed)
     stack = scene.frames_drawn(np.random.default_rng([seed, 8]))
     return [_trial(method, scene, stack, Context(quick=quick, seed=seed)) for method in methods]
 
 
-def coverage_row(trials: Sequence[Trial], method: str) -> dict[str, Any]:
+def coverage_row(trials: Sequence[EdgeTrial], method: str) -> dict[str, Any]:
     """Return how often the intervals of one method hold, over all its numbers and over those that are ok."""
     own = [trial for trial in trials if trial.method == method]
     numbers = [trial for trial in own if trial.relative_error is not None]
@@ -134,7 +134,9 @@ def study(regions: int, methods: Sequence[str] = METHODS) -> dict[str, Any]:
         for count in sorted(set(counts.values())):
             own = [method for method in methods if counts[method] == count]
             trials += [
-                one for each in pool.map(partial(covered, methods=own), range(count), chunksize=4) for one in each
+                one
+                for each in pool.map(partial(measure_mixed_scene, methods=own), range(count), chunksize=4)
+                for one in each
             ]
     return {
         "charact": charact.__version__,

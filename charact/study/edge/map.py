@@ -11,12 +11,12 @@ import numpy as np
 
 import charact.mtf  # noqa: F401  # registers the methods
 from charact.method import Context
-from charact.method.registry import of_kind
-from charact.study import cell_map
-from charact.study.cell_map import Breaking, Cell, Outcome, case_drawn, cell_drawn, outcome_of
-from charact.study.edge.bound import least_relative_sd
-from charact.study.edge.scene import Blur, EdgeScene
+from charact.method.registry import methods_of_kind
+from charact.study import scenario_map
+from charact.study.edge.cramer_rao import least_relative_sd
+from charact.study.edge.scene import EdgeScene, TrueBlur
 from charact.study.harness import Case, attempt
+from charact.study.scenario_map import Breaking, Scenario, ScenarioOutcome, draw_case, draw_scenario, outcome_of
 from labdata.frames import FrameStack
 
 TABLE = Path(__file__).resolve().parents[1] / "tables" / "edge_map.json"
@@ -43,14 +43,14 @@ BREAKING: Breaking = {
 }
 
 
-def cell_of(number: int) -> Cell[EdgeScene]:
+def cell_of(number: int) -> Scenario[EdgeScene]:
     """Return a cell from its number."""
-    return cell_drawn(number, BREAKING, _scene_in_scope, _broken)
+    return draw_scenario(number, BREAKING, _scene_in_scope, _broken)
 
 
 def _scene_in_scope(rng: np.random.Generator) -> EdgeScene:
     form = str(rng.choice(["gaussian", "exponential", "moffat", "halo"]))
-    blur = Blur(
+    blur = TrueBlur(
         form="gaussian" if form == "halo" else form,  # pyright: ignore[reportArgumentType]
         sigma_px=float(rng.uniform(0.5, 2.0)),
         frequency_cy_per_px=float(rng.uniform(0.12, 0.4)),
@@ -93,25 +93,29 @@ def _broken(scene: EdgeScene, axis: str, strength: float) -> EdgeScene:
     if axis == "hot_share":
         return replace(scene, hot_share=strength, full_scale_dn=1.3 * scene.bright_dn)
     if axis == "sharpness":
-        return replace(scene, blur=Blur(sigma_px=strength))
+        return replace(scene, blur=TrueBlur(sigma_px=strength))
     if axis == "blur_px":
-        return replace(scene, blur=Blur(sigma_px=strength))
+        return replace(scene, blur=TrueBlur(sigma_px=strength))
     if axis == "halo_px":
         share = max(scene.blur.halo_share, 0.15)
         return replace(scene, blur=replace(scene.blur, halo_px=strength, halo_share=share))
     return replace(scene, **{axis: strength})
 
 
-def measured_cell(number: int, *, repeats: int = REPEATS, quick: bool = True, method: str = METHOD) -> Outcome:
+def measure_scenario(
+    number: int, *, repeats: int = REPEATS, quick: bool = True, method: str = METHOD
+) -> ScenarioOutcome:
     """Draw a cell's frames and put the method to each of them."""
     cell = cell_of(number)
     truth = cell.scene.truth_mtf50
-    rows = [attempt(of_kind("edge")[method], case_of(cell, truth, i), Context(quick=quick)) for i in range(repeats)]
+    rows = [
+        attempt(methods_of_kind("edge")[method], case_of(cell, truth, i), Context(quick=quick)) for i in range(repeats)
+    ]
     bound = 100.0 * least_relative_sd(cell.scene) if cell.in_scope else None
     return outcome_of(cell, rows, truth, truths=truths_of(cell), bound_percent=bound)
 
 
-def truths_of(cell: Cell[EdgeScene]) -> tuple[float, float]:
+def truths_of(cell: Scenario[EdgeScene]) -> tuple[float, float]:
     """Return the least and the largest MTF50 that are right for a cell, cy/px.
 
     Light spread wider than the window belongs to the normalisation as far as it is seen, and a result says that it is
@@ -124,13 +128,13 @@ def truths_of(cell: Cell[EdgeScene]) -> tuple[float, float]:
     return truth, core.mtf50(cell.scene.angle_deg)
 
 
-def case_of(cell: Cell[EdgeScene], truth: float, repeat: int) -> Case:
+def case_of(cell: Scenario[EdgeScene], truth: float, repeat: int) -> Case:
     """Return one drawing of a cell, the edge at a place of its own."""
 
     def draw(rng: np.random.Generator) -> FrameStack:
         return replace(cell.scene, offset_px=float(rng.uniform(-2.0, 2.0))).frames_drawn(rng)
 
-    return case_drawn(
+    return draw_case(
         cell,
         repeat,
         kind="edge",
@@ -142,8 +146,8 @@ def case_of(cell: Cell[EdgeScene], truth: float, repeat: int) -> Case:
 
 def main() -> None:
     """Make the map."""
-    cell_map.make(
-        measured_cell,
+    scenario_map.make_map(
+        measure_scenario,
         kind="edge",
         method=METHOD,
         table=TABLE,

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from charact.study import cell_map_figure
-from charact.study.draw import plain_numbers
+from charact.study import scenario_map_figure
 from charact.study.edge.map import BREAKING, TABLE, cell_of
+from charact.study.study_figures import plain_numbers
 
 FIGURE = Path("docs/mtf/edge-map.png")
 LABELS = {
@@ -27,15 +27,15 @@ LABELS = {
 }
 
 
-def draw_map(found: Mapping[str, Any], path: Path) -> Path:
+def plot_map(found: Mapping[str, Any], path: Path) -> Path:
     """Draw the table of `charact.study.edge.map`; returns the path of the PNG."""
     scope = (LABELS["snr"], lambda number: cell_of(number).scene.snr)
-    return cell_map_figure.draw_map(
+    return scenario_map_figure.plot_map(
         found, path, breaking=BREAKING, labels=LABELS, scope=scope, columns=5, last=_draw_widths
     )
 
 
-def _draw_widths(panel: Any, inside: cell_map_figure.Rows) -> None:
+def _draw_widths(panel: Any, inside: scenario_map_figure.Rows) -> None:
     """Draw how wide intervals are beside the bound, against the bound itself."""
     both = [(one["bound_percent"], one["sd_percent"]) for one in inside if one["bound_percent"] and one["sd_percent"]]
     bound, sd = np.array(both).T if both else np.ones((2, 0))
@@ -50,7 +50,7 @@ def _draw_widths(panel: Any, inside: cell_map_figure.Rows) -> None:
 
 def main() -> None:
     """Draw the table that is there."""
-    cell_map_figure.make(draw_map, table=TABLE, figure=FIGURE, about=__doc__)
+    scenario_map_figure.make(plot_map, table=TABLE, figure=FIGURE, about=__doc__)
 
 
 if __name__ == "__main__":

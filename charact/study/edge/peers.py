@@ -17,10 +17,10 @@ import numpy as np
 
 import charact.mtf  # registers the methods
 from charact.method import Context
-from charact.method.registry import of_kind
-from charact.study.edge.bound import least_relative_sd
-from charact.study.edge.scene import Blur, EdgeScene
-from charact.study.harness import judged
+from charact.method.registry import methods_of_kind
+from charact.study.edge.cramer_rao import least_relative_sd
+from charact.study.edge.scene import EdgeScene, TrueBlur
+from charact.study.harness import judge_measurement
 from charact.study.speed_accuracy import write_json
 from labdata.frames import FrameStack
 
@@ -36,7 +36,7 @@ FRAMES = {
 }
 SNRS = (100.0, 30.0, 10.0, 5.0, 2.0, 1.0)
 EDGE = EdgeScene(
-    blur=Blur(sigma_px=0.8), rows=256, cols=64, angle_deg=5.0, dark_dn=1100.0, bright_dn=1250.0, shot_share=0.0
+    blur=TrueBlur(sigma_px=0.8), rows=256, cols=64, angle_deg=5.0, dark_dn=1100.0, bright_dn=1250.0, shot_share=0.0
 )
 
 
@@ -131,7 +131,7 @@ class Answer:
 
 def answer(method: str, scene: EdgeScene, stack: FrameStack, seed: int) -> Answer:
     """Put a method to a frame."""
-    result = of_kind("edge")[method].function(stack, context=Context(quick=True, seed=seed))
+    result = methods_of_kind("edge")[method].function(stack, context=Context(quick=True, seed=seed))
     found, curve = result.find("mtf50")[0], result.curves.get("mtf")
     away = None
     if found.value is not None and curve is not None:
@@ -142,7 +142,7 @@ def answer(method: str, scene: EdgeScene, stack: FrameStack, seed: int) -> Answe
         method=method,
         status=found.status,
         relative_error=None if found.value is None else found.value / scene.truth_mtf50 - 1.0,
-        covers95=judged(found, scene.truth_mtf50).get("covers"),
+        covers95=judge_measurement(found, scene.truth_mtf50).get("covers"),
         rms_mtf=None if away is None else float(np.sqrt(np.mean(away**2))),
         seconds=found.seconds or 0.0,
     )
@@ -254,9 +254,9 @@ def main() -> None:
         write_json(asked.out, found)
     for each in (*found["ours"], *found["bound"]):
         print(json.dumps({key: round(value, 4) if isinstance(value, float) else value for key, value in each.items()}))
-    from charact.study.edge.peers_figure import draw_peers
+    from charact.study.edge.peers_figure import plot_peers
 
-    draw_peers(found, asked.figure)
+    plot_peers(found, asked.figure)
 
 
 if __name__ == "__main__":

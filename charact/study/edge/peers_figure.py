@@ -5,7 +5,7 @@ from itertools import cycle
 from pathlib import Path
 from typing import Any
 
-from charact.study.draw import COLOURS, _pyplot, plain_numbers
+from charact.study.study_figures import COLOURS, _pyplot, plain_numbers
 
 THEIRS = ("#333333", "#777777", "#aaaaaa")
 PANELS = (
@@ -16,7 +16,7 @@ PANELS = (
 MOSTLY = 0.95
 
 
-def draw_peers(found: Mapping[str, Any], path: Path) -> Path:
+def plot_peers(found: Mapping[str, Any], path: Path) -> Path:
     """Draw the table of `charact.study.edge.peers.study`; other programs are dashed.
 
     Parameters

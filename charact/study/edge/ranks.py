@@ -17,18 +17,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.method.threads import on_one_thread
-from charact.mtf.curve import FINE, falls_to
-from charact.mtf.edge.fit.family_fit import FamilyFitter
-from charact.mtf.edge.pixels.find import NoEdge, find_edge
-from charact.mtf.edge.pixels.uneven_light import EVEN_PER_PX
-from charact.mtf.forms.families import EXPONENT_PRIOR, HALF_FREQUENCY_PRIOR, Family
-from charact.mtf.optics import known_of
-from charact.posterior import sample, weighed
-from charact.posterior.drawing import WANTED
+from charact.method.threads import with_single_blas_thread
+from charact.mtf.blur_models.one_dimensional import EXPONENT_PRIOR, HALF_FREQUENCY_PRIOR, BlurModel
+from charact.mtf.curve import FINE, crossing_frequency
+from charact.mtf.edge.fit.model_fit import BlurModelFitter
+from charact.mtf.edge.pixels.illumination_gradient import EVEN_PER_PX
+from charact.mtf.edge.pixels.prepare_edge import EdgeRefusal, prepare_edge
+from charact.mtf.known_transfer import known_transfer
+from charact.posterior import importance_sample, sample
+from charact.posterior.sampling import WANTED
 from charact.study.calibration import Calibration, calibrate
-from charact.study.calibration_figure import draw_calibration
-from charact.study.edge.scene import Blur, EdgeScene
+from charact.study.calibration_figure import plot_calibration
+from charact.study.edge.scene import EdgeScene, TrueBlur
 from charact.study.speed_accuracy import write_json
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
@@ -38,14 +38,14 @@ Array = NDArray[np.float64]
 
 TABLE = Path(__file__).resolve().parents[1] / "tables" / "calibration.json"
 FIGURES = Path("docs/mtf")
-FORM = Family(core="exponential")
+FORM = BlurModel(core="exponential")
 NAMES: tuple[str, ...] = ("ln half frequency", "exponent", "MTF50")
 # The method's priors of half frequency, cycles per pixel, and exponent, cut to what tubes and lenses have.
 HALF_FREQUENCY, EXPONENT = (0.08, 0.4), (1.0, 2.6)
 SHIFT_PX = (-6.0, 6.0)
 SAMPLERS: dict[str, Callable[..., Posterior]] = {
     "emcee": partial(sample, max_steps=3000),
-    "importance": partial(weighed, enough=WANTED),
+    "importance": partial(importance_sample, enough=WANTED),
 }
 TRIALS, DRAWS, SEED = 600, 119, 4000
 BOUNDS = np.array([SHIFT_PX, tuple(np.log(HALF_FREQUENCY)), EXPONENT])
@@ -94,10 +94,10 @@ def _normal_within(normal: tuple[float, float], bounds: tuple[float, float], rng
     return drawn
 
 
-def blur_of(ln_half_frequency: float, exponent: float) -> Blur:
+def blur_of(ln_half_frequency: float, exponent: float) -> TrueBlur:
     """Return a blur exp(-(f/fc)^n) by the frequency at which it falls to one half."""
     cut_off = np.exp(ln_half_frequency) / np.log(2.0) ** (1.0 / exponent)
-    return Blur(form="exponential", frequency_cy_per_px=float(cut_off), exponent=exponent)
+    return TrueBlur(form="exponential", frequency_cy_per_px=float(cut_off), exponent=exponent)
 
 
 def edge_drawn(true: Array, rng: np.random.Generator) -> FrameStack:
@@ -120,15 +120,15 @@ def edge_drawn(true: Array, rng: np.random.Generator) -> FrameStack:
     return scene.frames_drawn(rng)
 
 
-@on_one_thread
+@with_single_blas_thread
 def posterior_draws(sampler: str, stack: FrameStack, seed: int) -> Array | Posterior:
     """Return draws of half frequency, exponent and MTF50, shape (draw, 3); the posterior itself where it is flagged."""
     context = Context(seed=seed)
-    edge = find_edge(stack, None, context, quickly=True)
-    if isinstance(edge, NoEdge):
+    edge = prepare_edge(stack, None, context, quickly=True)
+    if isinstance(edge, EdgeRefusal):
         raise BadInput(f"every frame of this study holds an edge, got: {edge.reason}")
-    known = known_of(edge.picture, edge.profile.angle_rad, context)
-    fitter = FamilyFitter(edge.profile, known)
+    known = known_transfer(edge.picture, edge.profile.angle_rad, context)
+    fitter = BlurModelFitter(edge.profile, known)
     fit = fitter.fit(FORM, np.concatenate([[0.0], FORM.start(fitter.guess())]), EVEN_PER_PX)
     likelihood = fitter.log_probability(FORM, EVEN_PER_PX)
 
@@ -150,7 +150,7 @@ def posterior_draws(sampler: str, stack: FrameStack, seed: int) -> Array | Poste
     # A truth near the end of the prior leans on it, as it should.
     if set(found.flags) - {"prior-bound"}:
         return found
-    half = falls_to(FINE, np.abs(known(FINE)) * FORM.modulus(found.draws[:, 1:], FINE), 0.5)
+    half = crossing_frequency(FINE, np.abs(known(FINE)) * FORM.modulus(found.draws[:, 1:], FINE), 0.5)
     return np.column_stack([found.draws[:, 1:], half])
 
 
@@ -172,7 +172,7 @@ def together(parts: Sequence[Calibration]) -> Calibration:
     )
 
 
-def told(sampler: str, found: Calibration) -> Ranked:
+def summarise_ranks(sampler: str, found: Calibration) -> Ranked:
     """Return what ranks say."""
     cover68, cover95 = (dict(zip(NAMES, found.coverage(level).tolist(), strict=True)) for level in (0.68, 0.95))
     return Ranked(
@@ -198,8 +198,8 @@ def main() -> None:
         for sampler in SAMPLERS:
             found = together(list(pool.map(partial(ranks, sampler, each), range(SEED, SEED + asked.workers))))
             # Pages show pictures as PNG, which lies beside the drawing.
-            draw_calibration(found, FIGURES / f"ranks-{sampler}.svg").unlink()
-            rows.append(told(sampler, found))
+            plot_calibration(found, FIGURES / f"ranks-{sampler}.svg").unlink()
+            rows.append(summarise_ranks(sampler, found))
             print(rows[-1])
     write_json(
         TABLE, {"draws": DRAWS, "seeds": [SEED, SEED + asked.workers - 1], "samplers": [asdict(r) for r in rows]}

@@ -8,8 +8,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.study.noise import correlated
-from charact.study.sharpened import boost, sharpened
+from charact.study.noise import correlate_noise
+from charact.study.sharpening_camera import boost, sharpen_images
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 
@@ -21,7 +21,7 @@ SAMPLES = 1 << 19
 
 
 @dataclass(frozen=True, kw_only=True)
-class Blur:
+class TrueBlur:
     """A rotationally symmetric blur and the square pixel behind it.
 
     Parameters
@@ -104,7 +104,7 @@ def level_crossing(mtf: Callable[[Any], Any], level: float) -> float:
 
 
 @lru_cache(maxsize=64)
-def _edge_spread(blur: Blur, angle_deg: float) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+def _edge_spread(blur: TrueBlur, angle_deg: float) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
     """Distance, px, and edge spread from 0 to 1: running sum of the line spread over cells of exact integral."""
     frequency = np.fft.rfftfreq(SAMPLES, STEP_PX)
     # Dividing by the cell's own transform makes the sum over whole cells the integral between their borders.
@@ -115,7 +115,7 @@ def _edge_spread(blur: Blur, angle_deg: float) -> tuple[NDArray[np.floating], ND
     return distance[near], (np.cumsum(line_spread) * STEP_PX)[near]
 
 
-def edge_spread(blur: Blur, distance_px: NDArray[np.floating], angle_deg: float) -> NDArray[np.floating]:
+def edge_spread(blur: TrueBlur, distance_px: NDArray[np.floating], angle_deg: float) -> NDArray[np.floating]:
     """Edge spread, 0 on the dark and 1 on the bright side, at signed distances from the edge.
 
     Parameters
@@ -203,12 +203,12 @@ class EdgeScene:
     hot_share
         Share of pixels stuck at full scale.
     sharpening
-        Share by which the camera raises fine detail, see `charact.study.sharpened`.
+        Share by which the camera raises fine detail, see `charact.study.sharpening_camera`.
     black_dn, full_scale_dn
         Codes at no light and at the top, DN.
     """
 
-    blur: Blur = field(default_factory=Blur)
+    blur: TrueBlur = field(default_factory=TrueBlur)
     rows: int = 100
     cols: int = 100
     frames: int = 1
@@ -314,8 +314,8 @@ class EdgeScene:
         shot = np.sqrt(self.shot_share * sd**2 * np.maximum(light, 0) / half_way)
         read = np.sqrt(1 - self.shot_share) * sd
         shape = (self.frames, self.rows, self.cols)
-        drawn = self._response(light + correlated(shot * rng.standard_normal(shape), self.noise_blur_px))
-        drawn = sharpened(drawn + read * rng.standard_normal(shape), self.sharpening)
+        drawn = self._response(light + correlate_noise(shot * rng.standard_normal(shape), self.noise_blur_px))
+        drawn = sharpen_images(drawn + read * rng.standard_normal(shape), self.sharpening)
         stuck = rng.random((self.rows, self.cols)) < self.hot_share
         drawn = np.where(stuck, self.full_scale_dn, drawn)
         kind = np.uint8 if self.full_scale_dn < 256 else np.uint16

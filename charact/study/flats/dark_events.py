@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.study.flats.stacks import HeldStack
+from charact.study.flats.flat_cases import InMemoryStack
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
 from labdata.session import Session
@@ -14,7 +14,7 @@ from labdata.session import Session
 Array = NDArray[np.float64]
 
 # Pulses that fall beside the image still send light into it from so far, px.
-BESIDE_PX = 12
+OUTSIDE_PX = 12
 # Light of earlier exposures is followed for so many.
 FOLLOWED = 24
 # Light of a pulse below this is none, DN.
@@ -83,7 +83,7 @@ class DarkScene:
             codes.append(np.clip(np.rint(level + frame + noise), 0, self.full_scale_dn).astype(np.uint16))
         stack = FrameStack(data=np.stack(codes), full_scale_dn=self.full_scale_dn)
         conditions = Conditions(exposure_s=self.exposure_s, mcp_v=800.0)
-        entry = HeldStack(label="dark", kind="dark", frames="", conditions=conditions, folder=Path("."), held=stack)
+        entry = InMemoryStack(label="dark", kind="dark", frames="", conditions=conditions, folder=Path("."), held=stack)
         return Session(folder=Path("."), name="darks of known pulses", stacks=(entry,))
 
     def _light(self, rng: np.random.Generator) -> Array:
@@ -108,15 +108,15 @@ class DarkScene:
 
     def _events(self, rng: np.random.Generator) -> tuple[Array, Array, Array]:
         """Rows and columns of one exposure's events, in rows of the frame, and their heights, DN."""
-        rows, cols = self.rows + 4 * BESIDE_PX, self.cols + 2 * BESIDE_PX
+        rows, cols = self.rows + 4 * OUTSIDE_PX, self.cols + 2 * OUTSIDE_PX
         area = rows * cols / (2.0 if self.interlaced else 1.0)
         count, ions = rng.poisson(self.density * area), rng.poisson(self.ions * area)
         height = np.full(count, self.height_dn)
         if self.relative_variance > 0:
             height = height * rng.gamma(1.0 / self.relative_variance, self.relative_variance, count)
         height = np.concatenate([height, self.ion_height_dn * rng.gamma(10.0, 0.1, ions)])
-        return (rng.uniform(0.0, rows, len(height)) - 2 * BESIDE_PX,
-                rng.uniform(0.0, cols, len(height)) - BESIDE_PX, height)  # fmt: skip
+        return (rng.uniform(0.0, rows, len(height)) - 2 * OUTSIDE_PX,
+                rng.uniform(0.0, cols, len(height)) - OUTSIDE_PX, height)  # fmt: skip
 
     def _shares(self, moment: Array) -> Array:
         """Shares of the light in each event's own and the following exposures, shape (event, exposure)."""

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from charact.method import Context
-from charact.noise.events.events import measure_events
+from charact.noise.events.event_measurements import measure_events
 from charact.study.flats.dark_events import DarkScene
 from labdata.measurement import intervals_of
 
@@ -23,7 +23,7 @@ TABLE = "dark_events.json"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Found:
+class EventCoverageResult:
     """What one stack of darks told of one parameter of the law.
 
     Parameters
@@ -59,7 +59,7 @@ class Found:
         return abs(self.truth - self.value) > 2.0 * half
 
 
-def measured(axis: str, position: float, scene: DarkScene, seed: int) -> tuple[Found, ...]:
+def measure_darks(axis: str, position: float, scene: DarkScene, seed: int) -> tuple[EventCoverageResult, ...]:
     """Measure one stack of darks."""
     session = scene.session_drawn(np.random.default_rng(seed))
     result = measure_events(session.stacks[0], context=Context(seed=seed, quick=True, interlaced=scene.interlaced))
@@ -69,7 +69,7 @@ def measured(axis: str, position: float, scene: DarkScene, seed: int) -> tuple[F
         value, low, high = None, None, None
         if height.posterior is not None:
             value, _, (low, high) = intervals_of(height.posterior[name])
-        out.append(Found(axis=axis, position=position, name=name, truth=float(getattr(scene, name)), value=value,
+        out.append(EventCoverageResult(axis=axis, position=position, name=name, truth=float(getattr(scene, name)), value=value,
                          low95=low, high95=high, status=height.status))  # fmt: skip
     return tuple(out)
 
@@ -138,7 +138,7 @@ def tasks(seed: int, stacks: int, repeats: int) -> list[tuple[str, float, DarkSc
     return out
 
 
-def summary(found: Sequence[Found]) -> dict[str, float | int | str]:
+def summary(found: Sequence[EventCoverageResult]) -> dict[str, float | int | str]:
     """Summarise the stacks of one place and parameter."""
     sure = [one for one in found if one.status == "ok"]
     error = [abs(one.value / one.truth - 1.0) for one in sure if one.value is not None and one.truth > 0]
@@ -152,9 +152,9 @@ def summary(found: Sequence[Found]) -> dict[str, float | int | str]:
     }
 
 
-def grouped(found: Iterable[Found]) -> dict[tuple[str, float, str], list[Found]]:
+def group_by_parameter(found: Iterable[EventCoverageResult]) -> dict[tuple[str, float, str], list[EventCoverageResult]]:
     """Group by axis, position and parameter; scenes in scope are one place."""
-    out: dict[tuple[str, float, str], list[Found]] = {}
+    out: dict[tuple[str, float, str], list[EventCoverageResult]] = {}
     for one in found:
         position = 0.0 if one.axis == "in scope" else one.position
         out.setdefault((one.axis, position, one.name), []).append(one)
@@ -170,10 +170,10 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     asked = parser.parse_args()
     with ProcessPoolExecutor(asked.workers) as pool:
-        rows = list(pool.map(measured, *zip(*tasks(asked.seed, asked.stacks, asked.repeats), strict=True)))
+        rows = list(pool.map(measure_darks, *zip(*tasks(asked.seed, asked.stacks, asked.repeats), strict=True)))
     found = [one for row in rows for one in row]
     table = [{"axis": axis, "position": position, "name": name, **summary(own)}
-             for (axis, position, name), own in grouped(found).items()]  # fmt: skip
+             for (axis, position, name), own in group_by_parameter(found).items()]  # fmt: skip
     for line in table:
         print("  ".join(f"{value:.4g}" if isinstance(value, float) else str(value) for value in line.values()))
     place = Path(str(resources.files("charact.study") / "tables")) / TABLE

@@ -11,11 +11,11 @@ import numpy as np
 
 import charact.noise  # noqa: F401  # registers the methods
 from charact.method import Context
-from charact.method.registry import of_kind
-from charact.study import cell_map
-from charact.study.cell_map import Breaking, Cell, Outcome, case_drawn, cell_drawn, outcome_of
+from charact.method.registry import methods_of_kind
+from charact.study import scenario_map
 from charact.study.flats.gain_scene import BLACK_AND_FULL_DN, GainScene
 from charact.study.harness import Case, attempt
+from charact.study.scenario_map import Breaking, Scenario, ScenarioOutcome, draw_case, draw_scenario, outcome_of
 
 TABLE = Path(__file__).resolve().parents[1] / "tables" / "gain_map.json"
 METHOD, QUANTITY = "covariance-sum", "covariance_gain"
@@ -35,9 +35,9 @@ BREAKING: Breaking = {
 }
 
 
-def cell_of(number: int) -> Cell[GainScene]:
+def cell_of(number: int) -> Scenario[GainScene]:
     """Return a cell from its number."""
-    return cell_drawn(number, BREAKING, _scene_in_scope, _broken)
+    return draw_scenario(number, BREAKING, _scene_in_scope, _broken)
 
 
 def _scene_in_scope(rng: np.random.Generator) -> GainScene:
@@ -73,18 +73,20 @@ def _broken(scene: GainScene, axis: str, strength: float) -> GainScene:
     return replace(scene, **{axis: strength})
 
 
-def measured_cell(number: int, *, repeats: int = REPEATS, quick: bool = True, method: str = METHOD) -> Outcome:
+def measure_scenario(
+    number: int, *, repeats: int = REPEATS, quick: bool = True, method: str = METHOD
+) -> ScenarioOutcome:
     """Draw a cell's frames and put the method to each of them."""
     cell = cell_of(number)
     truth = cell.scene.truth[QUANTITY]
-    rows = [attempt(of_kind("flats")[method], case_of(cell, i), Context(quick=quick)) for i in range(repeats)]
+    rows = [attempt(methods_of_kind("flats")[method], case_of(cell, i), Context(quick=quick)) for i in range(repeats)]
     return outcome_of(cell, rows, truth, truths=(truth, truth))
 
 
-def case_of(cell: Cell[GainScene], repeat: int) -> Case:
+def case_of(cell: Scenario[GainScene], repeat: int) -> Case:
     """Return one drawing of a cell."""
     scene = cell.scene
-    return case_drawn(
+    return draw_case(
         cell,
         repeat,
         kind="flats",
@@ -101,7 +103,9 @@ def case_of(cell: Cell[GainScene], repeat: int) -> Case:
 
 def main() -> None:
     """Make the map."""
-    cell_map.make(measured_cell, kind="flats", method=METHOD, table=TABLE, cells=CELLS, repeats=REPEATS, about=__doc__)
+    scenario_map.make_map(
+        measure_scenario, kind="flats", method=METHOD, table=TABLE, cells=CELLS, repeats=REPEATS, about=__doc__
+    )
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from charact.study import cell_map_figure
+from charact.study import scenario_map_figure
 from charact.study.flats.gain_map import BREAKING, TABLE, cell_of
 
 FIGURE = Path("docs/noise/gain-map.png")
@@ -22,10 +22,10 @@ LABELS = {
 }
 
 
-def draw_map(found: Mapping[str, Any], path: Path) -> Path:
+def plot_map(found: Mapping[str, Any], path: Path) -> Path:
     """Draw the table of `charact.study.flats.gain_map`; returns the path of the PNG."""
     scope = ("photoelectrons of the brightest level (1)", _brightest)
-    return cell_map_figure.draw_map(found, path, breaking=BREAKING, labels=LABELS, scope=scope, columns=4)
+    return scenario_map_figure.plot_map(found, path, breaking=BREAKING, labels=LABELS, scope=scope, columns=4)
 
 
 def _brightest(number: int) -> float:
@@ -34,7 +34,7 @@ def _brightest(number: int) -> float:
 
 def main() -> None:
     """Draw the table that is there."""
-    cell_map_figure.make(draw_map, table=TABLE, figure=FIGURE, about=__doc__)
+    scenario_map_figure.make(plot_map, table=TABLE, figure=FIGURE, about=__doc__)
 
 
 if __name__ == "__main__":

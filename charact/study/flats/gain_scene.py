@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.study.flats.stacks import HeldStack
+from charact.study.flats.flat_cases import InMemoryStack
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
 from labdata.sensor import Sensor
@@ -67,9 +67,9 @@ class GainScene:
     @cached_property
     def camera(self) -> Sensor:
         """The specimen."""
-        from simulate.rig.truth import draw_truth
+        from simulate.virtual_bench.true_sensor import draw_true_sensor
 
-        drawn = draw_truth(self.description, self.specimen)
+        drawn = draw_true_sensor(self.description, self.specimen)
         values = {"video.gamma": self.gamma}
         if self.decay_ms is None:
             values |= {"phosphor.fast_decay_ms": NO_LAG_MS, "phosphor.fast_fraction": 1.0}
@@ -94,9 +94,9 @@ class GainScene:
     @cached_property
     def truth(self) -> dict[str, float]:
         """What the simulator says of the specimen."""
-        from simulate.iiccd import truth
+        from simulate.iiccd import true_quantities
 
-        return truth.quantities(self.camera, self.settings)
+        return true_quantities.true_quantities(self.camera, self.settings)
 
     @property
     def photoelectrons(self) -> NDArray[np.float64]:
@@ -117,12 +117,12 @@ class GainScene:
 
         return LabBench(self.camera)
 
-    def _stack(self, kind: Kind, lux: float, rng: np.random.Generator) -> HeldStack:
+    def _stack(self, kind: Kind, lux: float, rng: np.random.Generator) -> InMemoryStack:
         told = replace(self.settings, illuminance_lux=lux, illuminance_relative_sd=0.03)
-        return HeldStack(label=f"{kind}-{lux:.3g}", kind=kind, frames="", folder=Path("."), conditions=told,
-                         held=self._exposed(kind, told, rng))  # fmt: skip
+        return InMemoryStack(label=f"{kind}-{lux:.3g}", kind=kind, frames="", folder=Path("."), conditions=told,
+                         held=self._expose_frames(kind, told, rng))  # fmt: skip
 
-    def _exposed(self, kind: Kind, conditions: Conditions, rng: np.random.Generator) -> FrameStack:
+    def _expose_frames(self, kind: Kind, conditions: Conditions, rng: np.random.Generator) -> FrameStack:
         seed = int(rng.integers(1 << 31))
         real = replace(conditions, automatic_gain=True) if self.gain_range_db else conditions
         if kind == "dark" or not (self.flicker or self.drift):
@@ -130,12 +130,12 @@ class GainScene:
         trend = self.drift * np.linspace(-0.5, 0.5, self.frames)
         light = np.maximum(1.0 + trend + self.flicker * rng.standard_normal(self.frames), 0.0)
         lux = light * float(real.illuminance_lux or 0.0)
-        return _joined(self._bench.expose(kind, Target(), replace(real, illuminance_lux=float(value)),
+        return _join_frames(self._bench.expose(kind, Target(), replace(real, illuminance_lux=float(value)),
                                           frames=1, seed=seed, first_frame=number)
                        for number, value in enumerate(lux))  # fmt: skip
 
 
-def _joined(frames) -> FrameStack:
+def _join_frames(frames) -> FrameStack:
     """One stack of frames taken one by one."""
     single = list(frames)
     return replace(

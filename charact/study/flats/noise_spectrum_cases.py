@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.study.flats.stacks import HeldStack
+from charact.study.flats.flat_cases import InMemoryStack
 from charact.study.harness import Case
-from charact.study.knobs import Axes, Place, in_scope, turned
+from charact.study.sweep_axes import Axes, AxisPosition, cases_along_axes, cases_in_scope
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
 from labdata.session import Kind, Session
@@ -127,7 +127,7 @@ class ScintillatingFlats:
             folder=Path("."), name="scintillating flats", stacks=stacks, interlaced=self.interlaced, bit_depth=depth
         )
 
-    def _entry(self, number: int, level: float, rng: np.random.Generator) -> HeldStack:
+    def _entry(self, number: int, level: float, rng: np.random.Generator) -> InMemoryStack:
         kind: Kind = "flat" if level else "dark"
         signal = np.stack(self._frames(level, rng)) + self._read_noise(rng)
         top = self.full_scale_dn - self.black_dn
@@ -136,7 +136,7 @@ class ScintillatingFlats:
         held = FrameStack(data=codes, time_s=np.arange(self.frames) / 30, full_scale_dn=self.full_scale_dn)
         conditions = Conditions(illuminance_lux=1e-6 * level, mcp_v=800.0, gate_ns=1.6e7, exposure_s=0.0167)
         label = f"{kind}-{number}"
-        return HeldStack(label=label, kind=kind, frames="", conditions=conditions, folder=Path("."), held=held)
+        return InMemoryStack(label=label, kind=kind, frames="", conditions=conditions, folder=Path("."), held=held)
 
     def _frames(self, level: float, rng: np.random.Generator) -> Sequence[Array]:
         """Light signal of each frame, DN; of interlaced ones each field has an exposure of its own."""
@@ -250,7 +250,7 @@ def _scene(axis: str, position: float, base: ScintillatingFlats) -> Scintillatin
     return replace(base, **knob)
 
 
-def _case(at: Place, scene: ScintillatingFlats, rng: np.random.Generator) -> Case:
+def _case(at: AxisPosition, scene: ScintillatingFlats, rng: np.random.Generator) -> Case:
     return at.case(
         rng,
         kind="post-gain",
@@ -272,14 +272,14 @@ def _base(rng: np.random.Generator) -> ScintillatingFlats:
 def stability_cases(seed: int, repeats: int, axes: tuple[str, ...] = tuple(AXES)) -> tuple[Case, ...]:
     """Every axis at every position, drawn several times with another blur and read noise."""
     rng = np.random.default_rng([seed, 8])
-    return turned(AXES, axes, repeats, lambda at, _: _case(at, _scene(at.axis, at.position, _base(rng)), rng))
+    return cases_along_axes(AXES, axes, repeats, lambda at, _: _case(at, _scene(at.axis, at.position, _base(rng)), rng))
 
 
 def chart_cases(seed: int, count: int) -> tuple[Case, ...]:
     """Cases inside the scope, drawn at random: blur, light, read noise, size and number of frames."""
     rng = np.random.default_rng([seed, 9])
 
-    def drawn(at: Place, _: int) -> Case:
+    def make_case(at: AxisPosition, _: int) -> Case:
         light = float(np.exp(rng.uniform(np.log(0.5), np.log(10.0))))
         side = int(rng.integers(96, 161))
         scene = replace(
@@ -287,4 +287,4 @@ def chart_cases(seed: int, count: int) -> tuple[Case, ...]:
         )  # fmt: skip
         return _case(at, scene, rng)
 
-    return in_scope(count, drawn)
+    return cases_in_scope(count, make_case)

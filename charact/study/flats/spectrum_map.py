@@ -13,11 +13,11 @@ import numpy as np
 
 import charact.mtf  # noqa: F401  # registers the methods
 from charact.method import Context
-from charact.method.registry import of_kind
-from charact.study import cell_map
-from charact.study.cell_map import Breaking, Cell, Outcome, case_drawn, cell_drawn, outcome_of
+from charact.method.registry import methods_of_kind
+from charact.study import scenario_map
 from charact.study.flats.noise_spectrum_cases import ScintillatingFlats
 from charact.study.harness import Case, attempt
+from charact.study.scenario_map import Breaking, Scenario, ScenarioOutcome, draw_case, draw_scenario, outcome_of
 
 TABLE = Path(__file__).resolve().parents[1] / "tables" / "spectrum_map.json"
 METHOD, QUANTITY = "noise-spectrum", "post_gain_mtf50"
@@ -55,9 +55,9 @@ BREAKING: Breaking = {
 VEIL_SHARE = 0.1
 
 
-def cell_of(number: int) -> Cell[ScintillatingFlats]:
+def cell_of(number: int) -> Scenario[ScintillatingFlats]:
     """Return a cell from its number."""
-    return cell_drawn(number, BREAKING, _scene_in_scope, _broken)
+    return draw_scenario(number, BREAKING, _scene_in_scope, _broken)
 
 
 def _scene_in_scope(rng: np.random.Generator) -> ScintillatingFlats:
@@ -108,12 +108,15 @@ def _broken(scene: ScintillatingFlats, axis: str, strength: float) -> Scintillat
     return replace(scene, **changed)
 
 
-def measured_cell(number: int, *, repeats: int = REPEATS, quick: bool = True, method: str = METHOD) -> Outcome:
+def measure_scenario(
+    number: int, *, repeats: int = REPEATS, quick: bool = True, method: str = METHOD
+) -> ScenarioOutcome:
     """Draw a cell's frames and put the method to each of them."""
     cell = cell_of(number)
     truth = cell.scene.mtf50()
     rows = [
-        attempt(of_kind("post-gain")[method], case_of(cell, truth, i), Context(quick=quick)) for i in range(repeats)
+        attempt(methods_of_kind("post-gain")[method], case_of(cell, truth, i), Context(quick=quick))
+        for i in range(repeats)
     ]
     return outcome_of(cell, rows, truth, truths=truths_of(cell.scene))
 
@@ -126,10 +129,10 @@ def truths_of(scene: ScintillatingFlats) -> tuple[float, float]:
     return scene.mtf50(), replace(scene, halo_fraction=0.0).mtf50()
 
 
-def case_of(cell: Cell[ScintillatingFlats], truth: float, repeat: int) -> Case:
+def case_of(cell: Scenario[ScintillatingFlats], truth: float, repeat: int) -> Case:
     """Return one drawing of a cell."""
     scene = cell.scene
-    return case_drawn(
+    return draw_case(
         cell,
         repeat,
         kind="post-gain",
@@ -142,8 +145,8 @@ def case_of(cell: Cell[ScintillatingFlats], truth: float, repeat: int) -> Case:
 
 def main() -> None:
     """Make the map."""
-    cell_map.make(
-        measured_cell,
+    scenario_map.make_map(
+        measure_scenario,
         kind="post-gain",
         method=METHOD,
         table=TABLE,

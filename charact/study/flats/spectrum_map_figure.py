@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from charact.study import cell_map_figure
+from charact.study import scenario_map_figure
 from charact.study.flats.spectrum_map import BREAKING, TABLE, cell_of
 
 FIGURE = Path("docs/mtf/spectrum-map.png")
@@ -36,15 +36,15 @@ LABELS = {
 }
 
 
-def draw_map(found: Mapping[str, Any], path: Path) -> Path:
+def plot_map(found: Mapping[str, Any], path: Path) -> Path:
     """Draw the table of `charact.study.flats.spectrum_map`; returns the path of the PNG."""
     scope = ("half frequency after the gain (cy/px)", lambda number: cell_of(number).scene.half_frequency_cy_per_px)
-    return cell_map_figure.draw_map(found, path, breaking=BREAKING, labels=LABELS, scope=scope, columns=7)
+    return scenario_map_figure.plot_map(found, path, breaking=BREAKING, labels=LABELS, scope=scope, columns=7)
 
 
 def main() -> None:
     """Draw the table that is there."""
-    cell_map_figure.make(draw_map, table=TABLE, figure=FIGURE, about=__doc__)
+    scenario_map_figure.make(plot_map, table=TABLE, figure=FIGURE, about=__doc__)
 
 
 if __name__ == "__main__":

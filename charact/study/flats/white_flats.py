@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from charact.study.flats.stacks import FlatScene, flat_case
+from charact.study.flats.flat_cases import FlatScene, flat_case
 from charact.study.harness import Case
-from charact.study.knobs import Axes, Place, in_scope, turned
+from charact.study.sweep_axes import Axes, AxisPosition, cases_along_axes, cases_in_scope
 
 AXES: Axes = {
     "system gain": ("DN an electron", (0.01, 0.03, 0.1, 0.3, 1, 5), (0.1, 1)),
@@ -49,14 +49,14 @@ def stability_cases(seed: int, repeats: int, axes: tuple[str, ...] = tuple(AXES)
     """Every axis at every position, drawn several times with another gain."""
     rng = np.random.default_rng([seed, 6])
 
-    def drawn(at: Place, _: int) -> Case:
+    def make_case(at: AxisPosition, _: int) -> Case:
         return flat_case("system_gain", at, _scene(at.axis, at.position, rng), rng)
 
-    return turned(AXES, axes, repeats, drawn)
+    return cases_along_axes(AXES, axes, repeats, make_case)
 
 
 def chart_cases(seed: int, count: int) -> tuple[Case, ...]:
     """Cases inside the scope, drawn at random: gain and number of frames."""
     rng = np.random.default_rng([seed, 5])
     scenes = [_base(rng) for _ in range(count)]
-    return in_scope(count, lambda at, number: flat_case("system_gain", at, scenes[number], rng))
+    return cases_in_scope(count, lambda at, number: flat_case("system_gain", at, scenes[number], rng))

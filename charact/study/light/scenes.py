@@ -9,22 +9,22 @@ import numpy as np
 from labdata.conditions import Conditions
 from labdata.sensor import Sensor
 from labdata.sensors import load_camera
-from simulate.cameras import camera_of
+from simulate.cameras import camera_from_description
 from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.eye import eye_of
-from simulate.night import Night
+from simulate.iiccd.sensor_for_renderer import render_sensor_of
+from simulate.outdoor_rendering import OutdoorRendering
 from simulate.radiance.lamps import KINDS
 from simulate.radiance.materials.library import material, material_names
-from simulate.radiance.sky.ephemeris import Place
+from simulate.radiance.outdoor.description.camera import SceneCamera
+from simulate.radiance.outdoor.description.lamp_placement import LampPlacement
+from simulate.radiance.outdoor.description.material import MaterialSpec
+from simulate.radiance.outdoor.description.objects import Object
+from simulate.radiance.outdoor.description.scene import OutdoorScene
+from simulate.radiance.outdoor.description.surroundings import Where
+from simulate.radiance.sky.ephemeris import ObserverLocation
 from simulate.radiance.sky.night_sky import NightSky
-from simulate.radiance.transport.along import along
-from simulate.radiance.transport.effort import Effort
-from simulate.radiance.world.description.camera import Camera
-from simulate.radiance.world.description.lamp_post import LampPost
-from simulate.radiance.world.description.material import Surface
-from simulate.radiance.world.description.objects import Object
-from simulate.radiance.world.description.scene import Scene
-from simulate.radiance.world.description.surroundings import Where
+from simulate.radiance.transport.camera_ray_radiance import radiance_along
+from simulate.radiance.transport.integrator_settings import IntegratorSettings
 
 # Frames are small, so that the exact mode takes seconds; the lens is shorter, so that they show half the usual field.
 SHAPE, FIELD = (6, 8), 0.5
@@ -46,7 +46,7 @@ TRIES = 2000
 
 
 @dataclass(frozen=True, kw_only=True)
-class Case:
+class SceneCase:
     """A scene before a camera.
 
     Parameters
@@ -64,21 +64,23 @@ class Case:
     number: int
     light: str
     sensor: str
-    night: Night
+    night: OutdoorRendering
 
 
-def case_of(number: int) -> Case:
+def case_of(number: int) -> SceneCase:
     """Return the scene of a number before a camera whose exposure suits it."""
     rng = np.random.default_rng([number, 2027])
     light, sensor = str(rng.choice(list(LIGHTS))), str(rng.choice(CAMERAS))
     scene = _scene(rng, light)
-    camera = camera_of(_small(sensor))
+    camera = camera_from_description(_small(sensor))
     longest_s = camera.field_s if isinstance(camera, IntensifiedCamera) else camera.frame_s
-    night = Night(scene, camera, _exposed(sensor, longest_s))
+    night = OutdoorRendering(scene, camera, _exposure_conditions(sensor, longest_s))
     wanted, found = _between(rng, *LEVELS_PE), _median_pe(night)
     open_s = float(np.clip(longest_s * wanted / max(found, 1e-30), SHORTEST_S, longest_s))
     named = f"{light} with lamps" if scene.lamp else light
-    return Case(number=number, light=named, sensor=sensor, night=replace(night, conditions=_exposed(sensor, open_s)))
+    return SceneCase(
+        number=number, light=named, sensor=sensor, night=replace(night, conditions=_exposure_conditions(sensor, open_s))
+    )
 
 
 def _small(sensor: str):
@@ -90,28 +92,28 @@ def _small(sensor: str):
     return replace(camera, optics=optics, ccd=replace(camera.ccd, rows=SHAPE[0], columns=SHAPE[1]))
 
 
-def _exposed(sensor: str, open_s: float) -> Conditions:
+def _exposure_conditions(sensor: str, open_s: float) -> Conditions:
     camera = load_camera(sensor)
     if isinstance(camera, Sensor):
         return Conditions(gate_ns=1e9 * open_s, mcp_v=float(camera.microchannel_plate.reference_v))
     return Conditions(exposure_s=open_s)
 
 
-def _median_pe(night: Night) -> float:
+def _median_pe(night: OutdoorRendering) -> float:
     """Photoelectrons of the median pixel by direct light and open sky."""
-    eye = eye_of(night.camera, night.conditions)
+    eye = render_sensor_of(night.camera, night.conditions)
     stage = night.site.on(night.site.bands(eye.response_nm, eye.response, 0.02))
     view = night.view
     row, col = (axis.ravel() + 0.5 for axis in np.indices(view.shape))
-    effort = Effort(bounces=0, hidden_sky=False)
-    light = along(stage, *view.rays(row, col), effort, np.random.default_rng(0), gathered=1).total()
-    return float(np.median(light @ eye.weight(stage.coats.wavelength_nm)))
+    effort = IntegratorSettings(bounces=0, hidden_sky=False)
+    light = radiance_along(stage, *view.rays(row, col), effort, np.random.default_rng(0), gathered=1).total()
+    return float(np.median(light @ eye.weight(stage.bsdfs.wavelength_nm)))
 
 
-def _scene(rng: np.random.Generator, light: str) -> Scene:
+def _scene(rng: np.random.Generator, light: str) -> OutdoorScene:
     names = [name for name in material_names() if not any(material(name).transmittance)]
     surfaces = tuple(
-        Surface(label=f"m{i}", library=str(name)) for i, name in enumerate(rng.choice(names, 5, replace=False))
+        MaterialSpec(label=f"m{i}", library=str(name)) for i, name in enumerate(rng.choice(names, 5, replace=False))
     )
     things = (
         Object(label="ground", shape="ground", size_m=(400.0,), material="m0"),
@@ -119,9 +121,11 @@ def _scene(rng: np.random.Generator, light: str) -> Scene:
     )
     most = 3 if light == "no sky" or rng.random() < 0.5 else 0
     lamps = tuple(_lamp(rng, i) for i in range(int(rng.integers(1, most + 1)) if most else 0))
-    return Scene(
+    return OutdoorScene(
         name=light,
-        camera=Camera(position_m=(0.0, -_between(rng, 12.0, 40.0), rng.uniform(1.5, 6.0)), look_at_m=(0.0, 4.0, 2.0)),
+        camera=SceneCamera(
+            position_m=(0.0, -_between(rng, 12.0, 40.0), rng.uniform(1.5, 6.0)), look_at_m=(0.0, 4.0, 2.0)
+        ),
         place=None if light == "no sky" else _place(rng, *LIGHTS[light]),
         material=surfaces,
         object=things,
@@ -151,10 +155,10 @@ def _thing(rng: np.random.Generator, number: int) -> Object:
     )
 
 
-def _lamp(rng: np.random.Generator, number: int) -> LampPost:
+def _lamp(rng: np.random.Generator, number: int) -> LampPlacement:
     """A lamp above all things, so that it sticks in none."""
     beam = str(rng.choice(["isotropic", "cosine", "spot"]))
-    return LampPost(
+    return LampPlacement(
         label=f"lamp {number}",
         kind=str(rng.choice(KINDS)),
         lumens=_between(rng, *LUMENS),
@@ -170,7 +174,7 @@ def _place(rng: np.random.Generator, sun: tuple[float, float], moon: tuple[float
     for _ in range(TRIES):
         latitude, longitude = PLACES[rng.integers(len(PLACES))]
         when = datetime(2020, 1, 1, tzinfo=UTC) + timedelta(minutes=int(rng.integers(5 * 365 * 1440)))
-        bodies = NightSky.at(Place(latitude_deg=latitude, longitude_deg=longitude), when).bodies
+        bodies = NightSky.at(ObserverLocation(latitude_deg=latitude, longitude_deg=longitude), when).bodies
         up = {body.name: body.elevation_deg for body in bodies}
         if sun[0] <= up["sun"] <= sun[1] and moon[0] <= up["moon"] <= moon[1]:
             return Where(latitude_deg=latitude, longitude_deg=longitude, time=when.isoformat())

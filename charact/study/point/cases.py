@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 
-from charact.study.edge.scene import Blur
+from charact.study.edge.scene import TrueBlur
 from charact.study.harness import Case
-from charact.study.knobs import Axes, Place, in_scope, turned
 from charact.study.point.scene import PointScene
+from charact.study.sweep_axes import Axes, AxisPosition, cases_along_axes, cases_in_scope
 
 # Axis: unit, positions, and the first and last position inside the scope that point methods declare.
 AXES: Axes = {
@@ -40,8 +40,8 @@ def _scene(axis: str, position: float, common: dict[str, Any]) -> PointScene:
         "light": {"photoelectrons": position},
         "light, ordinary camera": {"photoelectrons": position, "pulse_px": 0.0, "gain_spread": 0.0},
         "read noise": {"read_dn": position},
-        "blur": {"blur": Blur(sigma_px=float(np.sqrt(max(position**2 - 0.25, 0.04)))), "pulse_px": 0.5},
-        "cut-off of a tube": {"blur": Blur(form="exponential", frequency_cy_per_px=position)},
+        "blur": {"blur": TrueBlur(sigma_px=float(np.sqrt(max(position**2 - 0.25, 0.04)))), "pulse_px": 0.5},
+        "cut-off of a tube": {"blur": TrueBlur(form="exponential", frequency_cy_per_px=position)},
         "pulse": {"pulse_px": position},
         "peak over full scale": {"peak_dn": 243.0 * position / 100},
         "gamma": {"gamma": position},
@@ -61,7 +61,7 @@ def _scene(axis: str, position: float, common: dict[str, Any]) -> PointScene:
     return PointScene(**{**common, **knob})
 
 
-def _case(at: Place, scene: PointScene, rng: np.random.Generator, *, lit: bool = True) -> Case:
+def _case(at: AxisPosition, scene: PointScene, rng: np.random.Generator, *, lit: bool = True) -> Case:
     return at.case(
         rng,
         kind="point",
@@ -75,9 +75,9 @@ def _case(at: Place, scene: PointScene, rng: np.random.Generator, *, lit: bool =
 
 def _common(rng: np.random.Generator, tube: bool) -> dict[str, Any]:
     """Blur and phase of a draw."""
-    wide = Blur(form="exponential", frequency_cy_per_px=float(rng.uniform(0.2, 0.35)))
+    wide = TrueBlur(form="exponential", frequency_cy_per_px=float(rng.uniform(0.2, 0.35)))
     return {
-        "blur": wide if tube else Blur(sigma_px=float(rng.uniform(0.5, 1.2))),
+        "blur": wide if tube else TrueBlur(sigma_px=float(rng.uniform(0.5, 1.2))),
         "pulse_px": float(rng.uniform(0.4, 0.8)),
         "row_px": float(rng.uniform(-1, 1)),
         "col_px": float(rng.uniform(-1, 1)),
@@ -98,17 +98,17 @@ def stability_cases(seed: int, repeats: int, axes: tuple[str, ...] = tuple(AXES)
     """
     rng = np.random.default_rng([seed, 9])
 
-    def drawn(at: Place, repeat: int) -> Case:
+    def make_case(at: AxisPosition, repeat: int) -> Case:
         return _case(at, _scene(at.axis, at.position, _common(rng, tube=repeat % 2 == 1)), rng)
 
-    cases = turned(AXES, axes, repeats, drawn)
+    cases = cases_along_axes(AXES, axes, repeats, make_case)
     return (*cases, *(_noise_case(glow, rng) for glow in (0.02, 0.5) for _ in range(repeats)))
 
 
 def _noise_case(background: float, rng: np.random.Generator) -> Case:
     """Frames of the background's own pulses: nothing to measure."""
     dark = PointScene(photoelectrons=0.0, background=background, peak_dn=30.0)
-    at = Place(axis="noise alone", position=background, unit="photoelectrons a pixel", in_scope=False)
+    at = AxisPosition(axis="noise alone", position=background, unit="photoelectrons a pixel", in_scope=False)
     return _case(at, dark, rng, lit=False)
 
 
@@ -116,11 +116,11 @@ def chart_cases(seed: int, count: int) -> tuple[Case, ...]:
     """Cases inside the scope, drawn at random: blur, halo, pulses, light, phase, frames and read noise."""
     rng = np.random.default_rng([seed, 10])
 
-    def drawn(at: Place, number: int) -> Case:
-        tube = Blur(form="exponential", frequency_cy_per_px=float(rng.uniform(0.2, 0.4)))
+    def make_case(at: AxisPosition, number: int) -> Case:
+        tube = TrueBlur(form="exponential", frequency_cy_per_px=float(rng.uniform(0.2, 0.4)))
         ordinary = number % 3 == 2
         share, halo_px = float(rng.uniform(0.02, 0.2)), float(rng.uniform(8.0, 30.0))
-        lens = Blur(
+        lens = TrueBlur(
             sigma_px=float(rng.uniform(0.6, 1.5)), halo_share=share if number % 4 == 3 else 0.0, halo_px=halo_px
         )
         scene = PointScene(
@@ -136,4 +136,4 @@ def chart_cases(seed: int, count: int) -> tuple[Case, ...]:
         )
         return _case(at, scene, rng)
 
-    return in_scope(count, drawn)
+    return cases_in_scope(count, make_case)

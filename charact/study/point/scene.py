@@ -9,15 +9,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.study.edge.scene import Blur, level_crossing
-from charact.study.sharpened import boost, sharpened
+from charact.study.edge.scene import TrueBlur, level_crossing
+from charact.study.sharpening_camera import boost, sharpen_images
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 
 SPARED_PX = 12.0
 
 
-def landing_places(blur: Blur, count: int, rng: np.random.Generator) -> NDArray[np.floating]:
+def landing_places(blur: TrueBlur, count: int, rng: np.random.Generator) -> NDArray[np.floating]:
     """Draw where a point's photoelectrons land, px, shape (count, 2).
 
     Notes
@@ -89,12 +89,12 @@ class PointScene:
     hot_share
         Share of pixels stuck at full scale.
     sharpening
-        Share by which the camera raises fine detail, see `charact.study.sharpened`.
+        Share by which the camera raises fine detail, see `charact.study.sharpening_camera`.
     black_dn, full_scale_dn
         Codes at no light and at the top, DN.
     """
 
-    blur: Blur = field(default_factory=Blur)
+    blur: TrueBlur = field(default_factory=TrueBlur)
     pulse_px: float = 0.6
     photoelectrons: float = 3000.0
     peak_dn: float = 150.0
@@ -149,7 +149,7 @@ class PointScene:
         light = np.stack([self._frame(number, float(jitter[number]), rng) for number in range(self.frames)])
         room = self.full_scale_dn - self.black_dn
         signal = self.black_dn + room * np.maximum(light / room, 0) ** self.gamma
-        signal = sharpened(signal + self.read_dn * rng.standard_normal(signal.shape), self.sharpening)
+        signal = sharpen_images(signal + self.read_dn * rng.standard_normal(signal.shape), self.sharpening)
         stuck = rng.random((self.rows, self.cols)) < self.hot_share
         codes = np.clip(np.rint(np.where(stuck, self.full_scale_dn, signal)), 0, self.full_scale_dn)
         return FrameStack(
@@ -162,10 +162,10 @@ class PointScene:
         """Light of one frame over black, DN."""
         moved = self.drift_px * (number / max(self.frames - 1, 1) - 0.5) + jitter_px
         centre = np.array([(self.rows - 1) / 2 + self.row_px, (self.cols - 1) / 2 + self.col_px + moved])
-        spots = [centre + self._landed(self.photoelectrons, rng)]
+        spots = [centre + self._photoelectron_positions(self.photoelectrons, rng)]
         if np.isfinite(self.neighbour_px):
             other = centre + np.array([0.0, self.neighbour_px])
-            spots.append(other + self._landed(self.photoelectrons * self.neighbour_share, rng))
+            spots.append(other + self._photoelectron_positions(self.photoelectrons * self.neighbour_share, rng))
         spots.append(self._background(rng))
         places = np.concatenate(spots)
         heights = self.gain_dn * _heights(len(places), self.gain_spread, rng)
@@ -174,7 +174,7 @@ class PointScene:
         odd, moved = (np.arange(self.rows) % 2 == 1)[:, None], places + np.array([0.0, self.motion_px])
         return np.where(odd, self._pulses(moved, heights), self._pulses(places, heights))
 
-    def _landed(self, mean: float, rng: np.random.Generator) -> NDArray[np.floating]:
+    def _photoelectron_positions(self, mean: float, rng: np.random.Generator) -> NDArray[np.floating]:
         """Places of one source's photoelectrons about its middle."""
         count = int(rng.poisson(mean))
         disc = _disc(self.pinhole_px, count, rng)
@@ -196,12 +196,12 @@ class PointScene:
             borders = [np.arange(size + 1) - 0.5 for size in (self.rows, self.cols)]
             return np.histogram2d(*places.T, bins=borders, weights=heights)[0]
         down, along = (
-            _integrated(size, places[:, axis], self.pulse_px) for axis, size in enumerate((self.rows, self.cols))
+            _pixel_fractions(size, places[:, axis], self.pulse_px) for axis, size in enumerate((self.rows, self.cols))
         )
         return (down * heights[:, None]).T @ along
 
 
-def _integrated(size: int, centre: NDArray[np.floating], sigma_px: float) -> NDArray[np.floating]:
+def _pixel_fractions(size: int, centre: NDArray[np.floating], sigma_px: float) -> NDArray[np.floating]:
     """Share of Gaussians in each pixel of a line, shape (gaussian, pixel)."""
     from scipy.special import erf
 

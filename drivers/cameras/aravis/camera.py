@@ -86,12 +86,12 @@ class AravisCamera:
         """
         features = AravisSettings(self.connection)
 
-        def applied() -> CameraSettings:
+        def apply_settings() -> CameraSettings:
             features.apply(settings)
             return features.read()
 
         self.connection.require_alive()
-        return self.connection.while_alive(applied)
+        return self.connection.while_alive(apply_settings)
 
     def capture(
         self, *, frames: int, discard: int = 0, while_waiting: Callable[[], None] = lambda: None

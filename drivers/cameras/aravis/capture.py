@@ -65,7 +65,7 @@ class Packing:
         """Bytes that so many pixels take."""
         return -(-pixels * self.bytes // self.pixels)
 
-    def unpacked(self, packed: NDArray[np.uint8], pixels: int) -> NDArray[np.uint16]:
+    def unpack(self, packed: NDArray[np.uint8], pixels: int) -> NDArray[np.uint16]:
         """Return the first `pixels` pixels of packed bytes, shape (pixel,), DN."""
         groups = -(-pixels // self.pixels)
         whole = np.zeros(groups * self.bytes, np.uint8)
@@ -210,7 +210,7 @@ class AravisCapture(FrameCapture):
                 self._connection.require_alive()
                 self._while_waiting()
             if silent_s > self._patience_s:
-                raise self._connection.died(f"has sent no frame for {silent_s:.1f} s")
+                raise self._connection.mark_dead(f"has sent no frame for {silent_s:.1f} s")
 
     def _give_back(self, buffer: int) -> None:
         self._library.plain("arv_stream_push_buffer", self._stream, buffer)
@@ -226,5 +226,5 @@ class AravisCapture(FrameCapture):
             raise CameraError(f"a frame of {self._shape} pixels must hold {expected} bytes, got {size.value}")
         raw = np.frombuffer(ctypes.string_at(address, expected), kind)
         if packing:
-            return packing.unpacked(raw, pixels).reshape(self._shape)
+            return packing.unpack(raw, pixels).reshape(self._shape)
         return raw.reshape(self._shape).astype(kind.newbyteorder("="), copy=False)

@@ -104,17 +104,17 @@ class Connection:
     def require_alive(self) -> None:
         """Raise a `CameraError` if the control port is closed, or has not answered several times in a row."""
         if self.is_dead:
-            raise self.died("has gone")
+            raise self.mark_dead("has gone")
         if self.address is None:
             return
         answers = ask_control_port(self.address)
         if answers is None:
-            raise self.died("has gone: nothing listens on its control port")
+            raise self.mark_dead("has gone: nothing listens on its control port")
         self._unanswered = 0 if answers else self._unanswered + 1
         if self._unanswered >= UNANSWERED:
-            raise self.died(f"no longer answers: it left {self._unanswered} questions in a row without reply")
+            raise self.mark_dead(f"no longer answers: it left {self._unanswered} questions in a row without reply")
 
-    def died(self, how: str) -> CameraError:
+    def mark_dead(self, how: str) -> CameraError:
         """Mark the camera as dead, so that nothing waits for it any more, and return the error to raise."""
         self.is_dead = True
         return CameraError(f"camera {self.identifier} {how}")

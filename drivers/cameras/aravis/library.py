@@ -85,7 +85,7 @@ class Aravis:
 
     def __init__(self, library: ctypes.CDLL) -> None:
         self._gobject, self._glib, self._gio = map(_companion, ("gobject-2.0", "glib-2.0", "gio-2.0"))
-        self._functions = {name: _declared(library, name) for name in _FUNCTIONS}
+        self._functions = {name: _declare(library, name) for name in _FUNCTIONS}
         self._gobject.g_object_unref.argtypes = (c_void_p,)
         self._glib.g_error_free.argtypes = (POINTER(GError),)
         self._glib.g_free.argtypes = (c_void_p,)
@@ -165,7 +165,7 @@ def aravis() -> Aravis:
     raise CameraError(f"the Aravis library (0.8) is not on this machine: {INSTALL}")
 
 
-def _declared(library: ctypes.CDLL, name: str) -> Any:
+def _declare(library: ctypes.CDLL, name: str) -> Any:
     result, arguments, reports = _FUNCTIONS[name]
     function = getattr(library, name)
     function.restype = result

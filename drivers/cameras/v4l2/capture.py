@@ -72,11 +72,11 @@ class V4l2Capture(FrameCapture):
         self._memory: list[MappedBuffer] = []
         self._numbers = RunningNumbers(SEQUENCE_NUMBERS)
         apart = form.of.pix.field == ALTERNATE
-        self._pairs = FieldPairs(older_field(standard), lambda: self._taken(self._as_field)) if apart else None
+        self._pairs = FieldPairs(older_field(standard), lambda: self._take_buffer(self._as_field)) if apart else None
 
     def _start(self) -> None:
         for index in range(self._request_buffers()):
-            self._memory.append(self._mapped(index))
+            self._memory.append(self._map_buffer(index))
             self._query(structures.QUEUE_BUFFER, _buffer(index), f"must take its buffer {index}")
         self._query(structures.START, structures.START.structure(CAPTURE), "must start")
 
@@ -91,7 +91,7 @@ class V4l2Capture(FrameCapture):
             self._device.ask(structures.REQUEST_BUFFERS, BufferRequest(type=CAPTURE, memory=MEMORY_MAPPED))
 
     def _next_frame(self) -> Frame | IncompleteFrame:
-        return self._taken(self._as_frame) if self._pairs is None else self._pairs.frame()
+        return self._take_buffer(self._as_frame) if self._pairs is None else self._pairs.frame()
 
     def _as_frame(self, buffer: Buffer, pixels: NDArray, number: int) -> Frame:
         order = field_order(buffer.field, self._standard)
@@ -102,7 +102,7 @@ class V4l2Capture(FrameCapture):
             raise BadInput(f"a buffer must say which field it holds, got {buffer.field}")
         return Field(pixels=pixels, parity=buffer.field, number=number, time_s=_time_s(buffer))
 
-    def _taken(self, made: Callable[[Buffer, NDArray, int], T]) -> T | IncompleteFrame:
+    def _take_buffer(self, made: Callable[[Buffer, NDArray, int], T]) -> T | IncompleteFrame:
         """Copy the next picture out of its buffer, make of it what it is, and give the buffer back."""
         buffer = self._next_buffer()
         if not buffer.index < len(self._memory):
@@ -139,7 +139,7 @@ class V4l2Capture(FrameCapture):
                 return buffer
             except OSError as error:
                 if error.errno not in (errno.EAGAIN, errno.EINTR):
-                    raise self._gone(error) from None
+                    raise self._loss_error(error) from None
             left_s = until_s - time.monotonic()
             if left_s <= 0:
                 raise CameraError(f"camera {self._identifier} has sent no frame for {patience_s:.1f} s")
@@ -153,7 +153,7 @@ class V4l2Capture(FrameCapture):
             raise CameraError(f"camera {self._identifier} must lend 2 to {MOST_BUFFERS} buffers, got {wanted.count}")
         return wanted.count
 
-    def _mapped(self, index: int) -> MappedBuffer:
+    def _map_buffer(self, index: int) -> MappedBuffer:
         buffer = _buffer(index)
         self._query(structures.QUERY_BUFFER, buffer, f"must show its buffer {index}")
         if not self._picture.size_bytes <= buffer.length <= MOST_BYTES:
@@ -174,9 +174,9 @@ class V4l2Capture(FrameCapture):
         try:
             self._device.ask(structures.QUEUE_BUFFER, _buffer(index))
         except OSError as error:
-            raise self._gone(error) from None
+            raise self._loss_error(error) from None
 
-    def _gone(self, error: OSError) -> CameraError:
+    def _loss_error(self, error: OSError) -> CameraError:
         return CameraError(f"camera {self._identifier} has gone or failed ({error.strerror})")
 
 

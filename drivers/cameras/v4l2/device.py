@@ -66,7 +66,7 @@ class MappedBuffer:
         self._memory.close()
 
 
-def listed(device: Device, request: Request, **known: int) -> Iterator[Any]:
+def list_structures(device: Device, request: Request, **known: int) -> Iterator[Any]:
     """Yield one structure after another of a list that the kernel ends by refusing.
 
     Parameters

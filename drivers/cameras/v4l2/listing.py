@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from drivers.cameras.v4l2 import structures
-from drivers.cameras.v4l2.device import MOST_LISTED, Device, listed, offers, query_device
+from drivers.cameras.v4l2.device import MOST_LISTED, Device, list_structures, offers, query_device
 from drivers.cameras.v4l2.pixels import LAYOUTS
 from drivers.cameras.v4l2.structures import CAPTURE, four_letters, words
 from drivers.errors import CameraError
@@ -211,7 +211,8 @@ def describe(device: Device, path: str) -> VideoDevice:
         driver=words(capability.driver),
         bus=words(capability.bus_info),
         inputs=tuple(
-            OfferedInput(number=one.index, name=words(one.name)) for one in listed(device, structures.LIST_INPUTS)
+            OfferedInput(number=one.index, name=words(one.name))
+            for one in list_structures(device, structures.LIST_INPUTS)
         ),
         formats=list_formats(device),
     )
@@ -239,19 +240,19 @@ def list_formats(device: Device) -> tuple[OfferedFormat, ...]:
             name=LAYOUTS[one.pixelformat].name if one.pixelformat in LAYOUTS else None,
             sizes=list_sizes(device, one.pixelformat),
         )
-        for one in listed(device, structures.LIST_FORMATS, type=CAPTURE)
+        for one in list_structures(device, structures.LIST_FORMATS, type=CAPTURE)
     )
 
 
 def format_codes(device: Device) -> tuple[int, ...]:
     """Return the kernel's numbers of the pixel formats that a device offers on its present input."""
-    return tuple(one.pixelformat for one in listed(device, structures.LIST_FORMATS, type=CAPTURE))
+    return tuple(one.pixelformat for one in list_structures(device, structures.LIST_FORMATS, type=CAPTURE))
 
 
 def list_sizes(device: Device, code: int) -> tuple[tuple[int, int], ...]:
     """Return rows and columns of the pictures that a format comes in; none where every size within bounds does."""
     sizes = []
-    for one in listed(device, structures.LIST_SIZES, pixel_format=code):
+    for one in list_structures(device, structures.LIST_SIZES, pixel_format=code):
         if one.type != _DISCRETE:
             return ()
         sizes.append((one.sizes[1], one.sizes[0]))

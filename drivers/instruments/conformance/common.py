@@ -14,14 +14,14 @@ PATIENCE_S = 1.0
 @rule_of(None)
 def says_who_it_is(pair: ConformancePair) -> None:
     """It says who it is, twice the same."""
-    driver, identity = _identified(pair)
+    driver, identity = _new_driver(pair)
     assert driver.identify() == identity != ""
 
 
 @rule_of(None)
 def silence_is_reported_in_time(pair: ConformancePair) -> None:
     """An instrument that says nothing is InstrumentTimeout within its answer time and a second."""
-    driver, identity = _identified(pair)
+    driver, identity = _new_driver(pair)
     pair.suffer("silent")
     began_s = time.monotonic()
     must_raise(InstrumentTimeout, lambda: _probe(pair, driver))
@@ -33,7 +33,7 @@ def silence_is_reported_in_time(pair: ConformancePair) -> None:
 @rule_of(None)
 def half_lines_and_garbage_are_no_answers(pair: ConformancePair) -> None:
     """Half an answer, or characters that are none, is an error, and the line is in step afterwards."""
-    driver, identity = _identified(pair)
+    driver, identity = _new_driver(pair)
     for wrong in ("half-lines", "garbage"):
         pair.suffer(wrong)
         must_raise(BenchError, lambda: _probe(pair, driver))
@@ -46,7 +46,7 @@ def half_lines_and_garbage_are_no_answers(pair: ConformancePair) -> None:
 def a_late_answer_is_not_taken_for_the_next(pair: ConformancePair) -> None:
     """An answer that comes late is taken for no other, neither by this program nor by the next that opens the line."""
     for is_reopened in (False, True):
-        driver, identity = _identified(pair)
+        driver, identity = _new_driver(pair)
         pair.suffer("late")
         with contextlib.suppress(BenchError):
             _probe(pair, driver)
@@ -59,7 +59,7 @@ def a_late_answer_is_not_taken_for_the_next(pair: ConformancePair) -> None:
 @rule_of(None)
 def a_pulled_plug_is_reported_and_put_back(pair: ConformancePair) -> None:
     """A pulled plug is InstrumentDisconnected; with the plug back in, the line works once reopened, and a new one."""
-    driver, identity = _identified(pair)
+    driver, identity = _new_driver(pair)
     pair.suffer("unplugged")
     must_raise(InstrumentDisconnected, lambda: _probe(pair, driver))
     must_raise(InstrumentDisconnected, driver.line.reopen)
@@ -72,7 +72,7 @@ def a_pulled_plug_is_reported_and_put_back(pair: ConformancePair) -> None:
 @rule_of(None)
 def a_line_that_was_taken_over_obeys_the_safe_action_alone(pair: ConformancePair) -> None:
     """A line that the safe action has taken over obeys it alone, until it is released."""
-    driver, identity = _identified(pair)
+    driver, identity = _new_driver(pair)
     driver.line.take_over()
     must_raise(BenchStopped, driver.identify)
     with driver.line.safing():
@@ -85,7 +85,7 @@ def a_line_that_was_taken_over_obeys_the_safe_action_alone(pair: ConformancePair
 @rule_of(None)
 def a_loss_of_power_leaves_it_at_rest(pair: ConformancePair) -> None:
     """After a loss of power the line works again, and nothing is on that was not on before."""
-    _, identity = _identified(pair)
+    _, identity = _new_driver(pair)
     before = dict(pair.outputs())
     pair.suffer("power-cycle")
     time.sleep(0.1)
@@ -95,7 +95,7 @@ def a_loss_of_power_leaves_it_at_rest(pair: ConformancePair) -> None:
     assert all(now[name] == before[name] for name in before if name != "sensors_lit")
 
 
-def _identified(pair: ConformancePair) -> tuple[Any, str]:
+def _new_driver(pair: ConformancePair) -> tuple[Any, str]:
     """Return a driver on a new line, and the identity of its instrument."""
     driver = pair.driver()
     return driver, driver.identify()
@@ -103,4 +103,4 @@ def _identified(pair: ConformancePair) -> tuple[Any, str]:
 
 def _probe(pair: ConformancePair, driver: Any) -> None:
     """One question that changes nothing; a supply at rest is not asked whether it is on."""
-    driver.measured_v() if pair.model.role == "supply" else driver.look()
+    driver.read_voltage_v() if pair.model.role == "supply" else driver.look()

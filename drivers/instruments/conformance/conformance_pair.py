@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 from drivers.instruments.instrument import InstrumentModel
-from labdata.wires import Role
+from labdata.instrument_config import Role
 
 WRONGS = ("silent", "mute", "garbage", "half-lines", "late", "unplugged", "power-cycle", "trip", "panel")
 """What a pair can be made to suffer; a late answer comes 0.6 s after its time, "panel" changes a setting by hand."""

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from labdata.errors import BadInput
 from simulate.radiance.atmosphere import aerosol, gases, rayleigh
 from simulate.radiance.atmosphere.airmass import airmass, ozone_mass
-from simulate.radiance.spectrum import checked_grid
+from simulate.radiance.spectrum import require_grid
 
 # The US standard atmosphere's 5.9 g m-3 at the ground hold 1.42 cm of water above.
 WATER_SCALE_HEIGHT_KM = 2.4
@@ -110,7 +110,7 @@ class Atmosphere:
         wavelength_nm
             Wavelengths, shape (band,), nm.
         """
-        return self._unscattered(range_m, wavelength_nm) * self.unabsorbed(range_m, wavelength_nm)
+        return self._particle_transmittance(range_m, wavelength_nm) * self.gas_transmittance(range_m, wavelength_nm)
 
     def path_radiance(
         self, range_m: ArrayLike, wavelength_nm: ArrayLike, direction: NDArray[np.floating]
@@ -130,12 +130,12 @@ class Atmosphere:
         -----
         J (1 - T_scattering) T_gas(half the path), J the radiance of an endless path (`NightSky.air_radiance`).
         """
-        grid = checked_grid(wavelength_nm)
+        grid = require_grid(wavelength_nm)
         metres = np.atleast_1d(np.asarray(range_m, float))
         if self.light is None:
             return np.zeros((grid.size, metres.size))
         endless = self.light.air_radiance(direction, grid)
-        return endless * (1.0 - self._unscattered(metres, grid)) * self.unabsorbed(0.5 * metres, grid)
+        return endless * (1.0 - self._particle_transmittance(metres, grid)) * self.gas_transmittance(0.5 * metres, grid)
 
     def slant_transmittance(self, elevation_deg: ArrayLike, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
         """Return what the whole atmosphere lets through, shape (band, path), along elevations (path,) in degrees.
@@ -153,26 +153,26 @@ class Atmosphere:
         ozone = np.atleast_1d(ozone_mass(elevation_deg)) * self.ozone_atm_cm
         return (
             gases.water_transmittance(wavelength_nm, mass * self.precipitable_cm)
-            * gases.mixed_transmittance(wavelength_nm, mass * pressure)
+            * gases.uniform_gas_transmittance(wavelength_nm, mass * pressure)
             * gases.ozone_transmittance(wavelength_nm, ozone)
         )
 
-    def _unscattered(self, range_m: ArrayLike, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+    def _particle_transmittance(self, range_m: ArrayLike, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
         """Return what haze and molecules leave on paths near the ground, shape (band, path)."""
         metres = np.atleast_1d(np.asarray(range_m, float))
         if metres.size and not metres.min() >= 0.0:
             raise BadInput(f"a range must not be negative, got {metres.min():g} m")
-        return np.exp(-self.scattered_per_m(wavelength_nm)[:, None] * metres)
+        return np.exp(-self.extinction_per_m(wavelength_nm)[:, None] * metres)
 
-    def scattered_per_m(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+    def extinction_per_m(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
         """Return the extinction by haze and molecules at the ground, shape (band,), m-1."""
         wavelength = np.atleast_1d(np.asarray(wavelength_nm, float))
         molecules = rayleigh.rayleigh_per_km(wavelength) * self.pressure_hpa / rayleigh.SEA_LEVEL_HPA
         return 1e-3 * (molecules + self.haze_per_km(wavelength))
 
-    def unabsorbed(self, range_m: ArrayLike, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+    def gas_transmittance(self, range_m: ArrayLike, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
         """Return what gases leave on paths near the ground; ozone takes less than 0.1 % per km there, left out."""
         metres = np.atleast_1d(np.asarray(range_m, float))
         mixed = 1e-3 * metres / gases.MIXED_SCALE_HEIGHT_KM * self.pressure_hpa / rayleigh.SEA_LEVEL_HPA
         water = gases.water_transmittance(wavelength_nm, 1e-4 * metres * self.vapour_g_m3)
-        return water * gases.mixed_transmittance(wavelength_nm, mixed)
+        return water * gases.uniform_gas_transmittance(wavelength_nm, mixed)

@@ -33,7 +33,7 @@ def water_transmittance(wavelength_nm: ArrayLike, precipitable_cm: ArrayLike) ->
     return np.exp(-0.2385 * amount / (1.0 + 20.07 * amount) ** 0.45)
 
 
-def mixed_transmittance(wavelength_nm: ArrayLike, airmass: ArrayLike) -> NDArray[np.float64]:
+def uniform_gas_transmittance(wavelength_nm: ArrayLike, airmass: ArrayLike) -> NDArray[np.float64]:
     """Return what oxygen and carbon dioxide let through, shape (band, path), for pressure-corrected air masses.
 
     Notes

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from labdata.frames import read_only
 from simulate.radiance.brdf import fresnel, microfacet
-from simulate.radiance.brdf.directions import tilted
+from simulate.radiance.brdf.directions import directions_at_cosine
 
 NODES, STRATA = 96, 64
 # Steep facets are rare and lose their light: quantiles crowd towards them by this power.
@@ -81,11 +81,11 @@ def _one_albedo(
     even: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Return the light that each draw of a facet sends on."""
-    outgoing = np.broadcast_to(tilted(np.array([cosine])), (len(even), 3))
-    normal = microfacet.seen_normals(outgoing, roughness, even)
-    incoming = microfacet.mirrored(outgoing, normal)
+    outgoing = np.broadcast_to(directions_at_cosine(np.array([cosine])), (len(even), 3))
+    normal = microfacet.sample_visible_normals(outgoing, roughness, even)
+    incoming = microfacet.mirror_direction(outgoing, normal)
     above = incoming[:, 2] > 0.0
-    behind_eye = microfacet.hidden(np.array([cosine]), roughness)
-    behind_light = microfacet.hidden(np.where(above, incoming[:, 2], 1.0), roughness)
+    behind_eye = microfacet.smith_lambda(np.array([cosine]), roughness)
+    behind_light = microfacet.smith_lambda(np.where(above, incoming[:, 2], 1.0), roughness)
     free = np.where(above, (1.0 + behind_eye) / (1.0 + behind_eye + behind_light), 0.0)
     return free * reflectance(np.sum(outgoing * normal, axis=1))

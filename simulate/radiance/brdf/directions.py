@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def lit(incoming: NDArray[np.floating], outgoing: NDArray[np.floating]) -> NDArray[np.float64]:
+def both_above(incoming: NDArray[np.floating], outgoing: NDArray[np.floating]) -> NDArray[np.float64]:
     """Return 1 where both directions lie above the surface and 0 elsewhere, shape (ray,)."""
     return ((incoming[:, 2] > 0.0) & (outgoing[:, 2] > 0.0)).astype(float)
 
@@ -21,7 +21,7 @@ def cosine_density(incoming: NDArray[np.floating]) -> NDArray[np.float64]:
     return np.maximum(incoming[:, 2], 0.0) / np.pi
 
 
-def tilted(cosine: NDArray[np.floating]) -> NDArray[np.float64]:
+def directions_at_cosine(cosine: NDArray[np.floating]) -> NDArray[np.float64]:
     """Return unit vectors (x, 0, z) with z given, shape (ray, 3)."""
     sine = np.sqrt(np.maximum(1.0 - np.square(cosine), 0.0))
     return np.asarray(np.column_stack([sine, np.zeros_like(sine), cosine]), float)

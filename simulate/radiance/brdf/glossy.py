@@ -9,9 +9,9 @@ from labdata.errors import BadInput
 from simulate.radiance.brdf import fresnel, microfacet
 from simulate.radiance.brdf.albedo_table import AlbedoTable, dielectric_albedo
 from simulate.radiance.brdf.base_layer import base_value
-from simulate.radiance.brdf.directions import cosine_density, lit
-from simulate.radiance.brdf.metal import checked_roughness
-from simulate.radiance.brdf.mixture import drawn_from_two
+from simulate.radiance.brdf.directions import both_above, cosine_density
+from simulate.radiance.brdf.metal import require_roughness
+from simulate.radiance.brdf.mixture import sample_mixture
 from simulate.radiance.materials.reflectance import Reflectance
 
 # The share of draws that either part gets at least.
@@ -41,7 +41,7 @@ class Glossy:
     refractive_index: float = 1.5
 
     def __post_init__(self) -> None:
-        checked_roughness(self.roughness)
+        require_roughness(self.roughness)
         if not 1.0 < self.refractive_index <= 4.0:
             raise BadInput(f"refractive_index must lie in (1, 4], got {self.refractive_index:g}")
 
@@ -58,20 +58,20 @@ class Glossy:
         mirrored = mirrored * fresnel.dielectric(facing, self.refractive_index)
         coat, base = self._coat, self.reflectance.at(wavelength_nm)[:, None]
         below = base_value(coat.at(incoming), coat.at(outgoing), coat.mean, base)
-        return mirrored + below * lit(incoming, outgoing)
+        return mirrored + below * both_above(incoming, outgoing)
 
     def sample(
         self, outgoing: NDArray[np.floating], rng: np.random.Generator
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Draw mirrored directions or by the cosine law, as coat and base share the light; and their densities."""
-        normals = microfacet.seen_normals(outgoing, self.roughness, rng.random((len(outgoing), 2)))
-        drawn = drawn_from_two(microfacet.mirrored(outgoing, normals), self._coat_share(outgoing), rng)
+        normals = microfacet.sample_visible_normals(outgoing, self.roughness, rng.random((len(outgoing), 2)))
+        drawn = sample_mixture(microfacet.mirror_direction(outgoing, normals), self._coat_share(outgoing), rng)
         return drawn, self.pdf(drawn, outgoing)
 
     def pdf(self, incoming: NDArray[np.floating], outgoing: NDArray[np.floating]) -> NDArray[np.float64]:
         """Return the density of `sample`, sr-1, shape (ray,)."""
         share = self._coat_share(outgoing)
-        mirrored = microfacet.mirrored_density(incoming, outgoing, self.roughness)
+        mirrored = microfacet.mirror_density(incoming, outgoing, self.roughness)
         return share * mirrored + (1.0 - share) * cosine_density(incoming)
 
     def albedo(self, outgoing: NDArray[np.floating], wavelength_nm: ArrayLike) -> NDArray[np.float64]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from simulate.radiance.brdf.directions import cosine_density, cosine_directions, lit
+from simulate.radiance.brdf.directions import both_above, cosine_density, cosine_directions
 from simulate.radiance.materials.reflectance import Reflectance
 
 
@@ -25,7 +25,7 @@ class Lambert:
         self, incoming: NDArray[np.floating], outgoing: NDArray[np.floating], wavelength_nm: ArrayLike
     ) -> NDArray[np.float64]:
         """Return f, sr-1, shape (band, ray)."""
-        return self.reflectance.at(wavelength_nm)[:, None] / np.pi * lit(incoming, outgoing)
+        return self.reflectance.at(wavelength_nm)[:, None] / np.pi * both_above(incoming, outgoing)
 
     def sample(
         self, outgoing: NDArray[np.floating], rng: np.random.Generator

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from labdata.errors import BadInput
 from labdata.frames import read_only
-from simulate.radiance.brdf.directions import cosine_density, cosine_directions, lit
+from simulate.radiance.brdf.directions import both_above, cosine_density, cosine_directions
 
 # How far a table may be from f(i, o) = f(o, i), as a fraction of its largest value, before it is refused.
 ASYMMETRY = 0.05
@@ -89,7 +89,7 @@ class MeasuredTable:
         self, incoming: NDArray[np.floating], outgoing: NDArray[np.floating], wavelength_nm: ArrayLike
     ) -> NDArray[np.float64]:
         """Return f, sr-1, shape (band, ray)."""
-        return self._linear(self._bands(wavelength_nm), incoming, outgoing) * lit(incoming, outgoing)
+        return self._linear(self._bands(wavelength_nm), incoming, outgoing) * both_above(incoming, outgoing)
 
     def sample(
         self, outgoing: NDArray[np.floating], rng: np.random.Generator

@@ -9,15 +9,15 @@ from labdata.errors import BadInput
 from simulate.radiance.brdf import fresnel, microfacet
 from simulate.radiance.brdf.albedo_table import AlbedoTable, schlick_albedo, specular_albedo
 from simulate.radiance.brdf.base_layer import base_value
-from simulate.radiance.brdf.directions import cosine_density, lit
-from simulate.radiance.brdf.mixture import drawn_from_two
+from simulate.radiance.brdf.directions import both_above, cosine_density
+from simulate.radiance.brdf.mixture import sample_mixture
 from simulate.radiance.materials.reflectance import Reflectance
 
 # Mean of (1 - cos)^5 over the hemisphere, cosine-weighted.
 MEAN_RISE = 1.0 / 21.0
 
 
-def checked_roughness(roughness: float) -> None:
+def require_roughness(roughness: float) -> None:
     """Refuse a roughness that the facet model does not reach."""
     if not microfacet.SMOOTHEST <= roughness <= microfacet.ROUGHEST:
         raise BadInput(f"roughness must lie in [{microfacet.SMOOTHEST:g}, {microfacet.ROUGHEST:g}], got {roughness:g}")
@@ -45,7 +45,7 @@ class Metal:
     roughness: float
 
     def __post_init__(self) -> None:
-        checked_roughness(self.roughness)
+        require_roughness(self.roughness)
 
     @property
     def _perfect(self) -> AlbedoTable:
@@ -61,20 +61,20 @@ class Metal:
         one = normal * mirrored + (1.0 - normal) * (mirrored * fresnel.schlick_rise(facing))
         perfect = self._perfect
         many = base_value(perfect.at(incoming), perfect.at(outgoing), perfect.mean, self._between(normal))
-        return one + many * lit(incoming, outgoing)
+        return one + many * both_above(incoming, outgoing)
 
     def sample(
         self, outgoing: NDArray[np.floating], rng: np.random.Generator
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Draw mirrored directions, or by the cosine law as often as light hits several facets; and their densities."""
-        normals = microfacet.seen_normals(outgoing, self.roughness, rng.random((len(outgoing), 2)))
-        drawn = drawn_from_two(microfacet.mirrored(outgoing, normals), self._perfect.at(outgoing), rng)
+        normals = microfacet.sample_visible_normals(outgoing, self.roughness, rng.random((len(outgoing), 2)))
+        drawn = sample_mixture(microfacet.mirror_direction(outgoing, normals), self._perfect.at(outgoing), rng)
         return drawn, self.pdf(drawn, outgoing)
 
     def pdf(self, incoming: NDArray[np.floating], outgoing: NDArray[np.floating]) -> NDArray[np.float64]:
         """Return the density of `sample`, sr-1, shape (ray,)."""
         share = self._perfect.at(outgoing)
-        mirrored = microfacet.mirrored_density(incoming, outgoing, self.roughness)
+        mirrored = microfacet.mirror_density(incoming, outgoing, self.roughness)
         return share * mirrored + (1.0 - share) * cosine_density(incoming)
 
     def albedo(self, outgoing: NDArray[np.floating], wavelength_nm: ArrayLike) -> NDArray[np.float64]:

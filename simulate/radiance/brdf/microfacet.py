@@ -15,7 +15,7 @@ def normals_density(half: NDArray[np.floating], roughness: float) -> NDArray[np.
     return np.where(half[:, 2] > 0.0, square / (np.pi * spread**2), 0.0)
 
 
-def hidden(cosine: NDArray[np.floating], roughness: float) -> NDArray[np.float64]:
+def smith_lambda(cosine: NDArray[np.floating], roughness: float) -> NDArray[np.float64]:
     """Return Smith's Lambda, (sqrt(1 + a^2 tan^2) - 1)/2: 1/(1 + Lambda) of the facets is seen from a direction."""
     tangent2 = (1.0 - cosine**2) / np.maximum(cosine**2, 1e-300)
     return 0.5 * (np.sqrt(1.0 + roughness**2 * np.maximum(tangent2, 0.0)) - 1.0)
@@ -37,12 +37,14 @@ def lobe(incoming: NDArray[np.floating], outgoing: NDArray[np.floating], roughne
     cos_in, cos_out = incoming[:, 2], outgoing[:, 2]
     above = (cos_in > 0.0) & (cos_out > 0.0)
     safe_in, safe_out = np.where(above, cos_in, 1.0), np.where(above, cos_out, 1.0)
-    seen = 1.0 / (1.0 + hidden(safe_in, roughness) + hidden(safe_out, roughness))
+    seen = 1.0 / (1.0 + smith_lambda(safe_in, roughness) + smith_lambda(safe_out, roughness))
     density = normals_density(halfway(incoming, outgoing), roughness)
     return np.where(above, density * seen / (4.0 * safe_in * safe_out), 0.0)
 
 
-def seen_normals(outgoing: NDArray[np.floating], roughness: float, even: NDArray[np.floating]) -> NDArray[np.float64]:
+def sample_visible_normals(
+    outgoing: NDArray[np.floating], roughness: float, even: NDArray[np.floating]
+) -> NDArray[np.float64]:
     """Return facet normals as the eye sees them, from pairs of numbers even in [0, 1), shape (ray, 2).
 
     Notes
@@ -61,18 +63,18 @@ def seen_normals(outgoing: NDArray[np.floating], roughness: float, even: NDArray
     return back / np.linalg.norm(back, axis=1)[:, None]
 
 
-def mirrored(outgoing: NDArray[np.floating], normal: NDArray[np.floating]) -> NDArray[np.float64]:
+def mirror_direction(outgoing: NDArray[np.floating], normal: NDArray[np.floating]) -> NDArray[np.float64]:
     """Return the direction that a facet mirrors to the eye, shape (ray, 3)."""
     return 2.0 * np.sum(outgoing * normal, axis=1)[:, None] * normal - outgoing
 
 
-def mirrored_density(
+def mirror_density(
     incoming: NDArray[np.floating], outgoing: NDArray[np.floating], roughness: float
 ) -> NDArray[np.float64]:
-    """Return the density of `mirrored` draws of `seen_normals`, D / (4 cos(o) (1 + Lambda(o))), sr-1, shape (ray,).
+    """Return the density of `mirror_direction` draws of `sample_visible_normals`, D / (4 cos(o) (1 + Lambda(o))), sr-1, shape (ray,).
 
     Directions below the surface have one too: they are drawn, and lost.
     """
     cos_out = np.maximum(outgoing[:, 2], 1e-12)
     density = normals_density(halfway(incoming, outgoing), roughness)
-    return density / (4.0 * cos_out * (1.0 + hidden(cos_out, roughness)))
+    return density / (4.0 * cos_out * (1.0 + smith_lambda(cos_out, roughness)))

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from simulate.radiance.brdf.directions import cosine_directions
 
 
-def drawn_from_two(
+def sample_mixture(
     first: NDArray[np.float64], share: NDArray[np.floating], rng: np.random.Generator
 ) -> NDArray[np.float64]:
     """Return directions of the first draw with a probability `share` (ray,), else by the cosine law, shape (ray, 3)."""

@@ -10,8 +10,8 @@ from labdata.errors import BadInput
 from labdata.frames import read_only
 from simulate.radiance.brdf.albedo_table import AlbedoTable
 from simulate.radiance.brdf.base_layer import base_value
-from simulate.radiance.brdf.directions import cosine_density, lit, tilted
-from simulate.radiance.brdf.mixture import drawn_from_two
+from simulate.radiance.brdf.directions import both_above, cosine_density, directions_at_cosine
+from simulate.radiance.brdf.mixture import sample_mixture
 from simulate.radiance.materials.reflectance import Reflectance
 
 NARROWEST_DEG, WIDEST_DEG = 0.02, 20.0
@@ -62,7 +62,7 @@ class Retroreflector:
         self, incoming: NDArray[np.floating], outgoing: NDArray[np.floating], wavelength_nm: ArrayLike
     ) -> NDArray[np.float64]:
         """Return f, sr-1, shape (band, ray)."""
-        above = lit(incoming, outgoing)
+        above = both_above(incoming, outgoing)
         back = _lobe(incoming, outgoing, self.concentration)
         back = back * above / np.maximum(np.maximum(incoming[:, 2], outgoing[:, 2]), 1e-12)
         share, base = self.share.at(wavelength_nm)[:, None], self.reflectance.at(wavelength_nm)[:, None]
@@ -75,7 +75,7 @@ class Retroreflector:
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Draw directions from the lobe or by the cosine law, half of each; and their densities."""
         back = _lobe_directions(outgoing, self.concentration, rng.random((len(outgoing), 2)))
-        drawn = drawn_from_two(back, np.full(len(outgoing), 0.5), rng)
+        drawn = sample_mixture(back, np.full(len(outgoing), 0.5), rng)
         return drawn, self.pdf(drawn, outgoing)
 
     def pdf(self, incoming: NDArray[np.floating], outgoing: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -123,7 +123,9 @@ def _lobe_albedo(concentration: float) -> AlbedoTable:
     even = np.column_stack([(steps + 0.5) / LATTICE, (steps * 0.6180339887498949) % 1.0])
     albedo = []
     for mu in cosine:
-        incoming = _lobe_directions(np.broadcast_to(tilted(np.array([mu])), (len(even), 3)), concentration, even)
+        incoming = _lobe_directions(
+            np.broadcast_to(directions_at_cosine(np.array([mu])), (len(even), 3)), concentration, even
+        )
         height = np.maximum(incoming[:, 2], 0.0)
         albedo.append(float(np.mean(height / np.maximum(np.maximum(height, mu), 1e-12))))
     return AlbedoTable(read_only(cosine), read_only(np.array(albedo)))

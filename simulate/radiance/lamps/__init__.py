@@ -1,6 +1,6 @@
 """Lamps: their spectra, and where they shine."""
 
-from simulate.radiance.lamps.distribution import Cosine, Isotropic, Spot, Table
+from simulate.radiance.lamps.distribution import Cosine, Isotropic, MeasuredDistribution, SpotBeam
 from simulate.radiance.lamps.ies import Photometry, read_ies
 from simulate.radiance.lamps.lamp import Lamp
 from simulate.radiance.lamps.spectra import KINDS, read_spectrum, spectrum
@@ -10,9 +10,9 @@ __all__ = [
     "Cosine",
     "Isotropic",
     "Lamp",
+    "MeasuredDistribution",
     "Photometry",
-    "Spot",
-    "Table",
+    "SpotBeam",
     "read_ies",
     "read_spectrum",
     "spectrum",

@@ -37,7 +37,7 @@ class Cosine:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Spot:
+class SpotBeam:
     """A beam, cos^m of the angle from the axis.
 
     Parameters
@@ -63,7 +63,7 @@ class Spot:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Table:
+class MeasuredDistribution:
     """Measured intensities, as goniophotometers give and IES files hold.
 
     Parameters

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata.errors import BadInput
-from simulate.radiance.lamps.distribution import Table
+from simulate.radiance.lamps.distribution import MeasuredDistribution
 
 # A file of more numbers than this is no lamp's.
 MOST_ANGLES = 20_000
@@ -33,7 +33,7 @@ class Photometry:
         Its luminous flux: the integral of the intensities with all factors of the file, lm.
     """
 
-    table: Table
+    table: MeasuredDistribution
     lumens: float
 
 
@@ -53,12 +53,12 @@ def read_ies(path: str | Path) -> Photometry:
     if len(data) > LARGEST_BYTES:
         raise BadInput(f"a lamp's photometry must not be larger than {LARGEST_BYTES} bytes, got {len(data)} in {path}")
     try:
-        return parsed(data.decode("latin-1"))
+        return parse_photometry(data.decode("latin-1"))
     except BadInput as error:
         raise BadInput(f"{error}, in {path.name}") from None
 
 
-def parsed(text: str) -> Photometry:
+def parse_photometry(text: str) -> Photometry:
     """Return the photometry of a file's text."""
     numbers = _Numbers(_after_tilt(text.splitlines()))
     lamps, lumens_each, multiplier, polar_count, azimuth_count, kind, unit = numbers.take("head", 7)
@@ -78,7 +78,7 @@ def parsed(text: str) -> Photometry:
     candela = numbers.take("candela", polar.size * azimuth.size).reshape(azimuth.size, polar.size)
     numbers.end()
     around, intensities = _from_zero(azimuth, candela)
-    table = Table(polar_deg=polar, azimuth_deg=around, candela=intensities * multiplier * ballast)
+    table = MeasuredDistribution(polar_deg=polar, azimuth_deg=around, candela=intensities * multiplier * ballast)
     return Photometry(table=table, lumens=table.integral)
 
 

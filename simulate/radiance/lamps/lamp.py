@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from simulate.radiance.lamps.distribution import Distribution, Isotropic
-from simulate.radiance.spectrum import Spectrum
+from simulate.radiance.spectrum import SourceSpectrum
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -21,7 +21,7 @@ class Lamp:
         Where it goes, in the lamp's frame: z is its axis.
     """
 
-    flux: Spectrum
+    flux: SourceSpectrum
     distribution: Distribution = field(default_factory=Isotropic)
 
     def intensity(self, direction: NDArray[np.floating], wavelength_nm: ArrayLike) -> NDArray[np.float64]:
@@ -32,7 +32,7 @@ class Lamp:
         direction
             Unit vectors away from the lamp in its frame, shape (ray, 3).
         wavelength_nm
-            The whole spectral grid, shape (band,), nm; a line's power lies in the bands around it (`Spectrum.on`).
+            The whole spectral grid, shape (band,), nm; a line's power lies in the bands around it (`SourceSpectrum.on`).
         """
         return self.flux.on(wavelength_nm)[:, None] * self.distribution.per_sr(direction)
 

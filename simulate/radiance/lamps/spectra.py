@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 
 from labdata.errors import BadInput
+from simulate.radiance.outdoor.description.lamp_placement import NARROW
 from simulate.radiance.photometry import planck
-from simulate.radiance.spectrum import Spectrum
+from simulate.radiance.spectrum import SourceSpectrum
 from simulate.radiance.tables import table
-from simulate.radiance.world.description.lamp_post import NARROW
 
 PACKAGE = "simulate.radiance.lamps"
 FIRST_NM, LAST_NM = 300.0, 1200.0
@@ -51,7 +51,7 @@ def spectrum(
     near_infrared_share: float | None = None,
     wavelength_nm: float | None = None,
     width_nm: float = 0.0,
-) -> Spectrum:
+) -> SourceSpectrum:
     """Return the radiant flux of a lamp, W over wavelength.
 
     Parameters
@@ -87,29 +87,31 @@ def spectrum(
             raise BadInput(f"an incandescent lamp has no near_infrared_share, got {near_infrared_share:g}")
         whole = _incandescent(temperature_k)
         total = STEFAN_BOLTZMANN * temperature_k**4 / np.pi
-        return scaled_to(whole, lumens, watts, kind, total)
+        return scale_to(whole, lumens, watts, kind, total)
     if kind == NARROW and wavelength_nm is not None:
-        return scaled_to(_narrow(wavelength_nm, width_nm), lumens, watts, f"{wavelength_nm:g} nm")
+        return scale_to(_narrow(wavelength_nm, width_nm), lumens, watts, f"{wavelength_nm:g} nm")
     if kind not in KINDS:
         raise BadInput(f"a lamp must be of one of the kinds {', '.join((*KINDS, NARROW))}, got {kind!r}")
     share = NEAR_INFRARED_SHARE.get(kind, 0.0) if near_infrared_share is None else near_infrared_share
-    return scaled_to(_discharge(kind, share), lumens, watts, kind)
+    return scale_to(_discharge(kind, share), lumens, watts, kind)
 
 
-def read_spectrum(path: str | Path, *, lumens: float = 1.0, watts: float | None = None) -> Spectrum:
+def read_spectrum(path: str | Path, *, lumens: float = 1.0, watts: float | None = None) -> SourceSpectrum:
     """Return the radiant flux of a lamp from a file of two columns, wavelength in nm and power per nm in any unit.
 
     Commas, semicolons or blanks separate; lines that start with # and one heading are skipped.
     """
     rows = _rows(Path(path))
     try:
-        found = Spectrum(wavelength_nm=rows[:, 0], density=rows[:, 1])
+        found = SourceSpectrum(wavelength_nm=rows[:, 0], density=rows[:, 1])
     except BadInput as error:
         raise BadInput(f"{error}, in {path}") from None
-    return scaled_to(found, lumens, watts, str(path))
+    return scale_to(found, lumens, watts, str(path))
 
 
-def scaled_to(found: Spectrum, lumens: float, watts: float | None, name: str, total: float | None = None) -> Spectrum:
+def scale_to(
+    found: SourceSpectrum, lumens: float, watts: float | None, name: str, total: float | None = None
+) -> SourceSpectrum:
     """Return a spectrum scaled to watts, by its own total or one given, or else to lumens."""
     for unit, power in (("lumens", lumens), ("watts", watts)):
         if power is not None and not power >= 0.0:
@@ -121,7 +123,7 @@ def scaled_to(found: Spectrum, lumens: float, watts: float | None, name: str, to
     return found.scaled(asked / whole)
 
 
-def _narrow(wavelength_nm: float, width_nm: float) -> Spectrum:
+def _narrow(wavelength_nm: float, width_nm: float) -> SourceSpectrum:
     if not (FIRST_NM <= wavelength_nm <= LAST_NM and 0.0 <= width_nm <= 0.1 * wavelength_nm):
         raise BadInput(
             f"a {NARROW} lamp must lie within {FIRST_NM:g} to {LAST_NM:g} nm and be at most a tenth of that wide, "
@@ -129,10 +131,10 @@ def _narrow(wavelength_nm: float, width_nm: float) -> Spectrum:
         )
     if width_nm == 0.0:
         ends = np.array([FIRST_NM, LAST_NM])
-        return Spectrum(wavelength_nm=ends, density=np.zeros(2), line_nm=(wavelength_nm,), line_power=(1.0,))
+        return SourceSpectrum(wavelength_nm=ends, density=np.zeros(2), line_nm=(wavelength_nm,), line_power=(1.0,))
     off = np.linspace(-REACH, REACH, SAMPLES)
     at = wavelength_nm + off * width_nm / np.sqrt(8.0 * np.log(2.0))
-    return Spectrum(wavelength_nm=at, density=np.exp(-0.5 * off**2))
+    return SourceSpectrum(wavelength_nm=at, density=np.exp(-0.5 * off**2))
 
 
 def _rows(path: Path) -> np.ndarray:
@@ -159,14 +161,14 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-def _incandescent(temperature_k: float) -> Spectrum:
+def _incandescent(temperature_k: float) -> SourceSpectrum:
     if not COLDEST_K <= temperature_k <= HOTTEST_K:
         raise BadInput(f"temperature_k must lie in [{COLDEST_K:g}, {HOTTEST_K:g}], got {temperature_k:g}")
     fine = np.arange(FIRST_NM, LAST_NM + 1.0, 5.0)
-    return Spectrum(wavelength_nm=fine, density=planck(fine, temperature_k))
+    return SourceSpectrum(wavelength_nm=fine, density=planck(fine, temperature_k))
 
 
-def _discharge(kind: str, near_infrared_share: float) -> Spectrum:
+def _discharge(kind: str, near_infrared_share: float) -> SourceSpectrum:
     if not near_infrared_share >= 0.0:
         raise BadInput(f"near_infrared_share must not be negative, got {near_infrared_share:g}")
     beyond = NEAR_INFRARED_LINES.get(kind, ())
@@ -181,7 +183,7 @@ def _discharge(kind: str, near_infrared_share: float) -> Spectrum:
         visible = table(PACKAGE, "visible")
         wavelength, density = visible["wavelength_nm"], visible[column]
     lines = (*lines, *((nm, near_infrared_share * part) for nm, part in beyond if near_infrared_share > 0.0))
-    return Spectrum(
+    return SourceSpectrum(
         wavelength_nm=wavelength,
         density=density,
         line_nm=tuple(nm for nm, _ in lines),

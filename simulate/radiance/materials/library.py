@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 
-from labdata.border import from_toml
 from labdata.errors import BadInput
+from labdata.serialiser import from_toml
 from simulate.radiance.materials.material import Material
 
 

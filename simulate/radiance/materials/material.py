@@ -95,7 +95,7 @@ class Material:
         """Reflectance at wavelengths, dimensionless: of the base alone where a coat or lobe lies over it."""
         return np.interp(np.asarray(wavelength_nm, float), self.wavelength_nm, self._each(self.reflectance))
 
-    def transmitted(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+    def transmittance_at(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
         """Transmittance at wavelengths, dimensionless."""
         return np.interp(np.asarray(wavelength_nm, float), self.wavelength_nm, self._each(self.transmittance))
 

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from simulate.radiance.photometry import planck
 from simulate.radiance.sky.sun import PACKAGE, sun_spectrum
-from simulate.radiance.spectrum import Spectrum, combined
+from simulate.radiance.spectrum import SourceSpectrum, sum_spectra
 from simulate.radiance.tables import table
 
 BAND_NM = 50.0
@@ -44,14 +44,14 @@ class DarkSky:
         Their spectra.
     """
 
-    airglow: Spectrum
-    zodiacal: Spectrum
-    starlight: Spectrum
+    airglow: SourceSpectrum
+    zodiacal: SourceSpectrum
+    starlight: SourceSpectrum
 
     @property
-    def total(self) -> Spectrum:
+    def total(self) -> SourceSpectrum:
         """Their sum."""
-        return combined([self.airglow, self.zodiacal, self.starlight])
+        return sum_spectra([self.airglow, self.zodiacal, self.starlight])
 
 
 @cache
@@ -65,25 +65,25 @@ def dark_sky() -> DarkSky:
     over the solar cycle; where on the sky the ecliptic and the Milky Way lie is left out.
     """
     smooth = _continuum()
-    lines = Spectrum(wavelength_nm=smooth.wavelength_nm, density=0.0 * smooth.density,
+    lines = SourceSpectrum(wavelength_nm=smooth.wavelength_nm, density=0.0 * smooth.density,
                      line_nm=LINES_NM, line_power=LINES_W_M2_SR)  # fmt: skip
-    whole = combined([smooth, lines])
+    whole = sum_spectra([smooth, lines])
     sunlight = np.interp(smooth.wavelength_nm, sun_spectrum().wavelength_nm, sun_spectrum().density)
     zodiacal = _share(whole, sunlight, ZODIACAL_SHARE)
     starlight = _share(whole, planck(smooth.wavelength_nm, STARS_K), STARLIGHT_SHARE)
     rest = whole.density - zodiacal.density - starlight.density
-    airglow = Spectrum(
+    airglow = SourceSpectrum(
         wavelength_nm=whole.wavelength_nm, density=rest, line_nm=whole.line_nm, line_power=whole.line_power
     )
     return DarkSky(airglow, zodiacal, starlight)
 
 
-def _share(whole: Spectrum, shape: NDArray[np.floating], luminance_share: float) -> Spectrum:
-    one = Spectrum(wavelength_nm=whole.wavelength_nm, density=shape)
+def _share(whole: SourceSpectrum, shape: NDArray[np.floating], luminance_share: float) -> SourceSpectrum:
+    one = SourceSpectrum(wavelength_nm=whole.wavelength_nm, density=shape)
     return one.scaled(luminance_share * whole.lumens / one.lumens)
 
 
-def _continuum() -> Spectrum:
+def _continuum() -> SourceSpectrum:
     """Return what the table's bands hold besides the lines: the smoothest broken line with the bands' means."""
     bands = table(PACKAGE, "dark_sky")
     start, mean = bands["wavelength_nm"], 1e-9 * bands["radiance_1e-6_w_m2_sr_um"]
@@ -97,7 +97,7 @@ def _continuum() -> Spectrum:
     flat[0, :2], flat[1, -2:] = (1.0, -1.0), (1.0, -1.0)
     system = np.block([[bend.T @ bend + 10.0 * flat.T @ flat, rows.T], [rows, np.zeros((len(rows), len(rows)))]])
     solved = np.linalg.solve(system, np.concatenate([np.zeros(knots.size), mean]))
-    return Spectrum(wavelength_nm=knots, density=solved[: knots.size])
+    return SourceSpectrum(wavelength_nm=knots, density=solved[: knots.size])
 
 
 def _band_mean(knots: NDArray[np.floating], low_nm: float) -> NDArray[np.float64]:

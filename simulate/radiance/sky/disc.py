@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from simulate.radiance.atmosphere.air import Atmosphere
-from simulate.radiance.spectrum import Spectrum, checked_grid
+from simulate.radiance.spectrum import SourceSpectrum, require_grid
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -30,7 +30,7 @@ class Disc:
     name: str
     direction: tuple[float, float, float]
     angular_radius_rad: float
-    extraterrestrial: Spectrum
+    extraterrestrial: SourceSpectrum
     atmosphere: Atmosphere
 
     @property
@@ -52,7 +52,7 @@ class Disc:
         wavelength_nm
             The whole spectral grid, shape (band,), nm.
         """
-        grid = checked_grid(wavelength_nm)
+        grid = require_grid(wavelength_nm)
         # Bands of gases are narrower than those of pictures may be: they are followed before bands are made.
         air, height = self.atmosphere, self.elevation_deg
         left = self.extraterrestrial.filtered(lambda nm: air.slant_transmittance(height, nm)[:, 0])

@@ -14,7 +14,7 @@ FIRST_YEAR, LAST_YEAR = 1900, 2100
 
 
 @dataclass(frozen=True, kw_only=True)
-class Place:
+class ObserverLocation:
     """A place on the ground.
 
     Parameters
@@ -111,16 +111,16 @@ class Ephemeris:
             float(np.arcsin(radius / np.linalg.norm(way)))
             for radius, way in ((SUN_RADIUS_KM, to_sun), (EARTH_RADIUS_KM, to_earth))
         )
-        return uncovered_share(sun, earth, float(np.deg2rad(angle_deg(to_sun, to_earth))))
+        return visible_disc_fraction(sun, earth, float(np.deg2rad(angle_deg(to_sun, to_earth))))
 
     @property
     def sun_share(self) -> float:
         """Share of the sun's disc that the moon leaves free at the place, dimensionless."""
         apart = np.deg2rad(angle_deg(self.sun.position_km, self.moon.position_km))
-        return uncovered_share(self.sun.angular_radius_rad, self.moon.angular_radius_rad, float(apart))
+        return visible_disc_fraction(self.sun.angular_radius_rad, self.moon.angular_radius_rad, float(apart))
 
 
-def ephemeris(place: Place, time: datetime) -> Ephemeris:
+def ephemeris(place: ObserverLocation, time: datetime) -> Ephemeris:
     """Return sun and moon over a place at a time, topocentric and without refraction.
 
     Parameters
@@ -149,7 +149,7 @@ def ephemeris(place: Place, time: datetime) -> Ephemeris:
     return Ephemeris(
         sun=_body(sun, SUN_RADIUS_KM),
         moon=_body(moon, MOON_RADIUS_KM),
-        sun_selenographic_longitude_deg=_wrapped(90.0 - np.rad2deg(float(moon.colong))),
+        sun_selenographic_longitude_deg=_wrap_angle(90.0 - np.rad2deg(float(moon.colong))),
         observer_selenographic_latitude_deg=float(np.rad2deg(float(moon.libration_lat))),
         observer_selenographic_longitude_deg=float(np.rad2deg(float(moon.libration_long))),
     )
@@ -172,7 +172,7 @@ def _body(found: object, radius_km: float) -> Body:
     return Body(direction=direction, distance_km=distance_km, radius_km=radius_km)
 
 
-def _wrapped(angle: float) -> float:
+def _wrap_angle(angle: float) -> float:
     return float((angle + 180.0) % 360.0 - 180.0)
 
 
@@ -181,7 +181,7 @@ def angle_deg(one: NDArray[np.floating], other: NDArray[np.floating]) -> float:
     return float(np.rad2deg(np.arctan2(np.linalg.norm(np.cross(one, other)), np.dot(one, other))))
 
 
-def uncovered_share(radius: float, cover_radius: float, apart: float) -> float:
+def visible_disc_fraction(radius: float, cover_radius: float, apart: float) -> float:
     """Return the share of a disc that another in front of it leaves free; radii and distance in rad."""
     if apart >= radius + cover_radius:
         return 1.0

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from simulate.radiance.sky.ephemeris import AU_KM, Ephemeris
 from simulate.radiance.sky.sun import PACKAGE, sun_spectrum
-from simulate.radiance.spectrum import Spectrum
+from simulate.radiance.spectrum import SourceSpectrum
 from simulate.radiance.tables import table
 
 SOLID_ANGLE_SR = 6.4177e-5
@@ -63,11 +63,11 @@ def band_reflectance(
 @cache
 def _smoother() -> NDArray[np.float64]:
     """Return the matrix that takes values at the bands to polynomial coefficients, by least squares."""
-    powers = np.vander(_centred(table(PACKAGE, "rolo")["wavelength_nm"]), SMOOTHING_DEGREE + 1)
+    powers = np.vander(_scale_wavelength(table(PACKAGE, "rolo")["wavelength_nm"]), SMOOTHING_DEGREE + 1)
     return np.asarray(np.linalg.pinv(powers), float)
 
 
-def _centred(wavelength_nm: NDArray[np.floating]) -> NDArray[np.float64]:
+def _scale_wavelength(wavelength_nm: NDArray[np.floating]) -> NDArray[np.float64]:
     return (np.asarray(wavelength_nm, float) - 700.0) / 350.0
 
 
@@ -78,10 +78,12 @@ def moon_reflectance(wavelength_nm: ArrayLike, *geometry: float) -> NDArray[np.f
     """
     bands, reflectance = band_reflectance(*geometry)
     inside = np.clip(np.asarray(wavelength_nm, float), bands[0], bands[-1])
-    return np.exp(np.polyval(_smoother() @ np.log(reflectance), _centred(inside)))
+    return np.exp(np.polyval(_smoother() @ np.log(reflectance), _scale_wavelength(inside)))
 
 
-def moon_spectrum(*geometry: float, moon_distance_km: float = STANDARD_KM, sun_distance_au: float = 1.0) -> Spectrum:
+def moon_spectrum(
+    *geometry: float, moon_distance_km: float = STANDARD_KM, sun_distance_au: float = 1.0
+) -> SourceSpectrum:
     """Return the moon's irradiance before the atmosphere, W m-2.
 
     Parameters
@@ -101,7 +103,7 @@ def moon_spectrum(*geometry: float, moon_distance_km: float = STANDARD_KM, sun_d
     return sun_spectrum(sun_distance_au).filtered(lambda nm: share * moon_reflectance(nm, *geometry))
 
 
-def moonlight(at: Ephemeris) -> Spectrum:
+def moonlight(at: Ephemeris) -> SourceSpectrum:
     """Return the moon's irradiance before the atmosphere, W m-2, at a place and time; dark in an eclipse's umbra."""
     from_sun = at.sun.position_km - at.moon.position_km
     light = moon_spectrum(

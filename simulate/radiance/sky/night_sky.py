@@ -14,11 +14,11 @@ from simulate.radiance.photometry import LUMENS_PER_WATT, luminous_efficiency
 from simulate.radiance.sky import scattering, twilight
 from simulate.radiance.sky.dark_sky import dark_sky, van_rhijn
 from simulate.radiance.sky.disc import Disc
-from simulate.radiance.sky.ephemeris import AU_KM, Ephemeris, Place, ephemeris
+from simulate.radiance.sky.ephemeris import AU_KM, Ephemeris, ObserverLocation, ephemeris
 from simulate.radiance.sky.moon import moonlight
 from simulate.radiance.sky.sun import sun_spectrum
 from simulate.radiance.sky.town import TownGlow
-from simulate.radiance.spectrum import Spectrum, checked_grid, combined
+from simulate.radiance.spectrum import SourceSpectrum, require_grid, sum_spectra
 
 # Irradiance over pi times the zenith's radiance of a layer of airglow, above the air (`van_rhijn`).
 AIRGLOW_HEMISPHERE = 1.715
@@ -62,7 +62,9 @@ class NightSky:
             raise BadInput(f"ground_albedo must lie in [0, 1], got {self.ground_albedo:g}")
 
     @classmethod
-    def at(cls, place: Place, time: datetime, *, atmosphere: Atmosphere | None = None, **parts: object) -> "NightSky":
+    def at(
+        cls, place: ObserverLocation, time: datetime, *, atmosphere: Atmosphere | None = None, **parts: object
+    ) -> "NightSky":
         """Return the sky over a place at a time.
 
         Parameters
@@ -86,7 +88,7 @@ class NightSky:
         """Return sun and moon, those that stand above the horizon."""
         return tuple(body for body in self.bodies if body.visible_share > 0.0)
 
-    def sources(self) -> tuple[Spectrum, ...]:
+    def sources(self) -> tuple[SourceSpectrum, ...]:
         """Return the spectra that light the scene, for `spectral_grid`."""
         bodies = [body.extraterrestrial for body in self.bodies if body.elevation_deg > -twilight.LAST_DEG]
         return (*bodies, self._night(), *(town.spectrum for town in self.towns))
@@ -101,7 +103,7 @@ class NightSky:
         wavelength_nm
             The whole spectral grid, shape (band,), nm.
         """
-        grid = checked_grid(wavelength_nm)
+        grid = require_grid(wavelength_nm)
         total = self._night_radiance(direction, grid)
         depth, _ = scattering.scattering_parts(self.atmosphere, grid)
         for body in self.bodies:
@@ -120,7 +122,7 @@ class NightSky:
         The same scattering of sun and moon as in the sky, so that far hills fade into the horizon; of dusk and towns,
         half of the sphere is sky and half is ground of the albedo given.
         """
-        grid = checked_grid(wavelength_nm)
+        grid = require_grid(wavelength_nm)
         total = np.zeros((grid.size, len(direction)))
         for body in self.bodies:
             if body.elevation_deg > 0.0:
@@ -143,7 +145,7 @@ class NightSky:
 
     def irradiance(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
         """Return the irradiance of open level ground, W m-2 nm-1, shape (band,): sky and discs."""
-        grid = checked_grid(wavelength_nm)
+        grid = require_grid(wavelength_nm)
         directions, weight = scattering.sky_quadrature()
         total = self.radiance(directions, grid) @ (weight * directions[:, 2])
         for disc in self.discs():
@@ -166,12 +168,12 @@ class NightSky:
         per_shape = diffuse.on(grid) / scattering.level_irradiance(body.direction, depth, molecules)
         return per_shape[:, None] * scattering.endless_path(direction, body.direction, molecules)
 
-    def _twilight(self, body: Disc) -> Spectrum | None:
+    def _twilight(self, body: Disc) -> SourceSpectrum | None:
         return twilight.twilight_spectrum(body.elevation_deg, body.extraterrestrial.lumens / sun_spectrum().lumens)
 
-    def _night(self) -> Spectrum:
+    def _night(self) -> SourceSpectrum:
         dark = dark_sky()
-        return combined(
+        return sum_spectra(
             [
                 dark.airglow.scaled(self.airglow),
                 dark.zodiacal.scaled(self.zodiacal),
@@ -185,7 +187,7 @@ class NightSky:
         Each part comes through the air, and what the air takes from it it gives back evenly from above and below.
         """
         elevation = np.rad2deg(np.arcsin(np.clip(direction[:, 2], 0.0, 1.0)))
-        straight, slant = self._unturned(np.array([90.0]), grid), self._unturned(elevation, grid)
+        straight, slant = self._direct_fraction(np.array([90.0]), grid), self._direct_fraction(elevation, grid)
         total = np.zeros((grid.size, len(direction)))
         for zenith, shape, back in self._night_parts(elevation, grid):
             seen = shape * slant + back * (1.0 - slant)
@@ -196,7 +198,7 @@ class NightSky:
 
     def _night_air(self, grid: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the radiance of an endless path lit by airglow, zodiacal light and stars, shape (band,)."""
-        straight = self._unturned(np.array([90.0]), grid)[:, 0]
+        straight = self._direct_fraction(np.array([90.0]), grid)[:, 0]
         parts = self._night_parts(np.array([90.0]), grid)
         return np.sum([zenith * back / (straight + back * (1.0 - straight)) for zenith, _, back in parts], axis=0)
 
@@ -216,7 +218,7 @@ class NightSky:
             (glow, van_rhijn(elevation_deg), half * AIRGLOW_HEMISPHERE),
         )
 
-    def _unturned(self, elevation_deg: NDArray[np.floating], grid: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _direct_fraction(self, elevation_deg: NDArray[np.floating], grid: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the share of light from all over that crosses the air without being turned, shape (band, path).
 
         Haze scatters forward: only 1 - g of its depth turns light.

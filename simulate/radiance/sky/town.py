@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from labdata.errors import BadInput
 from simulate.radiance.lamps.spectra import spectrum
-from simulate.radiance.spectrum import Spectrum
+from simulate.radiance.spectrum import SourceSpectrum
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +45,7 @@ class TownGlow:
         _ = self.spectrum
 
     @property
-    def spectrum(self) -> Spectrum:
+    def spectrum(self) -> SourceSpectrum:
         """Radiance at the horizon above the town, W m-2 sr-1."""
         return spectrum(self.lamp, lumens=self.luminance_cd_m2)
 

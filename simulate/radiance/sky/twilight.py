@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.radiance.spectrum import Spectrum
+from simulate.radiance.spectrum import SourceSpectrum
 
 # Zenith brightness, mag arcsec-2, over the depression d in degrees: a0 + a1 (d - 5) + a2 (d - 5)^2 for 5 <= d <= 15,
 # in U, B, V, R, I (Patat, Ugolnikov and Postylyakov, Astron. Astrophys. 455, 385, 2006).
@@ -34,7 +34,7 @@ def twilight_magnitude(depression_deg: float) -> NDArray[np.float64]:
     return A0 + A1 * x + A2 * x**2 + beyond * (A1 + 2.0 * A2 * (TANGENT_DEG - FIRST_DEG))
 
 
-def twilight_spectrum(elevation_deg: float, relative: float = 1.0) -> Spectrum | None:
+def twilight_spectrum(elevation_deg: float, relative: float = 1.0) -> SourceSpectrum | None:
     """Return the zenith's radiance by twilight, W m-2 sr-1; None where there is none.
 
     Parameters
@@ -54,7 +54,7 @@ def twilight_spectrum(elevation_deg: float, relative: float = 1.0) -> Spectrum |
     faded = 1.0 - max(elevation_deg, 0.0) / GONE_ABOVE_DEG
     radiance = relative * faded * ZERO_W_M2_NM * ARCSEC2_PER_SR * 10.0 ** (-0.4 * magnitude)
     fine = np.arange(350.0, 1151.0, 10.0)
-    return Spectrum(wavelength_nm=fine, density=np.exp(np.interp(fine, BANDS_NM, np.log(radiance))))
+    return SourceSpectrum(wavelength_nm=fine, density=np.exp(np.interp(fine, BANDS_NM, np.log(radiance))))
 
 
 def twilight_shape(direction: NDArray[np.floating], towards: tuple[float, float, float]) -> NDArray[np.float64]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulate.radiance.materials.pane import pane_shares
-from simulate.radiance.trace import NOTHING, Tracer
+from simulate.radiance.ray_tracer import NOTHING, RayTracer
 
 Array = NDArray[np.floating]
 Rows = NDArray[np.int64]
@@ -63,7 +63,7 @@ class Panes:
         Of each kind.
     """
 
-    tracer: Tracer
+    tracer: RayTracer
     kind_of_face: NDArray[np.int64]
     transmittance: NDArray[np.float64]
     refractive_index: tuple[float, ...]
@@ -153,8 +153,8 @@ class Passed:
     weight: NDArray[np.float32]
 
 
-def passed(
-    panes: Panes, tracer: Tracer, start_m: Array, direction: Array, range_m: Array, rng: np.random.Generator
+def trace_through_panes(
+    panes: Panes, tracer: RayTracer, start_m: Array, direction: Array, range_m: Array, rng: np.random.Generator
 ) -> Passed:
     """Follow rays that meet panes before the opaque thing so far away (ray,): through or mirrored, by chance."""
     met = panes.met(start_m, direction, range_m)
@@ -173,11 +173,11 @@ def passed(
     for _ in range(MOST):
         if not len(rows):
             return ends
-        turns, share = chosen(met, rng)
+        turns, share = choose_mirror_rays(met, rng)
         ends.weight[rows] *= share
         ends.start_m[rows] = np.where(turns[:, None], panes.before(met), panes.beyond(met))
         ends.direction[rows] = np.where(
-            turns[:, None], mirrored(ends.direction[rows], met.normal), ends.direction[rows]
+            turns[:, None], reflect_direction(ends.direction[rows], met.normal), ends.direction[rows]
         )
         ends.gone_m[rows] += met.range_m
         ends.turned[rows] |= turns
@@ -189,7 +189,7 @@ def passed(
     return ends
 
 
-def chosen(met: Met, rng: np.random.Generator) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+def choose_mirror_rays(met: Met, rng: np.random.Generator) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
     """Choose by chance which rays are mirrored; return that, and shares of the light over its chance (ray, band)."""
     back, on = met.mirrored.mean(axis=1), met.through.mean(axis=1)
     chance = back / np.maximum(back + on, 1e-30)
@@ -198,6 +198,6 @@ def chosen(met: Met, rng: np.random.Generator) -> tuple[NDArray[np.bool_], NDArr
     return turns, share / np.where(turns, chance, 1.0 - chance)[:, None].astype(np.float32)
 
 
-def mirrored(direction: Array, normal: Array) -> NDArray[np.float64]:
+def reflect_direction(direction: Array, normal: Array) -> NDArray[np.float64]:
     """Return directions (ray, 3) mirrored by planes of unit normals (ray, 3)."""
     return direction - 2.0 * np.einsum("ij,ij->i", direction, normal)[:, None] * normal

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from charact.bloom.bloom_map import NEAR_PX, bloom_map, pixel_noise
-from charact.bloom.spread import Spread, spread_of
-from charact.study.bloom.scene import BloomScene, expected, stack
+from charact.bloom.posterior_psf import PosteriorPsf, spread_of
+from charact.study.bloom.scene import BloomScene, noiseless_frame, stack
 from charact.study.bloom.source import GLARE_SIDE_PX, radial_light
 from labdata.errors import BadInput
 from labdata.measurement import Posterior
@@ -13,13 +13,13 @@ from labdata.measurement import Posterior
 CLIP_DN = 243.0
 
 
-def spread_of_scene(scene: BloomScene, rng: np.random.Generator, *, sd: float = 0.01, draws: int = 8) -> Spread:
+def spread_of_scene(scene: BloomScene, rng: np.random.Generator, *, sd: float = 0.01, draws: int = 8) -> PosteriorPsf:
     """The scene's own spread as a posterior knows it: diameter to so much, the halo's share to three times that."""
 
     def about(value: float, share: float) -> np.ndarray:
         return value * np.exp(share * rng.standard_normal(draws))
 
-    return Spread(
+    return PosteriorPsf(
         halo_diameter_px=about(scene.halo_diameter_px, sd),
         elastic_share=np.full(draws, scene.halo_elastic_share),
         halo_fraction=about(scene.halo_fraction, 3 * sd),
@@ -42,7 +42,7 @@ def near_share(scene: BloomScene) -> float:
 
 def parts(scene: BloomScene, overload: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """All light, the share of it that belongs elsewhere, and the distance from the source, of every pixel."""
-    light = expected(scene, overload) - scene.dark_dn
+    light = noiseless_frame(scene, overload) - scene.dark_dn
     row, col = scene.centre
     down = (np.arange(scene.rows) - row)[:, None] * scene.row_pitch
     distance = np.hypot(down, (np.arange(scene.cols) - col)[None, :])
@@ -131,7 +131,9 @@ def test_two_halos_that_overlap_are_each_told(seed):
     one = BloomScene(rows=170, cols=220, row=80.0, col=80.0)
     other = BloomScene(rows=170, cols=220, row=90.0, col=122.0)
     levels = (2000.0, 300.0)
-    light = sum(expected(scene, level) - scene.dark_dn for scene, level in zip((one, other), levels, strict=True))
+    light = sum(
+        noiseless_frame(scene, level) - scene.dark_dn for scene, level in zip((one, other), levels, strict=True)
+    )
     found = bloom_map(np.minimum(light, CLIP_DN), spread_of_scene(one, rng, sd=0.002), clip_dn=CLIP_DN, noise_dn=0.05,
                       rng=rng)  # fmt: skip
     told = sorted(float(np.median(source.light_dn_px)) for source in found.sources)
@@ -166,7 +168,7 @@ def test_a_lit_door_is_a_patch_and_the_halo_beside_it_blooming(seed):
 def test_a_source_at_the_border_is_not_guessed(seed):
     rng = np.random.default_rng(seed)
     scene = BloomScene(row=1.0)
-    light = np.minimum(expected(scene, 300.0) - scene.dark_dn, CLIP_DN)
+    light = np.minimum(noiseless_frame(scene, 300.0) - scene.dark_dn, CLIP_DN)
     found = bloom_map(light, spread_of_scene(scene, rng), clip_dn=CLIP_DN, noise_dn=0.2, rng=rng)
     assert "border" in found.sources[0].reason
     assert np.isnan(found.fraction[5, round(scene.centre[1])])

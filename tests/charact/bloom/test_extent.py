@@ -6,11 +6,11 @@ from scipy.ndimage import gaussian_filter
 
 from charact import bloom
 from charact.bloom.extent import extent_at
-from charact.bloom.spot import read_spots
-from charact.bloom.view import view_of
+from charact.bloom.point_stack import read_point_stacks
+from charact.bloom.source_view import view_of
 from charact.method import Context
 from charact.study.bloom.camera import stack
-from charact.study.bloom.scene import session
+from charact.study.bloom.scene import bloom_session
 from charact.study.bloom.source import BloomScene
 from charact.study.bloom.truth import truth
 from labdata.frames import FrameStack
@@ -69,7 +69,7 @@ def test_three_levels_lie_where_the_closed_form_has_them(overload, seed):
     scene = BloomScene()
     rng = np.random.default_rng(seed)
     known = truth(scene, overload)
-    result = bloom.measure(session(scene, [0.3, overload], rng), context=QUICK)
+    result = bloom.measure(bloom_session(scene, [0.3, overload], rng), context=QUICK)
     for name in LEVELS:
         (found,) = result.find(name, stack="point-1")
         assert found.value is not None
@@ -103,13 +103,13 @@ def test_a_level_within_the_noise_of_the_plateau_is_no_narrow_number(seed):
     overload = 1e3 * half / float(np.median(rings[8:16]))
     known = truth(scene, overload)["bloom_diameter"]
     for rng in np.random.default_rng(seed).spawn(8):
-        (found,) = bloom.measure(session(scene, [overload], rng), context=QUICK).find(LEVELS[0])
+        (found,) = bloom.measure(bloom_session(scene, [overload], rng), context=QUICK).find(LEVELS[0])
         assert found.status != "ok" or abs((found.value or 0.0) - known) < 2.0 * half95(found)
 
 
 def test_overflow_and_smear_are_part_of_the_region(seed):
     scene = BloomScene(full_well_dn=300.0, smear_fraction=1e-4)
-    result = bloom.measure(session(scene, [0.3, 30.0], np.random.default_rng(seed)), context=QUICK)
+    result = bloom.measure(bloom_session(scene, [0.3, 30.0], np.random.default_rng(seed)), context=QUICK)
     (found,) = result.find("bloom_diameter", stack="point-1")
     known = truth(scene, 30.0)
     assert found.value == pytest.approx(known["bloom_diameter"], abs=max(0.05 * known["bloom_diameter"], 1.0))
@@ -131,7 +131,7 @@ def test_smear_at_the_level_is_a_streak_to_the_border_however_thin_it_is(seed):
 def test_extents_of_few_codes_are_flagged(in_memory, seed):
     """Eleven codes from dark to the highest: rounding moves where the light falls through a level."""
     scene = BloomScene(dark_dn=1.0, background_dn=0.2, full_scale_dn=12.0, photoelectron_dn=0.15, read_noise_dn=0.03)
-    drawn = session(scene, [0.8, 30.0, 300.0], np.random.default_rng(seed))
+    drawn = bloom_session(scene, [0.8, 30.0, 300.0], np.random.default_rng(seed))
     found = bloom.measure(drawn, context=QUICK).measurements
     told = [one for one in found if one.quantity in LEVELS and one.status != "refused"]
     assert told and all("quantised" in one.flags for one in told)
@@ -141,7 +141,7 @@ def test_saturated_area_is_told_in_pixels_and_at_the_cathode(seed):
     scene = BloomScene(row_pitch=13.0 / 11.0)
     sensor = load_sensor("pulnix-ag5745ef3")
     context = Context(seed=1, quick=True, sensor=sensor, full_scale_dn=255.0)
-    result = bloom.measure(session(scene, [3e3], np.random.default_rng(seed)), context=context)
+    result = bloom.measure(bloom_session(scene, [3e3], np.random.default_rng(seed)), context=context)
     (pixels,) = result.find("saturated_area", unit="px")
     area = {m.unit: m.value or 0.0 for m in result.find("saturated_area")}
     assert abs(area["px"] - truth(scene, 3e3)["saturated_area"]) < 2.0 * half95(pixels)
@@ -153,7 +153,7 @@ def test_saturated_area_is_told_in_pixels_and_at_the_cathode(seed):
 @pytest.mark.parametrize("row_pitch", [1.0, 1.3])
 def test_a_round_source_is_round_and_a_wrong_row_pitch_makes_it_oval(seed, row_pitch):
     scene = BloomScene(row_pitch=row_pitch)
-    (found,) = bloom.measure(session(scene, [3e3], np.random.default_rng(seed)), context=QUICK).find(
+    (found,) = bloom.measure(bloom_session(scene, [3e3], np.random.default_rng(seed)), context=QUICK).find(
         "bloom_ellipticity"
     )
     assert abs((found.value or 0.0) - 1.0 / row_pitch) < max(2.0 * half95(found), 0.02)
@@ -163,7 +163,7 @@ def test_a_round_source_is_round_and_a_wrong_row_pitch_makes_it_oval(seed, row_p
 @pytest.mark.parametrize("trouble", ["none", "streak"])
 def test_the_middle_is_pulled_neither_by_saturation_nor_by_streaks(seed, overloads, trouble):
     scene = BloomScene(row=70.3, col=95.4, full_well_dn=None if trouble == "none" else 300.0, drain_ratio=200.0)
-    for spot in read_spots(session(scene, overloads, np.random.default_rng(seed)), context=QUICK):
+    for spot in read_point_stacks(bloom_session(scene, overloads, np.random.default_rng(seed)), context=QUICK):
         assert abs(spot.row - 70.3) < 0.5 and abs(spot.col - 95.4) < 0.3
 
 
@@ -172,7 +172,7 @@ def test_two_sources_are_told_apart(seed):
     scene = BloomScene(second_distance_px=20.0, second_ratio=0.5)
     down, along = 20.0 * np.sin(np.deg2rad(30.0)), 20.0 * np.cos(np.deg2rad(30.0))
     for rng in np.random.default_rng(seed).spawn(4):
-        spots = read_spots(session(scene, [3.0, 30.0, 3e4], rng), context=QUICK)
+        spots = read_point_stacks(bloom_session(scene, [3.0, 30.0, 3e4], rng), context=QUICK)
         for spot in spots:
             assert np.hypot(spot.row - scene.centre[0], spot.col - scene.centre[1]) < 0.5
         for spot in spots[:2]:

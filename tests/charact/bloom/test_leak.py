@@ -7,7 +7,7 @@ import pytest
 
 from charact import bloom
 from charact.method import Context
-from charact.study.bloom.scene import BloomScene, session
+from charact.study.bloom.scene import BloomScene, bloom_session
 from labdata.frames import FrameStack
 
 LEVELS = tuple(np.geomspace(0.5, 500.0, 5))
@@ -36,12 +36,12 @@ def with_leak(drawn, fraction, radius_px):
 @pytest.mark.parametrize("fraction, radius_px", [(1.0, 110.0), (0.3, 90.0)])
 def test_light_that_leaks_beside_the_pinhole_is_told_from_glare(fraction, radius_px, seed):
     """Veiling glare of 74 and 56 % was ok."""
-    drawn = session(BloomScene(rows=300, cols=400), list(LEVELS), np.random.default_rng(seed))
+    drawn = bloom_session(BloomScene(rows=300, cols=400), list(LEVELS), np.random.default_rng(seed))
     found = glare_of(with_leak(drawn, fraction, radius_px))
     assert found.status == "suspect" and "model-misfit" in found.flags
     assert any("opaque" in note for note in found.notes)
 
 
 def test_even_glare_is_no_leak(seed):
-    drawn = session(BloomScene(glare_fraction=0.1), list(LEVELS), np.random.default_rng(seed))
+    drawn = bloom_session(BloomScene(glare_fraction=0.1), list(LEVELS), np.random.default_rng(seed))
     assert not any("opaque" in note for note in glare_of(drawn).notes)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from charact.bloom.series.ring_loops import best_step, left_over, lost_at_top, ring_means, whitened
+from charact.bloom.series.ring_loops import best_step, lost_at_top, ring_means, whiten_rings, whitened_residuals
 
 LEVELS, RINGS, NODES, POINTS = 3, 7, 12, 4
 
@@ -35,7 +35,7 @@ def test_ring_means_are_sums_over_nodes_and_end_where_light_ends(rng, nodes):
 def test_whitening_multiplies_by_lower_triangles(rng):
     triangles = np.tril(rng.standard_normal((LEVELS, RINGS, RINGS)))
     rings = rng.standard_normal((LEVELS, RINGS, POINTS))
-    assert np.allclose(whitened(rings, triangles), triangles @ rings)
+    assert np.allclose(whiten_rings(rings, triangles), triangles @ rings)
 
 
 def test_light_lost_at_the_top_is_what_cut_noise_loses_on_average(rng):
@@ -54,13 +54,15 @@ def test_what_is_left_over_falls_with_the_light_as_it_says(rng):
     weights, begin, end = averages(rng)
     straight, sd = np.sort(rng.uniform(1.0, 4.0, (NODES, POINTS)), axis=0)[::-1].copy(), np.full((LEVELS, NODES), 4.0)
     light = np.repeat(straight[None], LEVELS, axis=0)
-    white = whitened(ring_means(light, weights, begin, end), triangles)
+    white = whiten_rings(ring_means(light, weights, begin, end), triangles)
     even = (triangles @ weights.sum(axis=-1)[..., None])[..., 0]
 
     def left(amplitudes):
         lost = lost_at_top(straight, amplitudes, sd, 100.0, 5.0)
         rings = ring_means(lost.reshape(LEVELS, lost.shape[1], -1), weights, begin, end)
-        return left_over(white, even, np.zeros_like(even), amplitudes, rings.reshape(LEVELS, -1, 3, POINTS), triangles)
+        return whitened_residuals(
+            white, even, np.zeros_like(even), amplitudes, rings.reshape(LEVELS, -1, 3, POINTS), triangles
+        )
 
     at = np.stack([np.full((LEVELS, POINTS), 40.0), np.full((LEVELS, POINTS), 5.0)], axis=1)
     _, slopes = left(at)

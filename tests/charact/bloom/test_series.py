@@ -8,24 +8,24 @@ import pytest
 
 from charact import bloom
 from charact.bloom import transfer
-from charact.bloom.series.choice import candidates
-from charact.bloom.series.forms import Form
-from charact.bloom.series.gather import gathered
+from charact.bloom.point_stack import read_point_stacks
+from charact.bloom.series.halo_models import HaloModel
 from charact.bloom.series.hankel import frequencies, onto_nodes
 from charact.bloom.series.levels import level_of, noise_of
-from charact.bloom.series.likelihood import Problem, series_of
+from charact.bloom.series.likelihood import SeriesLikelihood, series_of
+from charact.bloom.series.model_selection import candidates
+from charact.bloom.series.ring_series import build_ring_series
 from charact.bloom.series.rings import geometry_of
-from charact.bloom.spot import read_spots
 from charact.method import Context
-from charact.method.registry import of_kind
-from charact.study.bloom.scene import BloomScene, session
+from charact.method.registry import methods_of_kind
+from charact.study.bloom.scene import BloomScene, bloom_session
 
 QUICK = Context(seed=1, quick=True)
 TWO_DECADES = tuple(np.geomspace(0.5, 5e4, 7))
 
 
 def measured(scene, seed, overloads=TWO_DECADES, context=QUICK):
-    drawn = session(scene, list(overloads), np.random.default_rng(seed))
+    drawn = bloom_session(scene, list(overloads), np.random.default_rng(seed))
     return bloom.measure(drawn, method="series-forward", context=context)
 
 
@@ -69,7 +69,7 @@ def test_the_disc_is_where_thrown_electrons_land(rings, thrown, seed):
         radius = np.hypot(x + 1.2 * rng.standard_normal(len(x)), y + 1.2 * rng.standard_normal(len(y)))
         edges = np.arange(0.0, 30.0, 2.0)
         core = transfer.gaussian(frequencies(), np.array([1.44]))
-        blurred = core * transfer.disc(frequencies(), np.array([40.0]), transfer.bounced(np.array([share])))
+        blurred = core * transfer.disc(frequencies(), np.array([40.0]), transfer.backscatter_profile(np.array([share])))
         at = np.arange(0.02, 30.0, 0.04)
         light = (blurred @ onto_nodes(at))[0] * 2 * np.pi * at * 0.04
         expected = np.histogram(at, bins=edges, weights=light)[0] * len(x)
@@ -99,7 +99,7 @@ def test_a_cut_pixel_reads_what_cut_noise_reads(seed):
     geometry = geometry_of((60, 70), 30.0, 35.0, pitch_ratio=1.0, spoiled=None)
     levels = (level_of("one", frames, geometry, full_dn=255.0),)
     series = series_of(levels, noise_of(levels, dark_dn=12.0), full_dn=255.0, rings=20)
-    problem = Problem(series=series, form=Form(core="gaussian", halo="none", reach_px=20.0))
+    problem = SeriesLikelihood(series=series, form=HaloModel(core="gaussian", halo="none", reach_px=20.0))
     noise = rng.standard_normal(200_000)
     for level, sd in ((230.0, 6.0), (250.0, 6.0), (255.0, 12.0), (270.0, 8.0), (400.0, 3.0)):
         drawn = np.minimum(level + sd * noise, 255.0)
@@ -140,8 +140,8 @@ def off_about_the_core(series, shares):
 def test_rings_about_the_core_that_are_off_blur_the_halos_share_and_leave_its_edge(seed):
     """What many rings agree on says nothing of how far the few about the core are off, nor these of the many."""
     scene = BloomScene(halo_fraction=0.03, wing_share=0.1)
-    drawn = session(scene, list(np.geomspace(0.3, 3e4, 9)), np.random.default_rng(seed))
-    round_one, _ = gathered(drawn, read_spots(drawn, context=QUICK), context=QUICK)
+    drawn = bloom_session(scene, list(np.geomspace(0.3, 3e4, 9)), np.random.default_rng(seed))
+    round_one, _ = build_ring_series(drawn, read_point_stacks(drawn, context=QUICK), context=QUICK)
     bent_one = off_about_the_core(round_one, np.array([-0.06, 0.12, -0.19, 0.2]))
     found = [
         candidates(one, pitch_ratio=1.0, sensor=None, has_tube=True, first_diameter_px=46.0)[0]
@@ -253,6 +253,6 @@ def test_what_is_not_one_source_at_rest_is_flagged(scene, flag, seed):
 @pytest.mark.filterwarnings("error")
 def test_a_source_at_the_border_is_measured_or_refused_by_every_method(seed):
     """Few rings fit beside it: no method may fall over that."""
-    drawn = session(BloomScene(row=80.0, col=6.0), [3.0, 300.0], np.random.default_rng(seed))
-    for method in of_kind("bloom"):
+    drawn = bloom_session(BloomScene(row=80.0, col=6.0), [3.0, 300.0], np.random.default_rng(seed))
+    for method in methods_of_kind("bloom"):
         assert bloom.measure(drawn, method=method, context=QUICK).find("halo_diameter")

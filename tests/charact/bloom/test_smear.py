@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from charact.bloom.point_stack import read_point_stacks
 from charact.bloom.smear import smear_measurement
-from charact.bloom.spot import read_spots
 from charact.method import Context
-from charact.study.bloom.scene import BloomScene, session
+from charact.study.bloom.scene import BloomScene, bloom_session
 
 QUICK = Context(seed=1, quick=True)
 LEVELS = (0.5, 30.0, 300.0, 3e3)
@@ -17,7 +17,7 @@ LEVELS = (0.5, 30.0, 300.0, 3e3)
 
 def smear_of(scene, rng, overloads=LEVELS) -> Any:
     row, col = scene.centre
-    spots = read_spots(session(scene, overloads, rng), context=QUICK)
+    spots = read_point_stacks(bloom_session(scene, overloads, rng), context=QUICK)
     return smear_measurement(tuple(replace(one, row=row, col=col) for one in spots), QUICK, method="test")[0]
 
 

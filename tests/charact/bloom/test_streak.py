@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from charact.bloom.spot import read_spots
+from charact.bloom.point_stack import read_point_stacks
 from charact.bloom.streak import streak_measurements, streak_of
 from charact.method import Context
-from charact.study.bloom.scene import BloomScene, expected, session
+from charact.study.bloom.scene import BloomScene, bloom_session, noiseless_frame
 
 QUICK = Context(seed=1, quick=True)
 
@@ -17,7 +17,9 @@ QUICK = Context(seed=1, quick=True)
 def spots_of(scene, overloads, rng):
     """Spots at the place where the source is: finding it is tested elsewhere."""
     row, col = scene.centre
-    return tuple(replace(one, row=row, col=col) for one in read_spots(session(scene, overloads, rng), context=QUICK))
+    return tuple(
+        replace(one, row=row, col=col) for one in read_point_stacks(bloom_session(scene, overloads, rng), context=QUICK)
+    )
 
 
 def measured(spot) -> Any:
@@ -25,7 +27,7 @@ def measured(spot) -> Any:
 
 
 def rows_above(scene, overload):
-    column = expected(scene, overload)[:, round(scene.centre[1])]
+    column = noiseless_frame(scene, overload)[:, round(scene.centre[1])]
     return float((column >= scene.dark_dn + 0.5 * scene.span_dn).sum())
 
 

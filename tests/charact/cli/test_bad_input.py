@@ -207,7 +207,7 @@ def test_an_interrupt_ends_in_one_sentence_that_tells_how_to_go_on(tmp_path: Pat
     def interrupted(*arguments, **settings):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("charact.cli.benches.take", interrupted)
+    monkeypatch.setattr("charact.cli.benches.acquire_session", interrupted)
     plan = tmp_path / "plan.toml"
     plan.write_text('name = "short"\n\n[[step]]\nlabel = "dark"\nkind = "dark"\nframes = 2\n')
     done = CliRunner().invoke(app, ["acquire", str(plan), str(tmp_path / "out")])

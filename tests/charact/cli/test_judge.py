@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from charact.cli.judge import SaturationJudge, half_interval_dn
-from labdata.adaptive import Until
+from labdata.adaptive import StopCriterion
 from labdata.conditions import Conditions
 from labdata.plan import Step
 
@@ -42,7 +42,7 @@ def test_levels_that_were_stopped_early_are_as_near_the_truth_as_was_asked(seed)
     within_dn, truth_dn, errors, taken = 0.3, 800.0, [], []
     for _ in range(300):
         means_dn = truth_dn + rng.standard_normal(400)
-        frames, why, _ = watched(means_dn, until=Until(mean_within_dn=within_dn))
+        frames, why, _ = watched(means_dn, until=StopCriterion(mean_within_dn=within_dn))
         assert why is not None
         taken.append(frames)
         errors.append(abs(means_dn[:frames].mean() - truth_dn))
@@ -76,4 +76,4 @@ def test_a_point_is_meant_to_saturate():
 @pytest.mark.parametrize("keys", [{"mean_within_dn": 0.0}, {"mean_within_dn": 1.0, "least_frames": 3}])
 def test_a_wish_that_means_nothing_is_refused(keys):
     with pytest.raises(Exception, match="must be"):
-        Until(**keys)
+        StopCriterion(**keys)

@@ -3,25 +3,25 @@
 import pytest
 
 from charact.cli.annotate import _one_a_region
-from charact.cli.output import show
-from charact.cli.truth import lines
-from charact.report.truth import beside_truth
-from labdata.measurement import Measurement, Result, from_sd
+from charact.cli.output import print_result
+from charact.cli.truth_comparison import lines
+from charact.report.truth import compare_with_truth
+from labdata.measurement import Measurement, Result, measurement_from_sd
 
 
 def bars(col: int, **fields) -> Measurement:
     own = {"method": "bars-forward", "frequency_cy_per_px": 0.1, "region": (0, col, 20, 20), **fields}
-    return from_sd("mtf", "1", 0.8, 0.01, **own)
+    return measurement_from_sd("mtf", "1", 0.8, 0.01, **own)
 
 
 def together(note: str = "") -> Measurement:
-    return from_sd("mtf50", "cy/px", 0.21, 0.002, method="bars-joint", notes=(note,) if note else ())
+    return measurement_from_sd("mtf50", "cy/px", 0.21, 0.002, method="bars-joint", notes=(note,) if note else ())
 
 
 def test_a_session_with_targets_in_regions_prints_the_numbers_of_no_region_too(capsys: pytest.CaptureFixture) -> None:
-    gain = from_sd("covariance_gain", "DN", 11.9, 0.1, method="covariance-sum")
+    gain = measurement_from_sd("covariance_gain", "DN", 11.9, 0.1, method="covariance-sum")
     found = (gain, bars(0, stack="b1"), bars(40, stack="b2"), together("Stages: taken as known: pixel."))
-    show(Result(measurements=found), given="s", as_json=False)
+    print_result(Result(measurements=found), given="s", as_json=False)
     told = capsys.readouterr().out
     assert all(
         piece in told for piece in ("covariance_gain 11.9", "of b1", "of b2", "mtf50 0.21", "taken as known: pixel")
@@ -29,7 +29,7 @@ def test_a_session_with_targets_in_regions_prints_the_numbers_of_no_region_too(c
 
 
 def test_the_groups_of_a_picture_have_a_line_each_and_one_together(capsys: pytest.CaptureFixture) -> None:
-    show(Result(measurements=(bars(0), bars(40), together())), given="f.tif", as_json=False)
+    print_result(Result(measurements=(bars(0), bars(40), together())), given="f.tif", as_json=False)
     first, second, third = capsys.readouterr().out.splitlines()
     assert "0,0,20,20" in first and "0,40,20,20" in second
     assert "all together" in third and "mtf50 0.21" in third
@@ -37,9 +37,9 @@ def test_the_groups_of_a_picture_have_a_line_each_and_one_together(capsys: pytes
 
 def test_sources_of_one_stack_are_told_apart_by_their_place(capsys: pytest.CaptureFixture) -> None:
     own = {"method": "one-frame", "stack": "spots"}
-    spots = [from_sd("bloom_diameter", "px", 2.5, 0.1, region=(row, 9, 2, 3), **own) for row in (5, 60)]
-    halo = from_sd("halo_diameter", "px", 40.0, 0.1, **own)
-    show(Result(measurements=(*spots, halo)), given="spots.tif", as_json=False)
+    spots = [measurement_from_sd("bloom_diameter", "px", 2.5, 0.1, region=(row, 9, 2, 3), **own) for row in (5, 60)]
+    halo = measurement_from_sd("halo_diameter", "px", 40.0, 0.1, **own)
+    print_result(Result(measurements=(*spots, halo)), given="spots.tif", as_json=False)
     first, second, third = capsys.readouterr().out.splitlines()
     assert "bloom_diameter of spots in 5,9,2,3 2.5 px" in first and "in 60,9,2,3" in second
     assert "halo_diameter of spots 40 px" in third
@@ -47,8 +47,8 @@ def test_sources_of_one_stack_are_told_apart_by_their_place(capsys: pytest.Captu
 
 def test_the_table_of_truths_tells_directions_apart() -> None:
     own = {"method": "point-forward", "stack": "point-3"}
-    found = [from_sd("mtf50", "cy/px", 0.2, 0.01, orientation_deg=angle, **own) for angle in (0.0, 90.0)]
-    _, along_rows, along_columns = lines(beside_truth(Result(measurements=tuple(found)), {"mtf50": 0.2}))
+    found = [measurement_from_sd("mtf50", "cy/px", 0.2, 0.01, orientation_deg=angle, **own) for angle in (0.0, 90.0)]
+    _, along_rows, along_columns = lines(compare_with_truth(Result(measurements=tuple(found)), {"mtf50": 0.2}))
     assert along_rows.startswith("mtf50 along 0 deg ") and along_columns.startswith("mtf50 along 90 deg ")
 
 

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-from charact.cli.annotate import COLOURS, drawn
+from charact.cli.annotate import COLOURS, render_annotations
 from charact.cli.application import app
-from charact.cli.captions import placed
+from charact.cli.captions import place_captions
 from charact.cli.units import FrequencyUnit
-from charact.study.edge.scene import Blur, EdgeScene
+from charact.study.edge.scene import EdgeScene, TrueBlur
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 from labdata.measurement import Result as Measured
-from labdata.measurement import measured, refused
+from labdata.measurement import make_measurement, make_refusal
 from tests.charact.mtf.bars.photoelectron_bars import PulsedBars
 
 
@@ -78,7 +78,7 @@ def test_a_black_level_above_the_dark_side_is_not_believed_and_said(two_edges: P
 
 def test_a_black_level_lets_the_noise_of_bars_tell_a_gamma(tmp_path: Path) -> None:
     scene = PulsedBars(
-        blur=Blur(form="exponential", frequency_cy_per_px=0.32, exponent=1.3), photoelectrons=12.0, frames=4, rows=90,
+        blur=TrueBlur(form="exponential", frequency_cy_per_px=0.32, exponent=1.3), photoelectrons=12.0, frames=4, rows=90,
         cols=100, frequency_cy_per_px=0.25, gamma=1.9,
     )  # fmt: skip
     file = tmp_path / "bars.npy"
@@ -100,7 +100,7 @@ def test_a_black_level_that_is_none_is_one_sentence(two_edges: Path, black: str)
 
 def test_each_colour_channel_has_its_own_mtf(tmp_path: Path) -> None:
     """A lens that is sharper in red than in blue; the luminance, mostly green, lies between."""
-    scenes = [EdgeScene(blur=Blur(sigma_px=sigma), snr=60.0) for sigma in (0.7, 1.0, 1.5)]
+    scenes = [EdgeScene(blur=TrueBlur(sigma_px=sigma), snr=60.0) for sigma in (0.7, 1.0, 1.5)]
     planes = [scene.frames_drawn(np.random.default_rng(0)).data[0] for scene in scenes]
     cv2.imwrite(str(tmp_path / "lens.png"), np.stack(planes[::-1], axis=-1).astype(np.uint8))
     for plane, scene in zip("rgb", scenes, strict=True):
@@ -136,9 +136,9 @@ def test_lines_at_the_cathode_are_wider_by_the_taper() -> None:
 def test_an_edge_along_rows_counts_their_pitch() -> None:
     """Rows of 13 um: 0.5 cycles per row are 38.5 lp/mm, and 493 rows hold 493 lines of them."""
     unit = FrequencyUnit(unit="lp/mm", pitch_x_um=11.0, pitch_y_um=13.0)
-    lying = measured("mtf50", "cy/px", 0.5, None, None, method="edge-forward", orientation_deg=95.0)
-    standing = measured("mtf50", "cy/px", 0.5, None, None, method="edge-forward", orientation_deg=5.0)
-    point = measured("mtf50", "cy/px", 0.5, None, None, method="point-forward", orientation_deg=90.0)
+    lying = make_measurement("mtf50", "cy/px", 0.5, None, None, method="edge-forward", orientation_deg=95.0)
+    standing = make_measurement("mtf50", "cy/px", 0.5, None, None, method="edge-forward", orientation_deg=5.0)
+    point = make_measurement("mtf50", "cy/px", 0.5, None, None, method="point-forward", orientation_deg=90.0)
     assert unit(0.5, lying)[0] == pytest.approx(500 / 13)
     assert unit(0.5, standing)[0] == pytest.approx(500 / 11)
     assert unit(0.5, point)[0] == pytest.approx(500 / 11)
@@ -166,7 +166,7 @@ def test_a_missing_length_is_named_with_its_remedy(unit: str, given: dict[str, f
 def test_captions_cover_neither_one_another_nor_what_was_measured() -> None:
     boxes = [(100 * k, 150 * j, 100 * k + 60, 150 * j + 60) for k in range(4) for j in range(5)]
     size = (44, 120)
-    places = placed(boxes, [size] * 20, (493, 900))
+    places = place_captions(boxes, [size] * 20, (493, 900))
     for k, (top, left) in enumerate(places):
         assert top >= 0 and top + size[0] < 493 and left >= 0 and left + size[1] < 900
         for other_top, other_left in places[:k]:
@@ -182,11 +182,11 @@ def test_verdicts_differ_in_more_than_colour() -> None:
     common = {"method": "edge-forward", "region": (100, 100, 90, 90)}
     share = {}
     for status, one in {
-        "ok": measured("mtf50", "cy/px", 0.2, (0.19, 0.21), (0.18, 0.22), **common),
-        "suspect": measured("mtf50", "cy/px", 0.2, (0.19, 0.21), (0.18, 0.22), flags=("clipped",), **common),
-        "refused": refused("mtf50", "cy/px", "nothing there", **common),
+        "ok": make_measurement("mtf50", "cy/px", 0.2, (0.19, 0.21), (0.18, 0.22), **common),
+        "suspect": make_measurement("mtf50", "cy/px", 0.2, (0.19, 0.21), (0.18, 0.22), flags=("clipped",), **common),
+        "refused": make_refusal("mtf50", "cy/px", "nothing there", **common),
     }.items():
-        picture = drawn(stack, Measured(measurements=(one,)))
+        picture = render_annotations(stack, Measured(measurements=(one,)))
         assert picture.shape[1] >= 1500
         top_line = picture[498:503, 505:945]
         share[status] = np.all(top_line == COLOURS[status], axis=2).any(axis=0).mean()

@@ -5,9 +5,9 @@ import pytest
 import tifffile
 from numpy.testing import assert_allclose, assert_array_equal
 
-from charact.cli.picture_light import centred, cube_of, photoelectrons_of
+from charact.cli.image_source import centre_on_frame, cube_of, photoelectrons_of
 from charact.cli.simulated_conditions import conditions_of
-from charact.cli.stage_pictures import SHEET, save_stages, sheet
+from charact.cli.stage_image_files import SHEET, save_stages, sheet
 from labdata import BadInput
 from labdata.sensors import load_camera, load_sensor
 
@@ -54,7 +54,7 @@ def test_the_first_frame_of_several_is_taken_and_said_so(tmp_path):
 @pytest.mark.parametrize("cols", [3, 6, 7, 10])
 def test_a_picture_stands_in_the_middle_of_the_frame_to_half_a_pixel(rows, cols):
     picture = np.arange(1.0, rows * cols + 1).reshape(rows, cols)
-    frame, notes = centred(picture, (5, 7))
+    frame, notes = centre_on_frame(picture, (5, 7))
     row, col = np.mgrid[:5, :7]
     lit = frame > 0
     # Where neither side was cropped unevenly, the lit rectangle's centre is the frame's.

@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from charact.fit import forward
-from charact.fit.forward import Values
-from charact.fit.gather import observations
-from charact.fit.levels import Level
+from charact.fit import predicted_quantities
+from charact.fit.admissible_measurements import LEVEL, SHAPE
+from charact.fit.levels import StackMean
 from charact.fit.model import Model, model_of
-from charact.fit.prior import fixed_values, prior_of
-from charact.fit.trusted import LEVEL, SHAPE
-from labdata.measurement import Curve, Measurement, Result, from_sd
+from charact.fit.observations import observations
+from charact.fit.predicted_quantities import Values
+from charact.fit.prior import prior_of, values_of_description
+from labdata.measurement import Curve, Measurement, Result, measurement_from_sd
 from labdata.sensor import Sensor
 from labdata.sensors import load_sensor
 from labdata.session import Session, StackEntry
@@ -33,7 +33,7 @@ class Told:
     truth: dict[str, float]
     session: Session
     result: Result
-    levels: tuple[Level, ...]
+    levels: tuple[StackMean, ...]
     model: Model
 
 
@@ -51,7 +51,7 @@ def told_of(sheet: Sensor) -> Callable[[int], Told]:
         prior = prior_of(sheet, tuple(dict.fromkeys((*SHAPE, *LEVEL))))
         point = prior.draw(rng, 1)
         drawn = dict(zip(prior.names, prior.parameters(point).T, strict=True))
-        values = {**fixed_values(sheet), **drawn}
+        values = {**values_of_description(sheet), **drawn}
         stacks = (StackEntry(label="edge", kind="edge", frames="-", target=Target(angle_deg=ANGLE_DEG), folder=Path()),)
         session = Session(folder=Path(), name="told", stacks=stacks, sensor=sheet, bit_depth=8)
         result = Result(measurements=_numbers(values, rng), curves={"mtf:edge": _curve(values, rng)})
@@ -64,19 +64,21 @@ def told_of(sheet: Sensor) -> Callable[[int], Told]:
 
 
 def _numbers(values: Values, rng: np.random.Generator) -> tuple[Measurement, ...]:
-    gain = forward.photoelectron_gain(values, MCP_V, 800.0)
+    gain = predicted_quantities.photoelectron_gain(values, MCP_V, 800.0)
     exact = {
-        ("covariance_gain", "DN"): forward.covariance_gain(values, gain),
-        ("blur_factor", "1"): forward.blur_factor(values, gain),
-        ("halo_diameter", "px"): forward.halo_diameter_px(values),
+        ("covariance_gain", "DN"): predicted_quantities.covariance_gain(values, gain),
+        ("blur_factor", "1"): predicted_quantities.blur_factor(values, gain),
+        ("halo_diameter", "px"): predicted_quantities.halo_diameter_px(values),
     }
     out = [
-        from_sd(name, unit, float(x[0] * (1 + 0.01 * rng.standard_normal())), 0.01 * float(x[0]), method="told")
+        measurement_from_sd(
+            name, unit, float(x[0] * (1 + 0.01 * rng.standard_normal())), 0.01 * float(x[0]), method="told"
+        )
         for (name, unit), x in exact.items()
     ]
-    edge = forward.mtf(values, np.linspace(0.0, 0.5, 501))[0]
+    edge = predicted_quantities.mtf(values, np.linspace(0.0, 0.5, 501))[0]
     half = float(np.interp(-0.5, -edge, np.linspace(0.0, 0.5, 501)))
-    return (*out, from_sd("mtf50", "cy/px", half, 0.002, method="told", stack="edge"))
+    return (*out, measurement_from_sd("mtf50", "cy/px", half, 0.002, method="told", stack="edge"))
 
 
 def _curve(values: Values, rng: np.random.Generator) -> Curve:
@@ -87,7 +89,7 @@ def _curve(values: Values, rng: np.random.Generator) -> Curve:
     # Errors of a curve go together over some distance in frequency.
     apart = np.abs(frequency[:, None] - frequency[None, :])
     root = np.linalg.cholesky(np.exp(-apart / 0.08) + 1e-9 * np.eye(frequency.size))
-    value = forward.mtf(values, across, along)[0] + sd * (root @ rng.standard_normal(frequency.size))
+    value = predicted_quantities.mtf(values, across, along)[0] + sd * (root @ rng.standard_normal(frequency.size))
     return Curve(
         frequency_cy_per_px=frequency,
         value=value,
@@ -96,15 +98,18 @@ def _curve(values: Values, rng: np.random.Generator) -> Curve:
     )
 
 
-def _levels(values: Values, rng: np.random.Generator) -> tuple[Level, ...]:
-    gain = forward.photoelectron_gain(values, MCP_V, 800.0)
+def _levels(values: Values, rng: np.random.Generator) -> tuple[StackMean, ...]:
+    gain = predicted_quantities.photoelectron_gain(values, MCP_V, 800.0)
     out = []
     for lux in LUX:
-        events = forward.photoelectrons(values, lux, GATE_S) + forward.background_rate(values) * GATE_S
-        load = forward.load(values, lux, GATE_S, MCP_V, 800.0)
+        events = (
+            predicted_quantities.photoelectrons(values, lux, GATE_S)
+            + predicted_quantities.background_rate(values) * GATE_S
+        )
+        load = predicted_quantities.mcp_load(values, lux, GATE_S, MCP_V, 800.0)
         mean = float((values["video.black_level_dn"] + gain * events / (1.0 + load))[0])
         out.append(
-            Level(
+            StackMean(
                 label=f"flat {lux:g}",
                 mean_dn=mean * (1.0 + 0.002 * float(rng.standard_normal())),
                 sd_dn=0.02,

@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from charact.fit import fit_sensor, forward
-from charact.fit.gather import observations
-from charact.fit.model import KEPT_DRAWS, doubted, model_of, posterior_of
-from charact.fit.prior import fixed_values, prior_of
-from charact.fit.sensor import IDENTIFIED_SHARE, described
-from charact.posterior import maximum
+from charact.fit import fit_sensor, predicted_quantities
+from charact.fit.model import KEPT_DRAWS, inflate_errors, model_of, posterior_of
+from charact.fit.observations import observations
+from charact.fit.prior import prior_of, values_of_description
+from charact.fit.sensor import IDENTIFIED_SHARE, description_from_posterior
+from charact.posterior import find_maximum
 from labdata.errors import BadInput
-from labdata.measurement import Posterior, Result, from_sd
+from labdata.measurement import Posterior, Result, measurement_from_sd
 from labdata.sensor import Sensor
 from labdata.sensors import load_sensor, save_sensor
 from labdata.session import Session
@@ -26,7 +26,7 @@ POINTS, FREEDOM = 6000, 8.0
 def _weighed_posterior(told, seed: int) -> Posterior:
     """Draws by repeated importance sampling from a Student t: the posterior without a Markov chain."""
     model, rng = told.model, np.random.default_rng(seed)
-    point, covariance = maximum(model.log_probability, model.prior.centre, model.prior.bounds)
+    point, covariance = find_maximum(model.log_probability, model.prior.centre, model.prior.bounds)
     for _ in range(4):
         normal = rng.standard_normal((POINTS, point.size))
         stretch = np.sqrt(FREEDOM / rng.chisquare(FREEDOM, POINTS))
@@ -48,7 +48,9 @@ def fits(told_of: Callable, seed: int):
     for number in range(SPECIMENS):
         told = told_of(seed + number)
         posterior = _weighed_posterior(told, seed + number)
-        out.append((told, posterior, described(told.model, posterior, illuminance_relative_sd=0.0, seed=seed)))
+        out.append(
+            (told, posterior, description_from_posterior(told.model, posterior, illuminance_relative_sd=0.0, seed=seed))
+        )
     return out
 
 
@@ -95,14 +97,14 @@ def test_what_is_not_identified_keeps_value_and_range_of_its_prior(fits, sheet: 
 
 def test_the_description_at_its_values_gives_back_what_was_measured(fits) -> None:
     for told, _, sensor in fits:
-        values = fixed_values(sensor)
-        gain = forward.photoelectron_gain(values, 800.0, 800.0)
+        values = values_of_description(sensor)
+        gain = predicted_quantities.photoelectron_gain(values, 800.0, 800.0)
         measured = told.result.find("covariance_gain")[0].value
-        assert forward.covariance_gain(values, gain)[0] == pytest.approx(measured, rel=0.05)
+        assert predicted_quantities.covariance_gain(values, gain)[0] == pytest.approx(measured, rel=0.05)
         bright = told.levels[-1]
-        events = forward.photoelectrons(values, bright.illuminance_lux, bright.gate_s)
-        load = forward.load(values, bright.illuminance_lux, bright.gate_s, 800.0, 800.0)
-        signal = gain * (events + forward.background_rate(values) * bright.gate_s) / (1.0 + load)
+        events = predicted_quantities.photoelectrons(values, bright.illuminance_lux, bright.gate_s)
+        load = predicted_quantities.mcp_load(values, bright.illuminance_lux, bright.gate_s, 800.0, 800.0)
+        signal = gain * (events + predicted_quantities.background_rate(values) * bright.gate_s) / (1.0 + load)
         assert signal[0] + values["video.black_level_dn"][0] == pytest.approx(bright.mean_dn, rel=0.02)
 
 
@@ -111,8 +113,12 @@ def test_every_joint_draw_gives_back_what_was_measured(fits) -> None:
     rng = np.random.default_rng(0)
     gains = []
     for _ in range(100):
-        values = fixed_values(sensor.draw(rng))
-        gains.append(forward.covariance_gain(values, forward.photoelectron_gain(values, 800.0, 800.0))[0])
+        values = values_of_description(sensor.draw(rng))
+        gains.append(
+            predicted_quantities.covariance_gain(values, predicted_quantities.photoelectron_gain(values, 800.0, 800.0))[
+                0
+            ]
+        )
     measured = told.result.find("covariance_gain")[0]
     assert np.std(gains) < 0.03 * measured.value
     assert np.mean(gains) == pytest.approx(measured.value, rel=0.03)
@@ -131,7 +137,7 @@ def test_the_chain_finds_the_gap_behind_a_halo(told_of: Callable, seed: int) -> 
     model = model_of(told.session.sensor, observations(told.session, told.session.sensor, halo, ()))
     posterior = posterior_of(model, seed=seed)
     assert posterior.sampler == "emcee"
-    sensor = described(model, posterior, illuminance_relative_sd=0.03, seed=seed)
+    sensor = description_from_posterior(model, posterior, illuminance_relative_sd=0.03, seed=seed)
     assert sensor.photocathode.gap_mm.standing == "fitted"
     assert {p for p, parameter in sensor.parameters().items() if parameter.standing in ("fitted", "prior")} == {
         "photocathode.gap_mm",
@@ -145,14 +151,14 @@ def test_the_chain_finds_the_gap_behind_a_halo(told_of: Callable, seed: int) -> 
 def test_measurements_that_contradict_each_other_widen_the_ranges_and_are_named(told_of: Callable, seed: int) -> None:
     told = told_of(seed)
     blur = told.result.find("blur_factor")[0]
-    wrong = from_sd("blur_factor", "1", 2.5 * blur.value, 0.003, method="told")
+    wrong = measurement_from_sd("blur_factor", "1", 2.5 * blur.value, 0.003, method="told")
     others = tuple(m for m in told.result.measurements if m.quantity != "blur_factor")
     result = replace(told.result, measurements=(*others, wrong))
     model = model_of(told.session.sensor, observations(told.session, told.session.sensor, result, told.levels))
-    wider, said = doubted(model)
+    wider, said = inflate_errors(model)
     assert said is not None and "model-misfit" in said
     assert np.all(wider.observed[0].covariance > 1.5 * model.observed[0].covariance - 1e-12)
-    assert doubted(told.model)[1] is None
+    assert inflate_errors(told.model)[1] is None
 
 
 def test_a_bent_measurement_stays_outside(told_of: Callable, seed: int) -> None:

@@ -11,8 +11,8 @@ from numba import njit
 from numba.core import caching, event
 
 from charact.method import METHODS, Context, register, stopwatch
-from charact.method.stopwatch import Stopwatch, compiling_announced, time_text, timed
-from labdata.measurement import Result, measured, refused
+from charact.method.stopwatch import Stopwatch, announce_compilation, time_text, with_timing
+from labdata.measurement import Result, make_measurement, make_refusal
 
 KIND = "kind of this test"
 # What a toy works besides compiling, and how far its time may be from that on a busy machine, s.
@@ -33,8 +33,8 @@ def registered() -> Iterator[Callable]:
 
 def both(**fields) -> Result:
     """One measurement with a number, one without."""
-    number = measured("mtf50", "cy/px", 0.2, None, None, method="toy", **fields)
-    return Result(measurements=(number, refused("mtf10", "cy/px", "nothing there", method="toy", **fields)))
+    number = make_measurement("mtf50", "cy/px", 0.2, None, None, method="toy", **fields)
+    return Result(measurements=(number, make_refusal("mtf10", "cy/px", "nothing there", method="toy", **fields)))
 
 
 def fresh() -> Callable[[float], float]:
@@ -117,8 +117,8 @@ def test_what_another_thread_compiles_is_no_part_of_this_one():
 
 
 def test_a_measurement_that_states_its_time_keeps_it():
-    inner = timed(lambda: both(seconds=7.0))
-    result = timed(lambda: inner() + both())()
+    inner = with_timing(lambda: both(seconds=7.0))
+    result = with_timing(lambda: inner() + both())()
     assert [m.seconds for m in result.measurements[:2]] == [7.0, 7.0]
     assert all(0.0 <= m.seconds < 1.0 for m in result.measurements[2:])
 
@@ -126,7 +126,7 @@ def test_a_measurement_that_states_its_time_keeps_it():
 def test_long_compiling_is_announced_once_and_counted(monkeypatch):
     monkeypatch.setattr(stopwatch, "LONG_S", 0.0)
     said: list[str] = []
-    with compiling_announced(said.append):
+    with announce_compilation(said.append):
         fresh()(0.5)
         fresh()(0.5)
     assert said[0].startswith("compiling once on this machine")
@@ -136,7 +136,7 @@ def test_long_compiling_is_announced_once_and_counted(monkeypatch):
 
 def test_short_compiling_is_not_announced():
     said: list[str] = []
-    with compiling_announced(said.append):
+    with announce_compilation(said.append):
         fresh()(0.5)
     assert not said
 

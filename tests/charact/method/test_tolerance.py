@@ -9,13 +9,13 @@ from charact.method.tolerance import beyond_note, meets
 from charact.study.bars.scene import BarScene
 from charact.study.edge.scene import EdgeScene
 from charact.study.point.scene import PointScene
-from labdata.measurement import measured, refused
+from labdata.measurement import make_measurement, make_refusal
 
 QUICK = Context(quick=True)
 
 
 def number(value, low, high, **fields):
-    return measured("mtf50", "cy/px", value, (low, high), (low, high), method="fake", **fields)
+    return make_measurement("mtf50", "cy/px", value, (low, high), (low, high), method="fake", **fields)
 
 
 def test_the_further_end_of_the_interval_is_what_counts():
@@ -23,7 +23,7 @@ def test_the_further_end_of_the_interval_is_what_counts():
     found = number(0.2, 0.197, 0.206)
     assert beyond_note(found, 3.01) is None
     assert beyond_note(found, 2.0) == ("95 % interval reaches 3 % from the value, more than --within 2 %.")
-    assert beyond_note(refused("mtf50", "cy/px", "nothing to see", method="fake"), 2.0) is None
+    assert beyond_note(make_refusal("mtf50", "cy/px", "nothing to see", method="fake"), 2.0) is None
 
 
 def test_a_method_meets_a_tolerance_by_the_upper_limit_of_its_errors_where_the_chart_has_one():
@@ -42,7 +42,7 @@ def test_a_method_meets_a_tolerance_by_the_upper_limit_of_its_errors_where_the_c
 )
 def test_only_numbers_that_auto_was_to_measure_better_are_told(kind, scene, target, quantity, seed, monkeypatch):
     """Asked for half and for twice as much as the interval reaches; a method that was named was asked for nothing."""
-    rows = [{"method": name, "error_percent": 0.0, "seconds": 1.0} for name in registry.of_kind(kind)]
+    rows = [{"method": name, "error_percent": 0.0, "seconds": 1.0} for name in registry.methods_of_kind(kind)]
     monkeypatch.setattr(registry, "chart_table", lambda _: rows)
     stack = scene.frames_drawn(np.random.default_rng(seed))
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from charact.mtf.point.quiet import HIDDEN_SD, quiet_sd
+from charact.mtf.point.dark_noise_from_histogram import HIDDEN_SD, dark_sd_from_histogram
 from charact.mtf.rounding import PLACES, rounding_shifts
 
 
@@ -41,7 +41,7 @@ def test_the_noise_of_quiet_pixels_is_told_beside_pulses_of_light(sd: float, pla
     rng = np.random.default_rng(seed)
     values = 12.0 + place + sd * rng.standard_normal(60_000)
     values += np.where(rng.random(values.size) < 0.05, rng.gamma(2.0, 1.5, values.size), 0.0)
-    found = quiet_sd(np.rint(values).astype(np.uint8))
+    found = dark_sd_from_histogram(np.rint(values).astype(np.uint8))
     assert found == pytest.approx(sd, rel=0.08)
     assert abs(float(np.rint(values).std()) / sd - 1.0) > 0.01
 
@@ -49,4 +49,4 @@ def test_the_noise_of_quiet_pixels_is_told_beside_pulses_of_light(sd: float, pla
 def test_noise_that_rounding_hides_is_taken_for_little() -> None:
     codes = np.full(10_000, 12, np.uint8)
     codes[:500] = 15
-    assert quiet_sd(codes) == HIDDEN_SD
+    assert dark_sd_from_histogram(codes) == HIDDEN_SD

@@ -243,6 +243,6 @@ def test_stacks_that_take_no_part_are_named(pulses, series, in_memory, seed):
 
 
 def test_the_covariance_sum_is_the_method_taken_where_nothing_else_is_known():
-    from charact.method.registry import of_kind
+    from charact.method.registry import methods_of_kind
 
-    assert next(iter(of_kind("flats"))) == "covariance-sum"
+    assert next(iter(methods_of_kind("flats"))) == "covariance-sum"

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from charact.method import Context
-from charact.noise.events.events import measure_events, pulses_of_darks
+from charact.noise.events.characteristic_function_covariance import blend_covariances
+from charact.noise.events.event_distribution import PulseDecay, PulsePopulation, height_transform
+from charact.noise.events.event_measurements import measure_events, pulses_of_darks
 from charact.noise.events.filters import Filter, boxes
-from charact.noise.events.law import Glow, Pulses, height_transform
-from charact.noise.events.scatter import blended
 from charact.noise.gain.series import read_levels
 from charact.study.flats.dark_events import DarkScene
 from labdata.conditions import Conditions
@@ -32,7 +32,7 @@ def one(result, quantity: str, unit: str | None = None) -> Any:
 
 def test_a_pixel_of_rare_pulses_has_the_moments_of_campbells_theorem():
     """Variance and third cumulant are rate <h^2> sum of squares and rate <h^3> sum of cubes of a spot's places."""
-    pulses = Pulses(density=0.02, height_dn=50.0, relative_variance=0.5, noise_dn2=0.0, line_1=0.0, line_2=0.0,
+    pulses = PulsePopulation(density=0.02, height_dn=50.0, relative_variance=0.5, noise_dn2=0.0, line_1=0.0, line_2=0.0,
                     column_px=0.8, row_px=0.8, wings=0.0, exponent=1.3)  # fmt: skip
     pixel = Filter(high=1, broad=1, exposures=10**9)
     t = 1e-4
@@ -69,7 +69,7 @@ def test_filters_see_neither_levels_nor_lines_nor_slopes():
 
 
 def test_glow_hands_all_light_on_and_none_twice():
-    light, chance = Glow(share=0.6, slow_exposures=1.5, fast_exposures=0.1).by_exposure()
+    light, chance = PulseDecay(share=0.6, slow_exposures=1.5, fast_exposures=0.1).by_exposure()
     np.testing.assert_allclose(light.sum(axis=1), 1.0, atol=0.002)
     # A steady light that goes out leaves the glow of one exposure in the next: the shares of all later ones.
     later = 0.6 * 1.5 * (1 - np.exp(-1 / 1.5)) + 0.4 * 0.1 * (1 - np.exp(-1 / 0.1))
@@ -165,7 +165,7 @@ def test_scatter_counted_and_computed_alike_blends_to_itself(seed):
     root = np.random.default_rng(seed).standard_normal((6, 6))
     both = root @ root.T + 6.0 * np.eye(6)
     unit = np.sqrt(np.diag(both))
-    assert np.linalg.eigvalsh(blended(both, both) / np.outer(unit, unit)).min() > 0.0
+    assert np.linalg.eigvalsh(blend_covariances(both, both) / np.outer(unit, unit)).min() > 0.0
 
 
 def test_darks_are_asked_where_an_intensifier_is_known_of_and_at_the_gain_of_the_flats(seed):

@@ -9,9 +9,9 @@ import pytest
 from benchmarks.studies.gain_sweeps import SweepScene, covered
 from charact import noise
 from charact.method import Context
-from charact.noise.sweep.knob import KNOBS
+from charact.noise.sweep.gain_control import KNOBS
 from charact.noise.sweep.settings import Sweep
-from charact.noise.sweep.sweep import of_sweep
+from charact.noise.sweep.sweep import measure_sweep
 from labdata.conditions import Conditions
 
 QUICK = Context(seed=1, quick=True)
@@ -62,7 +62,7 @@ def measured(session) -> Any:
 
 
 def told_by(sweep: Sweep, context: Context = QUICK) -> Any:
-    return of_sweep(sweep, context=context)
+    return measure_sweep(sweep, context=context)
 
 
 def true_knee_dn() -> float:

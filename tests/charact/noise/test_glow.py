@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from charact.method import Context
-from charact.noise.gain.glow import unseen
-from charact.noise.gain.one_gain import one_gain
+from charact.noise.gain.image_lag_tail import untruncated_lag_sum
+from charact.noise.gain.pooled_noise import lag_of
 from charact.noise.gain.series import read_levels, series_of
-from charact.noise.gain.summary import lag_of
+from charact.noise.gain.single_setting import fit_single_setting
 from charact.noise.stack.spectrum import bins_of
-from charact.noise.stack.temporal import autocovariance, centring, errors_together, usable_lags
+from charact.noise.stack.temporal import autocovariance, centring, error_correlation, usable_lags
 
 
 def order(frames: int, fields: int):
@@ -38,7 +38,9 @@ def test_what_few_frames_hide_of_an_even_decay_is_put_back(frames, fields, kept)
     project = centring(parity)
     measured = autocovariance(project @ screen(time, 0.28, kept) @ project, time, parity, lags)
     correlation = measured[1:] / measured[0]
-    lacking, _ = unseen([level(time, parity, lags)], np.ones(1), lags, correlation, 1e-6 * np.eye(len(lags) - 1))
+    lacking, _ = untruncated_lag_sum(
+        [level(time, parity, lags)], np.ones(1), lags, correlation, 1e-6 * np.eye(len(lags) - 1)
+    )
     whole = (1.0 + 2.0 * 0.28 / (1.0 - kept)) / measured[0]
     assert 1.0 + 2.0 * correlation.sum() + lacking == pytest.approx(whole, rel=0.005)
 
@@ -50,7 +52,7 @@ def test_errors_at_all_lags_go_together_as_their_scatter(frames, fields, seed):
     time, parity, lags = order(frames, fields)
     modes = rng.standard_normal((drawings, len(time))) @ centring(parity)
     found = autocovariance(modes[:, :, None] * modes[:, None, :], time, parity, lags)
-    told, scatter = errors_together(time, parity, lags), np.corrcoef(found.T)
+    told, scatter = error_correlation(time, parity, lags), np.corrcoef(found.T)
     # Products of normal modes have heavy tails: their correlation is known up to twice as badly as that of normals.
     np.testing.assert_allclose(scatter, told, atol=5.0 * 2.0 / np.sqrt(drawings))
     assert told[0, 2] > 0.2
@@ -60,11 +62,11 @@ def test_chance_that_all_lags_share_is_put_back_as_glow_only_where_likelier_than
     """Twelve exposures: the same 3.5 errors at every lag, were each lag's error its own, and as they go together."""
     time, parity, lags = order(12, 1)
     sd, chance = 0.01, np.full(len(lags) - 1, 0.025)
-    together = sd**2 * errors_together(time, parity, lags)[1:, 1:]
+    together = sd**2 * error_correlation(time, parity, lags)[1:, 1:]
     levels = [level(time, parity, lags)]
-    own, _ = unseen(levels, np.ones(1), lags, chance, sd**2 * np.eye(len(chance)))
-    shared, _ = unseen(levels, np.ones(1), lags, chance, together)
-    none, _ = unseen(levels, np.ones(1), lags, 0.4 * chance, together)
+    own, _ = untruncated_lag_sum(levels, np.ones(1), lags, chance, sd**2 * np.eye(len(chance)))
+    shared, _ = untruncated_lag_sum(levels, np.ones(1), lags, chance, together)
+    none, _ = untruncated_lag_sum(levels, np.ones(1), lags, 0.4 * chance, together)
     assert shared < 0.5 * own
     assert abs(none) < 0.1
 
@@ -108,5 +110,5 @@ def test_covariance_that_rises_with_the_signal_is_no_tiring_plate(pulses, series
     camera = pulses(gain_dn=20.0, transfer=lambda f: np.exp(-2.0 * (np.pi * f * 0.7) ** 2), bend_per_dn=bend_per_dn)
     session = series(camera, np.random.default_rng(seed), (8.0, 20.0, 40.0, 80.0), frames=8)
     darks, flats, _ = read_levels(session, context=Context(), spectra=True)
-    one = one_gain(series_of(flats, darks), context=Context(), quick=True)
+    one = fit_single_setting(series_of(flats, darks), context=Context(), quick=True)
     assert any(flag == "nonlinear" for flag, _ in one.departures()) is seen

@@ -10,12 +10,12 @@ from scipy.special import ndtr
 from charact import noise
 from charact.method import Context
 from charact.noise.gain.series import read_levels
-from charact.noise.light.area import SIDE_PX
-from charact.noise.light.minimum import Scope, minimum
-from charact.noise.light.model import Levels, noise_law
-from charact.noise.light.rounding import rounding_sd, unrounded
-from charact.noise.light.snr import snr_against_light
-from charact.noise.light.stated import Light, response_draws
+from charact.noise.snr.area import SIDE_PX
+from charact.noise.snr.minimum_illumination import Scope, minimum_illumination
+from charact.noise.snr.noise_law import SignalNoiseSeries, noise_law
+from charact.noise.snr.rounding import rounding_sd, unrounded_variance_range
+from charact.noise.snr.snr_against_light import snr_against_light
+from charact.noise.snr.stated_illumination import StatedIllumination, response_draws
 from labdata.conditions import Conditions
 from labdata.measurement import Measurement
 
@@ -129,13 +129,13 @@ def exact_case(rng: np.random.Generator):
     amount = signal / response * np.exp(scatter * rng.standard_normal(len(signal)) - meter * rng.standard_normal())
     variance = read + shot * signal + bend * signal**2
     signal_sd = 0.003 * signal
-    levels = Levels(
+    levels = SignalNoiseSeries(
         signal_dn=signal + signal_sd * rng.standard_normal(len(signal)), signal_sd_dn=signal_sd,
         variance_dn2=variance * (1.0 + sd * rng.standard_normal(len(signal))), variance_sd_dn2=sd * variance,
         dark=np.zeros(len(signal), int), dark_variance_dn2=read * (1.0 + 0.005 * rng.standard_normal(1)),
         dark_variance_sd_dn2=np.array([0.005 * read]), fitted=np.ones(len(signal), bool),
     )  # fmt: skip
-    light = Light(amount=amount, unit="lux", seconds=None, relative_sd=meter, stated=True)
+    light = StatedIllumination(amount=amount, unit="lux", seconds=None, relative_sd=meter, stated=True)
     return levels, light, least / response
 
 
@@ -150,7 +150,7 @@ def test_the_minimum_illumination_lies_in_its_interval_as_often_as_promised(seed
             light.amount, levels.signal_dn, levels.signal_sd_dn, np.random.default_rng([case, seed]), 2000
         )
         scope = Scope(suffix="", sentence="", levels=levels, law=law)
-        found = minimum(scope, light, draws, [], seed=case, method="")
+        found = minimum_illumination(scope, light, draws, [], seed=case, method="")
         low, high = found.interval95
         inside += low < truth < high
     # 95 % of 200 with four standard errors.
@@ -159,7 +159,7 @@ def test_the_minimum_illumination_lies_in_its_interval_as_often_as_promised(seed
 
 def test_the_law_has_slopes_one_one_half_and_none():
     flat = np.ones(3)
-    levels = Levels(
+    levels = SignalNoiseSeries(
         signal_dn=np.array([1.0, 1e3, 1e6]), signal_sd_dn=1e-6 * flat, variance_dn2=100.0 + np.array([1.0, 1e3, 1e6]),
         variance_sd_dn2=1e-3 * flat, dark=np.zeros(3, int), dark_variance_dn2=np.array([100.0]),
         dark_variance_sd_dn2=np.array([1e-3]), fitted=flat.astype(bool), pattern=1e-4, pattern_sd=1e-7,
@@ -199,7 +199,7 @@ def test_noise_finer_than_the_steps_leaves_the_truth_in_the_interval(pulses, in_
 
 def test_one_level_leaves_a_tenth_of_shot_noise_open_for_what_bends_it():
     one = np.ones(1)
-    levels = Levels(
+    levels = SignalNoiseSeries(
         signal_dn=100.0 * one, signal_sd_dn=1e-3 * one, variance_dn2=210.0 * one, variance_sd_dn2=1e-3 * one,
         dark=np.zeros(1, int), dark_variance_dn2=10.0 * one, dark_variance_sd_dn2=1e-3 * one, fitted=one.astype(bool),
     )  # fmt: skip
@@ -326,7 +326,7 @@ def test_noise_before_rounding_lies_within_what_its_codes_leave_open(sd_dn, seed
     rng, draws = np.random.default_rng(seed), 400_000
     for place in (0.0, 0.1, 0.25, 0.4, 0.5):
         codes = np.rint(60.0 + place + sd_dn * rng.standard_normal(draws))
-        low, high = unrounded(float(codes.var()))
+        low, high = unrounded_variance_range(float(codes.var()))
         chance = 0.01 * sd_dn**2 + 4.0 / np.sqrt(draws)
         assert low - chance < sd_dn**2 < high + chance
         if place == 0.5 and sd_dn > 0.3:

@@ -7,10 +7,10 @@ from dataclasses import fields, is_dataclass, replace
 import numpy as np
 import pytest
 
-from charact.measuring import context_of
-from charact.method.cluster import spread_over
+from charact.method.cluster import parallel_map
 from charact.noise.gain.series import read_levels
-from charact.noise.stack import parts
+from charact.noise.stack import parallel_reading
+from charact.session_measurement import method_context
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.session import open_session
@@ -57,7 +57,7 @@ def same(one, two) -> bool:
 
 def levels(session, **more):
     darks, flats, single = read_levels(
-        session, context=context_of(session, quick=True, seed=1, **more), spectra=True, cubes=True
+        session, context=method_context(session, quick=True, seed=1, **more), spectra=True, cubes=True
     )
     assert not single
     return darks + flats
@@ -65,29 +65,31 @@ def levels(session, **more):
 
 def test_a_stack_larger_than_memory_has_the_statistics_of_one_that_is_not(session, monkeypatch):
     whole = levels(session)
-    monkeypatch.setattr(parts, "WHOLE_BYTES", 0)
+    monkeypatch.setattr(parallel_reading, "WHOLE_BYTES", 0)
     assert same(levels(session), whole)
 
 
 def test_two_workers_of_a_cluster_give_the_same_bytes(session, monkeypatch):
     distributed = pytest.importorskip("distributed", reason="Dask is not installed: pip install 'charact[dask]'")
     here = levels(session)
-    monkeypatch.setattr(parts, "WHOLE_BYTES", 2**19)
+    monkeypatch.setattr(parallel_reading, "WHOLE_BYTES", 2**19)
     with (
         distributed.LocalCluster(
             n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None, silence_logs=50
         ) as cluster,
-        spread_over(cluster.scheduler_address) as spread,
+        parallel_map(cluster.scheduler_address) as spread,
     ):
         assert same(levels(session, spread=spread), here)
         broken = replace(session.stacks[0], frames="frames/none")
         with pytest.raises(BadInput):
-            list(spread(parts.found_of, [replace(_part(session), entry=broken)]))
+            list(spread(parallel_reading.part_statistics, [replace(_part(session), entry=broken)]))
 
 
 def _part(session):
-    context = context_of(session, quick=True, seed=1)
-    return parts.Part(entry=session.stacks[0], runs=((0, 2),), cube=False, spectra=False, context=context, whole=False)
+    context = method_context(session, quick=True, seed=1)
+    return parallel_reading.Part(
+        entry=session.stacks[0], runs=((0, 2),), cube=False, spectra=False, context=context, whole=False
+    )
 
 
 def test_a_frame_that_is_not_what_was_acknowledged_is_refused_part_by_part_too(session, tmp_path, monkeypatch):
@@ -95,7 +97,7 @@ def test_a_frame_that_is_not_what_was_acknowledged_is_refused_part_by_part_too(s
     shutil.copytree(session.folder, copy)
     (chunk,) = (path for path in copy.rglob("c.35.0.0") if "dark" in path.parent.name)
     chunk.write_bytes(chunk.read_bytes()[:-1] + b"x")
-    monkeypatch.setattr(parts, "WHOLE_BYTES", 0)
+    monkeypatch.setattr(parallel_reading, "WHOLE_BYTES", 0)
     with pytest.raises(BadInput, match="frame 35"):
         levels(open_session(copy))
 
@@ -105,18 +107,18 @@ def test_what_is_no_address_of_a_scheduler_ends_in_one_sentence_before_there_is_
     distributed = pytest.importorskip("distributed")
     monkeypatch.setattr(distributed, "Client", lambda *_, **__: pytest.fail("a client was made"))
     for address in ("nowhere", "", "tcp://127.0.0.1:99999", "tcp://127.0.0.1:9"):
-        with pytest.raises(BadInput, match="running Dask scheduler"), spread_over(address):
+        with pytest.raises(BadInput, match="running Dask scheduler"), parallel_map(address):
             pass
 
 
 def test_a_scheduler_that_does_not_answer_ends_in_one_sentence(monkeypatch):
     pytest.importorskip("distributed", reason="Dask is not installed: pip install 'charact[dask]'")
     monkeypatch.setattr("charact.method.cluster.CONNECT_S", 0.5)
-    with pytest.raises(BadInput, match="running Dask scheduler"), spread_over("tcp://127.0.0.1:9"):
+    with pytest.raises(BadInput, match="running Dask scheduler"), parallel_map("tcp://127.0.0.1:9"):
         pass
 
 
 def test_without_dask_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(BadInput, match=r"charact\[dask\]"), spread_over("tcp://127.0.0.1:9"):
+    with pytest.raises(BadInput, match=r"charact\[dask\]"), parallel_map("tcp://127.0.0.1:9"):
         pass

@@ -5,8 +5,8 @@ import pytest
 
 from charact import noise
 from charact.method import Context
-from charact.noise.stack.fields import order_of
-from charact.noise.stack.pattern import fixed_pattern
+from charact.noise.stack.exposure_order import order_of
+from charact.noise.stack.pattern import measure_fixed_pattern
 from charact.noise.stack.pixels import pixel_sums
 from charact.noise.stack.spectrum import NO_BINS
 
@@ -15,7 +15,7 @@ QUICK = Context(seed=1, quick=True)
 
 def pattern_of(image):
     order = order_of(np.arange(len(image)), interlaced=False)
-    return fixed_pattern(order, pixel_sums(image, order, NO_BINS), 1)
+    return measure_fixed_pattern(order, pixel_sums(image, order, NO_BINS), 1)
 
 
 def kept(rng, share, count, shape=(96, 128)):

@@ -9,11 +9,11 @@ from scipy.ndimage import gaussian_filter
 
 from charact import noise
 from charact.method import Context
-from charact.noise.gain import standard
-from charact.noise.gain.one_gain import one_gain
+from charact.noise.gain import emva1288
 from charact.noise.gain.series import read_levels, series_of
+from charact.noise.gain.single_setting import fit_single_setting
 from charact.noise.predictive import check
-from charact.noise.predictive.light import LightNoise
+from charact.noise.predictive.predictive_frames import LightNoise
 from labdata.frames import FrameStack
 
 CONTEXT = Context(seed=1, quick=True)
@@ -28,9 +28,9 @@ def gauss(frequency):
 def told(session):
     """Signs of a session beside those drawn from what is fitted to it."""
     darks, flats, single = read_levels(session, context=CONTEXT, spectra=True)
-    one = one_gain(series_of(flats, darks, single), context=CONTEXT, quick=True)
-    gain = standard.gain_line(one.series, context=CONTEXT).slope if one.white else None
-    return check.predictive(session.stacks, one, gain, context=CONTEXT)
+    one = fit_single_setting(series_of(flats, darks, single), context=CONTEXT, quick=True)
+    gain = emva1288.gain_line(one.series, context=CONTEXT).slope if one.white else None
+    return check.predictive_residuals(session.stacks, one, gain, context=CONTEXT)
 
 
 def changed(session, in_memory, change):
@@ -90,17 +90,19 @@ def test_what_the_model_has_not_is_found_by_its_own_sign(pulses, series, in_memo
 
 def test_chances_are_no_smaller_than_they_say(seed, monkeypatch):
     """Frames drawn from the very law: of each sign no more are odd than chance has it, with nothing held harmless."""
-    monkeypatch.setattr(check, "SIGNS", {n: replace(sign, harmless=0.0) for n, sign in check.SIGNS.items()})
+    monkeypatch.setattr(check, "STATISTICS", {n: replace(sign, harmless=0.0) for n, sign in check.STATISTICS.items()})
     rng, sets, odd = np.random.default_rng(seed), 80, 0.1
     law = LightNoise(pulse_dn=20.0, height_variance=1.0, electron_gain_dn=0.1)
     light, dark = np.full((40, 40), 80.0), 2.0 * rng.standard_normal((6, 40, 40))
     seen: Counter[str] = Counter()
     for _ in range(sets):
         frames = law.frames(light, 4, 1, rng) + 2.0 * rng.standard_normal((4, 40, 40))
-        seen.update(one.sign for one in check._told("flat", frames, dark, lambda: law, 1, rng) if one.chance < odd)
+        seen.update(
+            one.sign for one in check._stack_residuals("flat", frames, dark, lambda: law, 1, rng) if one.chance < odd
+        )
     most = sets * odd + 4.5 * np.sqrt(sets * odd * (1.0 - odd))
     assert max(seen.values()) <= most, seen
-    assert sum(seen.values()) >= 0.3 * odd * sets * len(check.SIGNS)
+    assert sum(seen.values()) >= 0.3 * odd * sets * len(check.STATISTICS)
 
 
 def test_a_number_that_is_not_quick_carries_what_its_frames_say(pulses, series, in_memory, seed):

@@ -7,14 +7,14 @@ import pytest
 
 from charact import noise
 from charact.method import Context
-from charact.noise.gain.one_gain import one_gain
 from charact.noise.gain.series import read_levels, series_of
-from charact.noise.light.calibrated import luminous_sensitivity_ua_per_lm, photoelectrons_per_photon
-from charact.noise.light.separation import posterior_of, separated
-from charact.noise.light.separation_pulses import with_pulses
-from charact.noise.light.tube_snr import specified_snr
+from charact.noise.gain.single_setting import fit_single_setting
+from charact.noise.snr.cathode_radiometry import luminous_sensitivity_ua_per_lm, photoelectrons_per_photon
+from charact.noise.snr.gain_separation import posterior_of, separate_gains
+from charact.noise.snr.gain_separation_events import add_event_gains
+from charact.noise.snr.tube_snr import snr_from_specification
 from labdata.conditions import Conditions
-from labdata.measurement import Result, from_draws
+from labdata.measurement import Result, measurement_from_draws
 from labdata.sensors import load_sensor
 
 ELECTRON_C = 1.602176634e-19
@@ -54,8 +54,8 @@ def parted(session, **told) -> Result:
     context = Context(seed=1, quick=True, **told)
     darks, lit, _ = read_levels(session, context=context, spectra=True)
     series = series_of(lit, darks)
-    posterior = one_gain(series, context=context, quick=True).posterior
-    return Result(measurements=tuple(separated(series, posterior, context=context, flags=(), covariance_flags=(),
+    posterior = fit_single_setting(series, context=context, quick=True).posterior
+    return Result(measurements=tuple(separate_gains(series, posterior, context=context, flags=(), covariance_flags=(),
                                                method="covariance-sum")))  # fmt: skip
 
 
@@ -71,8 +71,8 @@ def errors(measurement, truth) -> float:
 
 def test_the_specified_ratio_of_a_tube():
     """Physics reference, 8: 21.0 at S 1350 and noise factor 1.8; 24.3 at 1800."""
-    assert specified_snr(1350.0, 1.8**2) == pytest.approx(21.0, abs=0.05)
-    assert specified_snr(1800.0, 1.8**2) == pytest.approx(24.3, abs=0.05)
+    assert snr_from_specification(1350.0, 1.8**2) == pytest.approx(21.0, abs=0.05)
+    assert snr_from_specification(1800.0, 1.8**2) == pytest.approx(24.3, abs=0.05)
 
 
 def test_the_luminous_sensitivity_of_a_table_of_efficiencies():
@@ -140,7 +140,7 @@ def test_a_white_floor_under_wide_blur_is_k(pulses, in_memory, seed, sigma_px, e
     assert abs(errors(gain, 40.0)) < 4.5, gain
     context = Context(seed=1, quick=True)
     darks, lit, _ = read_levels(session, context=context, spectra=True)
-    whole = one_gain(series_of(lit, darks), context=context, quick=True).posterior["covariance_gain"]
+    whole = fit_single_setting(series_of(lit, darks), context=context, quick=True).posterior["covariance_gain"]
     assert np.median(whole) - gain.value == pytest.approx(floor.value, rel=0.1)
     for quantity in ("photoelectron_gain", "excess_noise_factor", "tube_snr"):
         assert one(result, quantity).status == "refused"
@@ -165,15 +165,15 @@ def found(rng, flux: bool, heights_off: float = 1.0, flux_sd: float = 0.04) -> R
     def spread(value, sd):
         return value * np.exp(sd * rng.standard_normal(4000))
 
-    out = [from_draws("pulse_gain", "DN", (draws := spread(12.0 * 2.0 / 0.6, 0.02)), method="covariance-sum",
+    out = [measurement_from_draws("pulse_gain", "DN", (draws := spread(12.0 * 2.0 / 0.6, 0.02)), method="covariance-sum",
                       posterior=posterior_of("pulse_gain", "DN", draws, 1))]  # fmt: skip
     heights = spread(heights_off * 12.0 / 0.6, 0.03)
-    out.append(from_draws("detected_photoelectron_gain", "DN", heights, method="pulse-law", stack="dark",
+    out.append(measurement_from_draws("detected_photoelectron_gain", "DN", heights, method="pulse-law", stack="dark",
                           posterior=posterior_of("height_dn", "DN", heights, 1)))  # fmt: skip
-    out.append(from_draws("photoelectron_gain", "DN/pe", 0.8 * heights, method="pulse-law", stack="dark"))
+    out.append(measurement_from_draws("photoelectron_gain", "DN/pe", 0.8 * heights, method="pulse-law", stack="dark"))
     if flux:
         gain = spread(12.0, flux_sd)
-        out.append(from_draws("photoelectron_gain", "DN/pe", gain, method="covariance-sum",
+        out.append(measurement_from_draws("photoelectron_gain", "DN/pe", gain, method="covariance-sum",
                               posterior=posterior_of("photoelectron_gain", "DN/pe", gain, 1)))  # fmt: skip
     return Result(measurements=tuple(out))
 
@@ -187,7 +187,7 @@ def dark_and_flat(pulses, in_memory):
 
 @pytest.mark.parametrize("flux", [False, True])
 def test_single_photoelectrons_part_k_from_f2_with_the_share_that_they_start(seed, dark_and_flat, flux):
-    result = with_pulses(found(np.random.default_rng(seed), flux), dark_and_flat, context=Context(seed=2))
+    result = add_event_gains(found(np.random.default_rng(seed), flux), dark_and_flat, context=Context(seed=2))
     heights, gain, factor = (one(result, name) for name in
                              ("pulse_height_factor", "photoelectron_gain", "excess_noise_factor"))  # fmt: skip
     assert heights.value == pytest.approx(2.0, rel=0.01)
@@ -204,7 +204,7 @@ def test_the_tubes_share_narrows_a_poor_light_and_the_other_way_round(seed, dark
     """p is known to some 8 % from the sheet and k to 20 % from the light."""
     sensor = load_sensor("pulnix-ag5745ef3")
     context = Context(seed=2, sensor=sensor)
-    result = with_pulses(found(np.random.default_rng(seed), True, flux_sd=0.2), dark_and_flat, context=context)
+    result = add_event_gains(found(np.random.default_rng(seed), True, flux_sd=0.2), dark_and_flat, context=context)
     gain = one(result, "photoelectron_gain")
     assert gain.interval95[0] < 12.0 < gain.interval95[1]
     assert 0.5 * (gain.interval68[1] - gain.interval68[0]) / gain.value < 0.12
@@ -212,7 +212,7 @@ def test_the_tubes_share_narrows_a_poor_light_and_the_other_way_round(seed, dark
 
 def test_light_and_pulses_that_contradict_each_other_say_so(seed, dark_and_flat):
     """Heights of half the truth leave p above one."""
-    result = with_pulses(found(np.random.default_rng(seed), True, 0.5), dark_and_flat, context=Context(seed=2))
+    result = add_event_gains(found(np.random.default_rng(seed), True, 0.5), dark_and_flat, context=Context(seed=2))
     assert "model-misfit" in one(result, "photoelectron_gain").flags
 
 
@@ -220,9 +220,9 @@ def test_pulses_of_another_gain_or_none_change_nothing(seed, dark_and_flat):
     given = found(np.random.default_rng(seed), True)
     dark, flat = dark_and_flat.stacks
     other = replace(dark_and_flat, stacks=(replace(dark, conditions=Conditions(mcp_v=700.0)), flat))
-    assert with_pulses(given, other, context=Context()) is given
+    assert add_event_gains(given, other, context=Context()) is given
     without = replace(given, measurements=given.measurements[:1])
-    assert with_pulses(without, dark_and_flat, context=Context()) is without
+    assert add_event_gains(without, dark_and_flat, context=Context()) is without
 
 
 def test_what_flats_cannot_tell_apart_is_refused_by_charact_noise(pulses, in_memory, seed):

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from charact.noise.gain.model import leaked, spectrum_at
-from charact.noise.gain.reading import Reading
-from charact.noise.stack.fields import exposures, fluctuations, order_of
+from charact.noise.gain.model import leakage_ratio, spectrum_at
+from charact.noise.gain.pixel_readout_model import PixelReadoutModel
+from charact.noise.stack.exposure_order import exposures, fluctuations, order_of
 from charact.noise.stack.pixels import pixel_sums
 from charact.noise.stack.spectrum import bins_of, cross_spectra
 from labdata.frames import FrameStack
@@ -49,10 +49,12 @@ def test_faded_sides_mix_frequencies_as_much_as_their_variance_says(seed):
     of_bins = np.bincount(bins.select[bins.select >= 0], (transfer**2)[bins.select >= 0]) / bins.modes
     fall = 4.0 * (2.0 * np.pi * 0.1) ** 2
     point = np.array([[1.0, fall, fall, 0.0, 1.3, 0.0, 0.0, 1.0]])
-    assert spectrum_at(point, np.array([0.1]), np.array([0.0]), Reading())[0, 0] == pytest.approx(
+    assert spectrum_at(point, np.array([0.1]), np.array([0.0]), PixelReadoutModel())[0, 0] == pytest.approx(
         np.exp(-fall), rel=2e-4
     )
-    expected = leaked(point, bins.column_cy_per_px, bins.row_cy_per_px, Reading(), bins.leak_cy2_per_px2)
+    expected = leakage_ratio(
+        point, bins.column_cy_per_px, bins.row_cy_per_px, PixelReadoutModel(), bins.leak_cy2_per_px2
+    )
     radius = np.hypot(bins.column_cy_per_px, bins.row_cy_per_px)
     for near, far in ((0.0, 0.06), (0.14, 0.18)):
         chosen = (radius >= near) & (radius < far)

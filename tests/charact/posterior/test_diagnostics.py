@@ -44,7 +44,7 @@ def test_second_peaks_are_seen_where_a_valley_parts_them(apart, seed):
 
 def test_walls_far_from_the_draws_are_not_leant_on():
     draws = np.random.default_rng(4).normal(10.0, 1.0, (1000, 1))
-    assert not diagnostics.leans_on_bound(draws, np.array([[0.0, 1e6]])).any()
-    assert diagnostics.leans_on_bound(np.abs(draws - 10.0), np.array([[0.0, 1e6]])).all()
+    assert not diagnostics.crowds_at_bound(draws, np.array([[0.0, 1e6]])).any()
+    assert diagnostics.crowds_at_bound(np.abs(draws - 10.0), np.array([[0.0, 1e6]])).all()
     uniform = np.random.default_rng(5).uniform(0, 1, (4000, 1))
-    assert not diagnostics.leans_on_bound(uniform, np.array([[0.0, 1.0]])).any()
+    assert not diagnostics.crowds_at_bound(uniform, np.array([[0.0, 1.0]])).any()

@@ -174,11 +174,11 @@ def test_one_stuck_walker_holds_up_the_verdict(born_in_the_needle, monkeypatch):
 
 def test_stuck_walkers_and_odd_acceptance_are_told_from_shares():
     healthy = np.full(64, 0.4)
-    assert diagnostics.moves_well(healthy, 0.4)
-    assert not diagnostics.moves_well(np.where(np.arange(64) == 7, 0.01, healthy), 0.4)
-    assert not diagnostics.moves_well(healthy / 5, 0.08)
-    assert not diagnostics.moves_well(healthy, 0.9)
-    assert not diagnostics.moves_well(np.zeros(64), 0.0)
+    assert diagnostics.mixes_well(healthy, 0.4)
+    assert not diagnostics.mixes_well(np.where(np.arange(64) == 7, 0.01, healthy), 0.4)
+    assert not diagnostics.mixes_well(healthy / 5, 0.08)
+    assert not diagnostics.mixes_well(healthy, 0.9)
+    assert not diagnostics.mixes_well(np.zeros(64), 0.0)
 
 
 # Acceptance.

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from charact.posterior import importance, weighed
+from charact.posterior import importance, importance_sample
 
 
 def drawn(log_probability, count, *, seed, bounds=None, draws=4000, **options):
-    return weighed(
+    return importance_sample(
         log_probability,
         names=tuple(f"p{index}" for index in range(count)),
         units=("1",) * count,
@@ -55,7 +55,7 @@ def test_draws_are_picked_as_often_as_they_weigh_but_for_one_and_in_random_order
     rng = np.random.default_rng(seed)
     weight = rng.exponential(size=300)
     weight /= weight.sum()
-    picked = importance._picked(np.random.default_rng(seed), weight, 1000)
+    picked = importance._pick_draws(np.random.default_rng(seed), weight, 1000)
     assert np.abs(np.bincount(picked, minlength=300) - 1000 * weight).max() < 1
     # A first part is like the whole: its mean place is the whole's, within four standard errors.
     assert picked[:200].mean() == pytest.approx(picked.mean(), abs=4 * picked.std() / np.sqrt(200))

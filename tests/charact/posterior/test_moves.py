@@ -6,8 +6,8 @@ import pytest
 
 from charact.posterior.ensembles import Ensembles
 from charact.posterior.moves import DifferentialEvolution, IndependentDraws
-from charact.posterior.open_space import OpenSpace
-from charact.posterior.scores import NormalScores
+from charact.posterior.normal_scores import NormalScores
+from charact.posterior.probit_transform import ProbitTransform
 
 SCALES = np.array([0.1, 1.0, 10.0])
 MEAN = np.array([1.0, -2.0, 30.0])
@@ -91,7 +91,7 @@ def test_scores_of_draws_are_normal_and_carry_a_point_there_and_back_with_their_
 
 def test_a_density_cut_at_walls_keeps_its_mass_in_the_space_without_them():
     """Uniform between the walls: standard normal there, and the slope is that of the map."""
-    space = OpenSpace(np.array([[-1.0, 3.0], [0.0, np.inf]]))
+    space = ProbitTransform(np.array([[-1.0, 3.0], [0.0, np.inf]]))
     z = np.stack([np.linspace(-4.0, 4.0, 801), np.full(801, 0.5)], axis=1)
     x = space.inside(z)
     assert np.allclose(space.outside(x), z, atol=1e-9)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom, chi2, norm
 
-from charact.posterior import maximum, predictive_check, predictive_probability, sample
+from charact.posterior import find_maximum, predictive_check, predictive_probability, sample
 from labdata.errors import BadInput
 
 PLACES = np.linspace(-1.0, 1.0, 60)
@@ -85,7 +85,7 @@ def test_a_saturated_bloom_fitted_as_data_converges_soundly_on_a_wrong_model(cen
 
     bounds = np.array([[10.0, 20000.0], [0.2, 20.0], [1.0, 200.0], [5.0, 38.0]])
     start = truth if censored else np.array([259.0, 4.3, 34.0, 24.7])
-    peak, covariance = maximum(log_probability, start, bounds)
+    peak, covariance = find_maximum(log_probability, start, bounds)
     posterior = sample(
         log_probability,
         names=("amplitude", "width", "halo", "radius"),
@@ -122,7 +122,7 @@ def test_an_edge_through_a_gamma_is_no_symmetric_edge(gamma, seed):
         return -0.5 * (((data - mean(points)) / 0.4) ** 2).sum(1)
 
     low, high = 200.0 * 0.02**gamma, 200.0
-    peak, covariance = maximum(log_probability, [low, high, 0.0, 1.1], [[-50, 150], [100, 300], [-4, 4], [0.3, 5]])
+    peak, covariance = find_maximum(log_probability, [low, high, 0.0, 1.1], [[-50, 150], [100, 300], [-4, 4], [0.3, 5]])
     draws = rng.multivariate_normal(peak, covariance, 500)
     check = predictive_check(data, mean(draws), np.full(300, 0.4), rng=rng)
     assert check.flags == (() if gamma == 1.0 else ("model-misfit",))

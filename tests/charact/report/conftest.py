@@ -6,10 +6,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from charact.study.flats.stacks import HeldStack
+from charact.study.flats.flat_cases import InMemoryStack
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
-from labdata.measurement import Curve, Posterior, Provenance, Result, from_draws, from_sd, refused
+from labdata.measurement import (
+    Curve,
+    Posterior,
+    Provenance,
+    Result,
+    make_refusal,
+    measurement_from_draws,
+    measurement_from_sd,
+)
 from labdata.session import Session
 from labdata.target import Target
 
@@ -20,9 +28,9 @@ NOTE = "Noise is correlated and was treated as such."
 DIGEST = "ab" * 32
 
 
-def held(label: str, kind, data: np.ndarray, **fields) -> HeldStack:
+def held(label: str, kind, data: np.ndarray, **fields) -> InMemoryStack:
     """A stack in memory."""
-    return HeldStack(label=label, kind=kind, frames="", folder=Path("."), held=FrameStack(data=data), **fields)
+    return InMemoryStack(label=label, kind=kind, frames="", folder=Path("."), held=FrameStack(data=data), **fields)
 
 
 def session(name: str = "day 1") -> Session:
@@ -65,14 +73,14 @@ def result() -> Result:
     distance = np.linspace(-10, 10, 120)
     return Result(
         measurements=(
-            from_draws(
+            measurement_from_draws(
                 "mtf50", "cy/px", behind["tube_frequency_cy_per_px"], method="edge-forward", posterior=behind,
                 provenance=made, seconds=1.2, stack="edge-1", region=(10, 20, 60, 80),
             ),
-            from_sd("mtf", "1", 0.55, 0.02, method="bars-forward", frequency_cy_per_px=0.15, orientation_deg=0.0),
-            from_sd("covariance_gain", "DN", 3.51, 0.03, method="covariance-sum", flags=("lag",), notes=(NOTE,)),
-            from_sd("ebi", "lm/cm2", 3.5e-11, 2e-12, method="covariance-sum"),
-            refused("halo_diameter", "px", REASON, method="halo-forward"),
+            measurement_from_sd("mtf", "1", 0.55, 0.02, method="bars-forward", frequency_cy_per_px=0.15, orientation_deg=0.0),
+            measurement_from_sd("covariance_gain", "DN", 3.51, 0.03, method="covariance-sum", flags=("lag",), notes=(NOTE,)),
+            measurement_from_sd("ebi", "lm/cm2", 3.5e-11, 2e-12, method="covariance-sum"),
+            make_refusal("halo_diameter", "px", REASON, method="halo-forward"),
         ),
         curves={"mtf:edge-1": Curve(frequency_cy_per_px=frequency, value=mtf, stack="edge-1", **bands)},
         evidence={

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from charact.report import blooms
-from charact.report.bloom_pictures import bloom_frames, bloom_map
+from charact.report.bloom_images import plot_bloom_frames, plot_bloom_map
 from charact.report.corner import varying
-from charact.report.evidence import figure_of
-from charact.report.extents import completed
-from charact.report.style import on_paper
-from charact.study.bloom.scene import BloomScene, session, truth
-from labdata.measurement import Posterior, Result, from_draws, from_sd
+from charact.report.extent_figure_data import add_extent_data
+from charact.report.figure_registry import figure_of
+from charact.report.style import white_style
+from charact.study.bloom.scene import BloomScene, bloom_session, truth
+from labdata.measurement import Posterior, Result, measurement_from_draws, measurement_from_sd
 
 SCENE = BloomScene(frames=2)
 OVERLOADS = (0.3, 30.0, 3000.0)
@@ -36,9 +36,9 @@ def series() -> dict:
 def result() -> Result:
     draws = np.tile([np.sqrt(1.3**2 - 1 / 12), 46.0, 0.3, 0.1], (20, 1))
     posterior = Posterior(names=NAMES, units=("px", "px", "1", "1"), draws=draws)
-    halo = from_draws("halo_diameter", "px", draws[:, 1], method="made", posterior=posterior)
+    halo = measurement_from_draws("halo_diameter", "px", draws[:, 1], method="made", posterior=posterior)
     bloom = [
-        from_sd("bloom_diameter", "px", value, 0.2, method="made", stack=label)
+        measurement_from_sd("bloom_diameter", "px", value, 0.2, method="made", stack=label)
         for label, value in (("point-1", 7.4), ("point-2", 48.0))
     ]
     return Result(measurements=(halo, *bloom), evidence={"bloom-series": series()})
@@ -46,13 +46,13 @@ def result() -> Result:
 
 @pytest.fixture(scope="module")
 def evidence(seed) -> dict:
-    return completed(session(SCENE, OVERLOADS, np.random.default_rng(seed)), result())
+    return add_extent_data(bloom_session(SCENE, OVERLOADS, np.random.default_rng(seed)), result())
 
 
 def test_measured_extents_and_their_intervals_are_drawn_with_the_halo(evidence):
     data = evidence["bloom-series"]
     assert data["measured"]["bloom_diameter"]["point-2"][0] == 48.0
-    axes = blooms.bloom_series(data).axes[0]
+    axes = blooms.plot_bloom_series(data).axes[0]
     drawn = [container for container in axes.containers if container.get_label() == "half of full scale"]
     assert drawn[0].lines[0].get_xydata()[1].tolist() == [3000.0, 48.0]
     assert any(line.get_label().startswith("halo, 46.0") for line in axes.lines)
@@ -72,7 +72,7 @@ def test_frames_show_source_bloom_and_halo_at_their_places(evidence):
     data = evidence["frames of the point series"]
     assert data["row"][0] == pytest.approx(SCENE.centre[0], abs=0.5)
     assert data["col"][0] == pytest.approx(SCENE.centre[1], abs=0.5)
-    axes = bloom_frames(data).axes[2]
+    axes = plot_bloom_frames(data).axes[2]
     assert [round(patch.width) for patch in axes.patches] == [46, 48]
     tint = axes.images[1].get_array()
     assert (tint[..., 3] > 0).sum() == pytest.approx(truth(SCENE, 3000.0)["saturated_area"], rel=0.1)
@@ -88,7 +88,7 @@ def test_residuals_are_drawn_in_standard_errors_of_the_rings_that_were_fitted():
         "used": [radius > 5],
         "model_dn": [np.full(30, 19.0)],
     }
-    upper, lower = blooms.point_profile(data).axes
+    upper, lower = blooms.plot_point_profile(data).axes
     assert lower.lines[0].get_ydata() == pytest.approx(np.full(25, 2.0))
     assert "standard errors" in lower.get_ylabel() and "px" in lower.get_xlabel() and "DN" in upper.get_ylabel()
 
@@ -98,8 +98,8 @@ def test_a_map_greys_what_is_unknown():
     fraction[:10] = np.nan
     data = {"signal_dn": np.ones((40, 50)), "fraction": fraction, "sd": 0.1 * fraction, "near_px": 3.0,
             "sources": [{"row": 5.0, "col": 6.0, "known": False}]}  # fmt: skip
-    with on_paper():
-        axes = bloom_map(data).axes
+    with white_style():
+        axes = plot_bloom_map(data).axes
     shown = axes[1].images[0].get_array()
     assert np.ma.getmaskarray(shown).sum() == 500
     assert axes[0].lines[0].get_marker() == "x"

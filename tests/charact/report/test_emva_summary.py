@@ -2,7 +2,7 @@
 
 from charact.report import fragment
 from charact.report.emva import NAMES, emva_summary
-from labdata.measurement import Result, from_sd, refused
+from labdata.measurement import Result, make_refusal, measurement_from_sd
 from labdata.quantity import QUANTITIES
 
 PLAIN = {"method": "variance"}
@@ -10,10 +10,10 @@ PLAIN = {"method": "variance"}
 
 def white(**more):
     return (
-        from_sd("system_gain", "DN/e-", 0.28, 0.001, **PLAIN, **more),
-        from_sd("quantum_efficiency", "%", 45.2, 0.3, **PLAIN),
-        from_sd("read_noise", "DN", 3.1, 0.01, **PLAIN),
-        refused("snr_max", "1", "no flat reaches saturation", **PLAIN),
+        measurement_from_sd("system_gain", "DN/e-", 0.28, 0.001, **PLAIN, **more),
+        measurement_from_sd("quantum_efficiency", "%", 45.2, 0.3, **PLAIN),
+        measurement_from_sd("read_noise", "DN", 3.1, 0.01, **PLAIN),
+        make_refusal("snr_max", "1", "no flat reaches saturation", **PLAIN),
     )
 
 
@@ -33,12 +33,12 @@ def test_figures_stand_under_the_standards_names_and_what_is_missing_is_named():
 
 def test_an_intensified_camera_gets_a_reason_and_no_figure():
     """Either method: the variance's gain with its flag, or only the covariance gain."""
-    gain = from_sd("covariance_gain", "DN", 40.0, 0.3, method="covariance-sum")
+    gain = measurement_from_sd("covariance_gain", "DN", 40.0, 0.3, method="covariance-sum")
     for measurements in (white(flags=("correlated-noise",)), (gain,)):
         found = emva_summary(Result(measurements=measurements))
         assert found is not None and not found.rows and "blur factor" in found.reason
 
 
 def test_without_a_gain_there_is_nothing_to_say():
-    assert emva_summary(Result(measurements=(refused("system_gain", "DN/e-", "no flats", **PLAIN),))) is None
+    assert emva_summary(Result(measurements=(make_refusal("system_gain", "DN/e-", "no flats", **PLAIN),))) is None
     assert "EMVA" not in fragment(Result(measurements=white()))

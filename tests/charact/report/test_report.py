@@ -8,18 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from charact.report import beside_truth, fragment, page, write
+from charact.report import compare_with_truth, fragment, page, write
 from charact.report.corner import corner_svg, varying
-from charact.report.evidence import DRAWN, figure_of
-from charact.report.numerals import plus_minus, rounded
-from charact.report.pictures import around_the_light, grey_limits, picture_of, representative
+from charact.report.figure_registry import FIGURES, figure_of
+from charact.report.number_format import plus_minus, round_to_spread
+from charact.report.report_images import around_the_light, grey_limits, picture_of, representative
 from charact.report.tables import quantity_groups
-from charact.study.flats.stacks import HeldStack
+from charact.study.flats.flat_cases import InMemoryStack
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.flags import FLAGS
 from labdata.frames import FrameStack
-from labdata.measurement import Posterior, Result, from_sd, measured
+from labdata.measurement import Posterior, Result, make_measurement, measurement_from_sd
 from labdata.quantity import QUANTITIES
 from labdata.session import Session
 
@@ -103,20 +103,22 @@ def test_truth_stands_beside_the_measured_with_z(html):
 
 
 def test_z_is_the_distance_in_standard_errors_of_the_side_the_truth_is_on():
-    lopsided = measured("mtf50", "cy/px", 0.20, None, (0.19, 0.24), method="m")
-    below, above = (beside_truth(Result(measurements=(lopsided,)), {"mtf50": truth})[0].z for truth in (0.18, 0.22))
+    lopsided = make_measurement("mtf50", "cy/px", 0.20, None, (0.19, 0.24), method="m")
+    below, above = (
+        compare_with_truth(Result(measurements=(lopsided,)), {"mtf50": truth})[0].z for truth in (0.18, 0.22)
+    )
     assert below == pytest.approx(0.02 / 0.01 * 1.96, rel=1e-3)
     assert above == pytest.approx(-0.02 / 0.04 * 1.96, rel=1e-3)
 
 
 def test_a_truth_of_the_mtf_is_asked_at_the_frequency_and_direction_measured():
-    bars = from_sd("mtf", "1", 0.5, 0.02, method="m", frequency_cy_per_px=0.15, orientation_deg=90.0)
-    found = beside_truth(Result(measurements=(bars,)), {"mtf": lambda f, angle: f + angle / 1000})
+    bars = measurement_from_sd("mtf", "1", 0.5, 0.02, method="m", frequency_cy_per_px=0.15, orientation_deg=90.0)
+    found = compare_with_truth(Result(measurements=(bars,)), {"mtf": lambda f, angle: f + angle / 1000})
     assert found[0].truth == pytest.approx(0.24)
 
 
 def test_refused_numbers_have_no_truth_beside_them(made):
-    assert beside_truth(made.result(), {"halo_diameter": 47.0}) == ()
+    assert compare_with_truth(made.result(), {"halo_diameter": 47.0}) == ()
 
 
 @pytest.mark.parametrize(
@@ -135,11 +137,11 @@ def test_refused_numbers_have_no_truth_beside_them(made):
     ],
 )
 def test_a_number_has_two_digits_of_its_uncertainty(value, spread, text):
-    assert rounded(value, spread) == text
+    assert round_to_spread(value, spread) == text
 
 
 def test_unequal_arms_are_both_given():
-    m = measured("mtf50", "cy/px", 0.2, (0.19, 0.22), (0.18, 0.25), method="m")
+    m = make_measurement("mtf50", "cy/px", 0.2, (0.19, 0.22), (0.18, 0.25), method="m")
     assert plus_minus(m) == "0.200 +0.050 −0.020"
 
 
@@ -160,7 +162,7 @@ def test_the_grey_scale_of_a_picture_is_stated_even_where_all_pixels_are_equal()
 
 def test_a_region_is_drawn_with_the_worst_verdict_of_its_numbers(made):
     region = (10, 20, 60, 80)
-    good = from_sd("mtf50", "cy/px", 0.2, 0.01, method="m", stack="edge-1", region=region)
+    good = measurement_from_sd("mtf50", "cy/px", 0.2, 0.01, method="m", stack="edge-1", region=region)
     written = page(made.session(), Result(measurements=(good, good.with_(flags=("low-signal",)))))
     assert "m: suspect" in written
     assert "m: ok" not in written
@@ -215,7 +217,9 @@ def test_the_picture_of_a_small_target_is_cut_around_it():
 
 
 def test_a_series_of_stacks_has_one_table_that_names_them():
-    series = tuple(from_sd("bloom_diameter", "px", 9.0, 1.0, method="threshold", stack=f"point-{n}") for n in range(6))
+    series = tuple(
+        measurement_from_sd("bloom_diameter", "px", 9.0, 1.0, method="threshold", stack=f"point-{n}") for n in range(6)
+    )
     groups = quantity_groups(Result(measurements=series))
     assert len(groups) == 1
     assert groups[0].title == "6 stacks · threshold"
@@ -224,8 +228,13 @@ def test_a_series_of_stacks_has_one_table_that_names_them():
 
 def test_what_is_noted_of_some_stacks_of_a_series_names_them():
     own = {"method": "three-dimensional"}
-    quiet = [from_sd("noise_t", "DN", 0.0, 1.0, stack=f"flat-{n}", notes=(f"at most {n} DN",), **own) for n in range(6)]
-    shaded = [from_sd("noise_v", "DN", 9.0, 1.0, stack=f"flat-{n}", notes=("shading",), **own) for n in range(6)]
+    quiet = [
+        measurement_from_sd("noise_t", "DN", 0.0, 1.0, stack=f"flat-{n}", notes=(f"at most {n} DN",), **own)
+        for n in range(6)
+    ]
+    shaded = [
+        measurement_from_sd("noise_v", "DN", 9.0, 1.0, stack=f"flat-{n}", notes=("shading",), **own) for n in range(6)
+    ]
     (group,) = quantity_groups(Result(measurements=(*quiet, *shaded)))
     assert dict(group.notes)["at most 3 DN"] == "noise_t of flat-3"
     assert dict(group.notes)["shading"] == "noise_v"
@@ -236,7 +245,7 @@ def test_what_is_noted_of_some_stacks_of_a_series_names_them():
 def test_the_picture_of_a_kind_is_of_its_most_exposed_stack():
     def chosen(*stacks: tuple[float, Conditions]) -> str:
         held_stacks = tuple(
-            HeldStack(
+            InMemoryStack(
                 label=str(number), kind="flat", frames="", folder=Path("."), conditions=conditions,
                 held=FrameStack(data=np.full((1, 4, 4), level)),
             )
@@ -348,7 +357,7 @@ def test_the_evidence_of_every_drawn_kind_has_axes_with_units():
             "curve_low95": spread, "curve_high95": spread,
         },
     }  # fmt: skip
-    assert examples.keys() == DRAWN.keys()
+    assert examples.keys() == FIGURES.keys()
     for kind, data in examples.items():
         figure = figure_of(kind, {"figure": kind, **data})
         assert figure.svg is not None, (kind, figure.why_not)

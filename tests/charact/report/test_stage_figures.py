@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from charact.report import stages
-from charact.report.evidence import figure_of
-from charact.report.style import styled
+from charact.report.figure_registry import figure_of
+from charact.report.style import report_style
 
 FREQUENCY = np.linspace(0.0, 0.5, 51)
 
@@ -42,8 +42,8 @@ def budget(after: bool = False) -> dict:
 
 
 def drawn(data: dict):
-    with styled():
-        figure = stages.stage_budget(data)
+    with report_style():
+        figure = stages.plot_mtf_budget(data)
         figure.canvas.draw()
     return figure
 
@@ -103,8 +103,8 @@ def groups() -> dict:
 
 
 def test_bar_groups_stand_on_their_curve_with_arms_of_1_96_standard_errors():
-    with styled():
-        axes = stages.bar_groups(groups()).axes[0]
+    with report_style():
+        axes = stages.plot_bar_groups(groups()).axes[0]
     (bars,) = axes.containers
     assert bars[0].get_xydata() == pytest.approx(np.array([[0.1, 0.8], [0.2, 0.5]]))
     heights = [float(np.ptp(segment[:, 1])) for segment in bars[2][0].get_segments()]

@@ -10,7 +10,7 @@ from labdata.measurement import Posterior
 SPREAD = [0.1, 0.1]
 FIGURES = {
     "noise in three dimensions": (
-        noise.three_dimensional,
+        noise.plot_three_dimensional_noise,
         {
             "exposure_mean_dn": [1.0, 2.0, 1.5],
             "row_mean_dn": [1.0, 1.2],
@@ -20,11 +20,11 @@ FIGURES = {
         },
     ),
     "joint MTF": (
-        joint.joint_mtf,
+        joint.plot_joint_mtf,
         {"kind": ["edge", "flat"], "target": ["edge", "flats, vertical"], "residuals_sd": [[0.1, 1.0], [0.0]]},
     ),
     "forms of light": (
-        blooms.forms,
+        blooms.plot_spread_models,
         {
             "table": [
                 {"form": "gaussian core, disc", "parameters": 4, "bic_over_best": over, "foretold_chi2_per_ring": 0.912}
@@ -33,7 +33,7 @@ FIGURES = {
         },
     ),
     "smear": (
-        blooms.smear,
+        blooms.plot_smear,
         {"light_per_row_dn": [3.0, 1e3], "level_dn": [0.0, 0.6], "level_sd_dn": [0.01, 0.13], "label": ["a", "b"]},
     ),
 }
@@ -54,7 +54,7 @@ def texts(figure) -> list:
 @pytest.mark.parametrize("name", FIGURES)
 def test_no_label_leaves_its_figure(name):
     drawn, data = FIGURES[name]
-    with style.styled():
+    with style.report_style():
         figure = drawn(data)
         boxes, paper = texts(figure), figure.bbox
     assert boxes
@@ -65,7 +65,7 @@ def test_no_label_leaves_its_figure(name):
 
 def test_the_legend_of_smear_is_off_its_brightest_level():
     draw, data = FIGURES["smear"]
-    with style.styled():
+    with style.report_style():
         figure = draw(data)
         texts(figure)
         (axes,) = figure.axes
@@ -78,8 +78,8 @@ def test_the_legend_of_smear_is_off_its_brightest_level():
 def test_a_corner_says_the_power_of_ten_with_the_unit():
     draws = np.random.default_rng(0).normal([3.6e-6, 5.5e-5, 0.2], [1e-7, 1e-6, 0.01], (400, 3))
     posterior = Posterior(names=("light_lux", "pattern_variance", "gain"), units=("lux", "1", "1"), draws=draws)
-    assert corner.named(posterior, 0) == "light lux\n(10⁻⁶ lux)"
-    assert corner.named(posterior, 1) == "pattern variance\n(10⁻⁵)"
-    assert corner.named(posterior, 2) == "gain\n(1)"
+    assert corner.parameter_label(posterior, 0) == "light lux\n(10⁻⁶ lux)"
+    assert corner.parameter_label(posterior, 1) == "pattern variance\n(10⁻⁵)"
+    assert corner.parameter_label(posterior, 2) == "gain\n(1)"
     svg = corner.corner_svg(posterior, "light")
     assert "1e−" not in svg and "3.6" in svg

@@ -8,7 +8,7 @@ import pytest
 
 from charact.report import page
 from charact.report.validation import validation_section
-from charact.validation import Control, Pair, Statistic, Validation
+from charact.validation import FramePair, Statistic, Validation, ValidationControl
 from labdata.measurement import Result
 
 
@@ -28,11 +28,11 @@ def _validation(p_value: float = 0.4, null: float = 0.5, negative: float = 1e-6)
         session="day 1", sensor="fitted", seed=7, draws=16, seconds=21.0,
         statistics=(_statistic(p_value),),
         controls=(
-            Control(name="null", title="frames of the fitted sensor", statistics=(_statistic(null),)),
-            Control(name="negative", title="blur after the gain removed", statistics=(_statistic(negative),)),
+            ValidationControl(name="null", title="frames of the fitted sensor", statistics=(_statistic(null),)),
+            ValidationControl(name="negative", title="blur after the gain removed", statistics=(_statistic(negative),)),
         ),
         overlays={"mtf": {**overlay, **curves}, "autocorrelation": {**named, **curves}},
-        pairs=(Pair(kind="flat", label="flat-1", measured=frame, simulated=frame, low_dn=3.0, high_dn=90.0),),
+        pairs=(FramePair(kind="flat", label="flat-1", measured=frame, simulated=frame, low_dn=3.0, high_dn=90.0),),
         notes=("The edge was left out.",),
     )  # fmt: skip
 

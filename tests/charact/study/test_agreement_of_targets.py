@@ -5,16 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from charact.study.edge.scene import Blur
-from charact.study.session.agreement import Chain, SessionScene
-from charact.study.session.agreement_table import Beside, judged, row
+from charact.study.edge.scene import TrueBlur
+from charact.study.session.consistency_scenes import SessionScene, TrueCameraChain
+from charact.study.session.consistency_table import CrossingComparison, judge_session, row
 
 
 def test_two_gaussian_blurs_add_in_squares_and_defocus_widens_both() -> None:
-    chain, f = Chain(Blur(sigma_px=0.6), 0.8), np.linspace(0.0, 0.5, 11)
-    whole = Blur(sigma_px=1.0)
+    chain, f = TrueCameraChain(TrueBlur(sigma_px=0.6), 0.8), np.linspace(0.0, 0.5, 11)
+    whole = TrueBlur(sigma_px=1.0)
     assert np.allclose(chain.mtf(f, 20.0), whole.mtf(f, 20.0), rtol=1e-12)
-    assert np.allclose(chain.defocused(0.1).mtf(f, 0.0), Blur(sigma_px=1.1).mtf(f, 0.0), rtol=1e-12)
+    assert np.allclose(chain.with_defocus(0.1).mtf(f, 0.0), TrueBlur(sigma_px=1.1).mtf(f, 0.0), rtol=1e-12)
 
 
 def test_a_camera_drawn_anew_is_another_and_the_same_seed_gives_it_back() -> None:
@@ -24,14 +24,14 @@ def test_a_camera_drawn_anew_is_another_and_the_same_seed_gives_it_back() -> Non
 
 
 def test_a_target_out_of_focus_by_15_percent_is_found_and_named() -> None:
-    one = judged(2, made="closed form", seed=0, defocus=0.15, of="edge")
+    one = judge_session(2, made="closed form", seed=0, defocus=0.15, of="edge")
     assert not one.inside
     assert not one.ok
     assert one.differs_most == "edge"
 
 
 def test_sessions_are_summed_up() -> None:
-    whole = judged(2, made="closed form", seed=0)
+    whole = judge_session(2, made="closed form", seed=0)
     assert whole.targets >= 6
     assert whole.inside
     summed = row([whole, whole], made="closed form", defocus=0.0, of="edge")
@@ -45,9 +45,10 @@ def test_sessions_are_summed_up() -> None:
 
 
 def test_a_number_far_off_its_truth_is_silent_only_without_a_flag() -> None:
-    whole = judged(2, made="closed form", seed=0)
+    whole = judge_session(2, made="closed form", seed=0)
     away = tuple(
-        Beside(name="edge mtf10 along rows", ok=ok, off=off) for ok, off in [(True, -2.5), (False, 9.0), (True, 1.5)]
+        CrossingComparison(name="edge mtf10 along rows", ok=ok, off=off)
+        for ok, off in [(True, -2.5), (False, 9.0), (True, 1.5)]
     )
     (summed,) = row([replace(whole, beside=away)], made="closed form", defocus=0.0, of="edge")["beside_truth"]
     assert (summed["numbers"], summed["ok"], summed["missed"], summed["silent"]) == (3, 2, 2, 1)

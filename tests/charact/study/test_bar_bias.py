@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from charact.study.bars.bias import CELLS, FIRST, LEAST_PAIRS, measured_cell
-from charact.study.bars.bias_figure import draw_bias
-from charact.study.bars.tally import Outcome, read, tally
+from charact.study.bars.bias import CELLS, FIRST, LEAST_PAIRS, measure_scenario
+from charact.study.bars.bias_figure import plot_bias
+from charact.study.bars.bias_table import BarScenarioOutcome, read, tally
 
 TABLE = read()
 
@@ -20,7 +20,7 @@ def test_every_cell_stands_in_the_table_with_enough_drawings():
 
 @pytest.mark.parametrize("number", [0, 31, 47, 85, 104])
 def test_the_table_is_what_the_method_still_does(number: int):
-    again = measured_cell(number, least=FIRST // 2, most=FIRST // 2)
+    again = measure_scenario(number, least=FIRST // 2, most=FIRST // 2)
     assert again.first == pytest.approx(TABLE[number].first, rel=0.02)
 
 
@@ -55,7 +55,7 @@ def test_a_cell_is_judged_by_its_bias_its_error_and_its_verdicts():
         "silent": 0, "first": [],
     }  # fmt: skip
     seen = [
-        Outcome(**{**fields, "bias_percent": bias, "standard_error_percent": 0.3, "ok": ok}).verdict
+        BarScenarioOutcome(**{**fields, "bias_percent": bias, "standard_error_percent": 0.3, "ok": ok}).verdict
         for bias, ok in ((-0.9, 80), (-1.5, 80), (1.7, 80), (9.0, 39))
     ]
     assert seen == ["within", "chance", "off", "told"]
@@ -70,4 +70,4 @@ def test_upside_down_noise_is_the_same_noise():
 
 
 def test_the_table_is_drawn(tmp_path):
-    assert draw_bias(TABLE, tmp_path / "docs" / "bias.png").stat().st_size > 10_000
+    assert plot_bias(TABLE, tmp_path / "docs" / "bias.png").stat().st_size > 10_000

@@ -5,9 +5,9 @@ import pytest
 from scipy.special import erf
 
 from charact.study.bars.scene import BarScene
-from charact.study.edge.scene import Blur
+from charact.study.edge.scene import TrueBlur
 from charact.study.point.scene import PointScene, landing_places
-from charact.study.sharpened import boost, sharpened
+from charact.study.sharpening_camera import boost, sharpen_images
 
 
 def _supersampled(scene: BarScene, fine: int = 6) -> np.ndarray:
@@ -28,7 +28,7 @@ def _supersampled(scene: BarScene, fine: int = 6) -> np.ndarray:
 @pytest.mark.parametrize(("bars", "angle_deg", "rows"), [(4, 7.0, 100), (3, 0.0, 101), (5, 92.0, 100)])
 def test_bars_from_their_spectrum_are_the_blurred_bars_in_the_pixels(bars, angle_deg, rows):
     scene = BarScene(
-        blur=Blur(sigma_px=0.8), bars=bars, frequency_cy_per_px=0.15, angle_deg=angle_deg, rows=rows, cols=110,
+        blur=TrueBlur(sigma_px=0.8), bars=bars, frequency_cy_per_px=0.15, angle_deg=angle_deg, rows=rows, cols=110,
         row_px=0.3, col_px=-0.4,
     )  # fmt: skip
     light = (scene.light() - (scene.pedestal_dn - scene.black_dn)) / scene.level_dn
@@ -37,7 +37,7 @@ def test_bars_from_their_spectrum_are_the_blurred_bars_in_the_pixels(bars, angle
 
 def test_mtf_of_bars_is_their_fundamental_over_their_light():
     """Physics reference 11: |I(f)| / |O(f)| over all light, the whole target in the window."""
-    tube = Blur(form="exponential", frequency_cy_per_px=0.4, exponent=1.6)
+    tube = TrueBlur(form="exponential", frequency_cy_per_px=0.4, exponent=1.6)
     scene = BarScene(blur=tube, angle_deg=3.0, frequency_cy_per_px=0.12, rows=300, cols=300, pedestal_dn=10.0)
     light = scene.light()
     row, col = np.arange(300)[:, None] - 149.5, np.arange(300)[None, :] - 149.5
@@ -46,7 +46,7 @@ def test_mtf_of_bars_is_their_fundamental_over_their_light():
     assert np.pi / 2 * fundamental / light.sum() == pytest.approx(scene.truth_mtf, rel=5e-3)
 
 
-@pytest.mark.parametrize("blur", [Blur(sigma_px=0.9), Blur(form="exponential", frequency_cy_per_px=0.25)])
+@pytest.mark.parametrize("blur", [TrueBlur(sigma_px=0.9), TrueBlur(form="exponential", frequency_cy_per_px=0.25)])
 def test_places_of_photoelectrons_have_the_mtf_as_their_characteristic_function(blur, seed):
     count = 200_000
     places = landing_places(blur, count, np.random.default_rng(seed))
@@ -61,7 +61,7 @@ def test_places_of_photoelectrons_have_the_mtf_as_their_characteristic_function(
 @pytest.mark.parametrize("pulse_px", [0.0, 0.7])
 def test_the_transform_of_many_photoelectrons_is_the_stated_mtf(pulse_px, seed):
     scene = PointScene(
-        blur=Blur(sigma_px=0.8), pulse_px=pulse_px, photoelectrons=2e5, background=0.0, read_dn=0.3, frames=1,
+        blur=TrueBlur(sigma_px=0.8), pulse_px=pulse_px, photoelectrons=2e5, background=0.0, read_dn=0.3, frames=1,
         full_scale_dn=4095.0, peak_dn=3000.0,
     )  # fmt: skip
     frame = scene.frames_drawn(np.random.default_rng(seed)).data[0] - scene.black_dn
@@ -88,5 +88,5 @@ def test_sharpening_raises_a_wave_as_it_says():
     """A wave through a camera that sharpens comes out higher by the factor that its frequency has."""
     for frequency in (0.02, 0.1, 0.25):
         wave = np.cos(2.0 * np.pi * frequency * np.arange(400))[None, :] * np.ones((40, 1))
-        raised = sharpened(wave, 0.7)[20, 50:350]
+        raised = sharpen_images(wave, 0.7)[20, 50:350]
         assert raised == pytest.approx(wave[20, 50:350] * boost(frequency, 0.7), abs=2e-3)

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from charact.study.bloom.camera import overflowed
+from charact.study.bloom.camera import apply_column_blooming
 from charact.study.bloom.light import gaussian, halo_rings, moffat, moffat_as_gaussians, rings_blurred
-from charact.study.bloom.scene import BloomScene, expected, session, stack, truth
+from charact.study.bloom.scene import BloomScene, bloom_session, noiseless_frame, stack, truth
 from charact.study.bloom.source import radial_light
 from labdata.errors import BadInput
 
@@ -82,7 +82,7 @@ def test_truth_by_pixels_agrees_with_truth_in_closed_form():
 def test_a_streak_grows_the_bloom_by_whole_pixels():
     source, half = BloomScene(full_well_dn=400.0), 12.0 + 0.5 * 243.0
     dry = replace(source, full_well_dn=None)
-    counted, round_only = ((expected(one, 30.0) >= half).sum() for one in (source, dry))
+    counted, round_only = ((noiseless_frame(one, 30.0) >= half).sum() for one in (source, dry))
     areas = [0.25 * np.pi * truth(one, 30.0)["bloom_diameter"] ** 2 for one in (source, dry)]
     assert counted > round_only + 100
     assert areas[0] - areas[1] == pytest.approx(counted - round_only, abs=3.0)
@@ -101,7 +101,7 @@ def test_the_law_along_the_radius_is_that_of_the_picture(wing, after_px):
     radius = np.hypot((np.arange(source.rows) - row)[:, None], (np.arange(source.cols) - col)[None, :])
     near, table = radius < 40, np.arange(0.0, 41.0, 0.01)
     law = np.interp(radius[near], table, radial_light(source, table))
-    picture = expected(source, 1.0)[near] - source.dark_dn - source.background_dn
+    picture = noiseless_frame(source, 1.0)[near] - source.dark_dn - source.background_dn
     assert picture == pytest.approx(source.source_dn(1.0) * law, rel=1e-3, abs=1e-6 * source.span_dn)
 
 
@@ -109,14 +109,16 @@ def test_light_of_all_parts_adds_up():
     source = BloomScene(rows=401, cols=401, wing_share=0.1, wing_exponent=3.0, glare_fraction=0.1, row_pitch=1.2)
     dark = source.dark_dn + source.background_dn
     glare = 0.1 * 401 * 401 * 1.2 / 600**2
-    assert (expected(source, 100.0) - dark).sum() / source.source_dn(100.0) == pytest.approx(0.9 + glare, abs=1e-3)
+    assert (noiseless_frame(source, 100.0) - dark).sum() / source.source_dn(100.0) == pytest.approx(
+        0.9 + glare, abs=1e-3
+    )
     radius = np.arange(0.0, 200.0, 0.02)
     assert volume(radius, radial_light(source, radius)) == pytest.approx(0.9, abs=1e-3)
 
 
 def test_the_core_peaks_at_full_scale_times_the_overload():
     source = BloomScene(row=80.0, col=90.0, halo_elastic_share=1.0, background_dn=0.0)
-    assert expected(source, 3.0).max() - source.dark_dn == pytest.approx(3.0 * source.span_dn, rel=0.01)
+    assert noiseless_frame(source, 3.0).max() - source.dark_dn == pytest.approx(3.0 * source.span_dn, rel=0.01)
 
 
 def test_overflow_conserves_charge_and_its_place():
@@ -124,7 +126,7 @@ def test_overflow_conserves_charge_and_its_place():
     charge = rng.uniform(0.0, 50.0, (2, 400, 5))
     charge[:, 200, 2] += 9e3
     charge[0, 230, 2] += 4e3
-    settled, rows = overflowed(charge, 100.0), np.arange(400)[:, None]
+    settled, rows = apply_column_blooming(charge, 100.0), np.arange(400)[:, None]
     assert settled.max() <= 100.0 + 1e-6
     assert settled.sum(axis=1) == pytest.approx(charge.sum(axis=1))
     assert (rows * settled).sum(axis=1) == pytest.approx((rows * charge).sum(axis=1))
@@ -142,14 +144,14 @@ def test_overflow_settles_as_charge_handed_on_step_by_step():
         slow = slow - spill
         slow[1:] += 0.5 * spill[:-1]
         slow[:-1] += 0.5 * spill[1:]
-    assert overflowed(charge, 50.0) == pytest.approx(slow, abs=1e-6)
+    assert apply_column_blooming(charge, 50.0) == pytest.approx(slow, abs=1e-6)
 
 
 def test_smear_lies_evenly_along_the_column():
     source = BloomScene()
-    added = expected(replace(source, smear_fraction=0.01), 1e3) - expected(source, 1e3)
+    added = noiseless_frame(replace(source, smear_fraction=0.01), 1e3) - noiseless_frame(source, 1e3)
     assert np.ptp(added, axis=0).max() < 1e-6
-    assert added[0] == pytest.approx(0.01 * (expected(source, 1e3) - source.dark_dn).mean(axis=0))
+    assert added[0] == pytest.approx(0.01 * (noiseless_frame(source, 1e3) - source.dark_dn).mean(axis=0))
 
 
 @pytest.mark.parametrize("background_dn", [6.0, 240.0])
@@ -173,7 +175,7 @@ def test_frames_average_to_the_expected_picture_where_they_do_not_clip():
     source = BloomScene(frames=60, full_scale_dn=65535.0, bits=16, plate_saturation_dn=2e4, full_well_dn=4e4,
                         smear_fraction=1e-3)  # fmt: skip
     mean = stack(source, 1.2, np.random.default_rng(2)).data.mean(axis=0)
-    picture = expected(source, 1.2)
+    picture = noiseless_frame(source, 1.2)
     off = (mean - picture) / np.sqrt(source.photoelectron_dn * source.excess * picture / 60)
     low = picture < 3e4
     assert abs(off[low].mean()) < 0.02
@@ -191,13 +193,13 @@ def test_lag_motion_and_a_second_source_are_where_they_should_be():
     row, col = (round(one) for one in source.centre)
     now, before = (lagging[2, row - 6 : row + 7, at - 5 : at + 6].sum() - 13 * 143 for at in (col, col - 12))
     assert before / now == pytest.approx(0.3 / 0.7, rel=0.05)
-    pair = expected(replace(source, second_distance_px=20.0, second_ratio=0.5, second_angle_deg=90.0), 1.0)
+    pair = noiseless_frame(replace(source, second_distance_px=20.0, second_ratio=0.5, second_angle_deg=90.0), 1.0)
     assert pair[row + 20, col] - 13 == pytest.approx(0.5 * (pair[row, col] - 13), rel=1e-3)
 
 
 def test_automatic_gain_holds_the_mean_and_the_background_falls():
     source = BloomScene(agc=True, halo_fraction=0.2)
-    session_ = session(source, (3.0, 3e3), np.random.default_rng(4))
+    session_ = bloom_session(source, (3.0, 3e3), np.random.default_rng(4))
     dim, bright = (entry.read().data.astype(float) - source.dark_dn for entry in session_.of_kind("point"))
     assert bright[:, :20].mean() < 0.6 * dim[:, :20].mean()
     assert truth(source, 3e3, faintest=3.0)["bloom_diameter"] < truth(source, 3e3)["bloom_diameter"]
@@ -209,14 +211,14 @@ def test_the_plate_tires_where_it_is_bright():
     assert truth(tired, 1e-3)["core_compression"] == pytest.approx(1.0, abs=1e-2)
     assert truth(tired, 100.0)["core_compression"] < 0.3
     row, col = (round(one) for one in source.centre)
-    assert expected(tired, 1e6)[row, col] - source.dark_dn == pytest.approx(1e3, rel=0.01)
+    assert noiseless_frame(tired, 1e6)[row, col] - source.dark_dn == pytest.approx(1e3, rel=0.01)
     far = np.s_[row, col + 21]
-    assert expected(tired, 100.0)[far] == pytest.approx(expected(source, 100.0)[far], rel=0.02)
+    assert noiseless_frame(tired, 100.0)[far] == pytest.approx(noiseless_frame(source, 100.0)[far], rel=0.02)
 
 
 def test_the_same_seed_draws_the_same_frames_and_sessions_say_what_was_told():
     source = BloomScene(light_sd=0.1, wrong_dark_dn=2.0)
-    first, again = (session(source, (1.0, 100.0), np.random.default_rng(5)) for _ in range(2))
+    first, again = (bloom_session(source, (1.0, 100.0), np.random.default_rng(5)) for _ in range(2))
     for one, other in zip(first.stacks, again.stacks, strict=True):
         assert one.read().data.tobytes() == other.read().data.tobytes()
         assert one.conditions == other.conditions
@@ -224,7 +226,7 @@ def test_the_same_seed_draws_the_same_frames_and_sessions_say_what_was_told():
     assert dark.read().data.mean() == pytest.approx(source.dark_dn + 2.0, abs=0.02)
     stated = [entry.conditions.illuminance_lux or 0.0 for entry in points]
     assert 0.0 < abs(np.log(stated[1] / stated[0] / 100.0)) < 0.6
-    assert not session(source, (1.0,), np.random.default_rng(5), darks=False).of_kind("dark")
+    assert not bloom_session(source, (1.0,), np.random.default_rng(5), darks=False).of_kind("dark")
 
 
 def test_a_scene_that_cannot_be_is_refused():

@@ -7,9 +7,9 @@ import pytest
 
 import charact.bloom  # noqa: F401  # registers the methods
 from charact.method import choose
-from charact.method.registry import chart_table, of_kind
+from charact.method.registry import chart_table, methods_of_kind
 from charact.study.bloom.scene import BloomScene, truth
-from charact.study.bloom.series import BloomSeries, halo_overload, measured, series_in_scope
+from charact.study.bloom.series import BloomSeries, halo_overload, measure_series, series_in_scope
 
 
 def test_series_in_scope_show_the_halo_over_two_decades_and_saturate_beyond():
@@ -39,7 +39,7 @@ def test_streak_and_halo_are_told_apart_where_columns_overflow_and_smear():
         overloads = tuple(float(one) for one in halo_overload(spoilt) * np.array([0.003, 0.03, 0.3, 1.5]))
         series = BloomSeries(scene=spoilt, overloads=overloads)
         drawn = series.session_drawn(np.random.default_rng(7))
-        found, _ = measured(of_kind("bloom")["series-forward"], series, drawn, seed=7, quick=True)
+        found, _ = measure_series(methods_of_kind("bloom")["series-forward"], series, drawn, seed=7, quick=True)
         assert found is not None
         sure = {(one.quantity, one.stack): one for one in found if one.status == "ok"}
         assert sure["halo_diameter", None].value == pytest.approx(40.0, abs=1.0)
@@ -51,6 +51,6 @@ def test_streak_and_halo_are_told_apart_where_columns_overflow_and_smear():
 
 def test_auto_takes_the_only_method_and_the_chart_says_how_well_it_measures():
     (row,) = chart_table("halo_diameter")
-    assert [row["method"]] == list(of_kind("bloom"))
+    assert [row["method"]] == list(methods_of_kind("bloom"))
     assert choose("bloom").name == "series-forward"
     assert row["error_percent"] < 2.0 and row["silent"] == 0

@@ -5,7 +5,7 @@ import pytest
 
 from charact.posterior import sample
 from charact.study.calibration import Calibration, calibrate
-from charact.study.calibration_figure import draw_calibration
+from charact.study.calibration_figure import plot_calibration
 from labdata.errors import BadInput
 
 DATA = 5
@@ -102,7 +102,7 @@ def test_the_engine_is_calibrated_for_a_mean_and_a_scale_from_twelve_numbers(see
 
 
 def test_the_figure_shows_the_ranks_that_were_counted(tmp_path):
-    path = draw_calibration(calibration(trials=60), tmp_path / "ranks.svg")
+    path = plot_calibration(calibration(trials=60), tmp_path / "ranks.svg")
     text = path.read_text()
     assert "Ranks of 60 truths among 119 draws each" in text
     assert "first: chi squared" in text

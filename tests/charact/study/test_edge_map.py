@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from charact.study.cell_map import told, worst
-from charact.study.edge.bound import least_relative_sd
-from charact.study.edge.map import BREAKING, TABLE, cell_of, measured_cell
+from charact.study.edge.cramer_rao import least_relative_sd
+from charact.study.edge.map import BREAKING, TABLE, cell_of, measure_scenario
+from charact.study.scenario_map import summarise_outcomes, worst
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +32,7 @@ def test_five_cells_are_what_the_method_still_does(table, seed):
     """Statuses within three of twenty drawings, the median width within a tenth."""
     kept = cells(table["quick"])
     for number in np.random.default_rng(seed).choice(len(kept), 5, replace=False):
-        before, again = kept[number], measured_cell(kept[number]["number"])
+        before, again = kept[number], measure_scenario(kept[number]["number"])
         assert abs(again.ok - before["ok"]) <= 3, (before, again)
         assert abs(again.refused - before["refused"]) <= 3, (before, again)
         if min(again.ok, before["ok"]) >= 10:
@@ -69,8 +69,8 @@ def test_chains_keep_the_same_limits(table):
 
 
 def test_the_summary_counts_what_the_cells_say():
-    outcomes = [measured_cell(number, repeats=2) for number in (0, 1, 6)]
-    found = told(outcomes)
+    outcomes = [measure_scenario(number, repeats=2) for number in (0, 1, 6)]
+    found = summarise_outcomes(outcomes)
     assert found["cells"] == 3
     assert found["draws"] == 6
     assert found["ok"] == sum(one.ok for one in outcomes)

@@ -5,24 +5,24 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from charact.study.edge.scene import Blur, EdgeScene, edge_spread
+from charact.study.edge.scene import EdgeScene, TrueBlur, edge_spread
 
 
 def test_mtf50_of_a_pixel_behind_a_unit_gaussian_is_the_published_one():
     # physics reference, section 5.1: sigma 1 px and the pixel give 0.1800 cy/px.
-    assert Blur(sigma_px=1.0).mtf50(0.0) == pytest.approx(0.1800, abs=5e-5)
+    assert TrueBlur(sigma_px=1.0).mtf50(0.0) == pytest.approx(0.1800, abs=5e-5)
 
 
 def test_edge_spread_of_a_gaussian_behind_a_pixel_is_the_integral_of_the_error_function():
     x = np.linspace(-6, 6, 241)
     integral = lambda u: u * norm.cdf(u) + norm.pdf(u)  # noqa: E731
     exact = integral(x + 0.5) - integral(x - 0.5)
-    assert np.abs(edge_spread(Blur(sigma_px=1.0), x, 0.0) - exact).max() < 5e-6
+    assert np.abs(edge_spread(TrueBlur(sigma_px=1.0), x, 0.0) - exact).max() < 5e-6
 
 
 @pytest.mark.parametrize("angle_deg", [0.0, 7.0, 45.0])
 def test_edge_spread_is_the_fourier_integral_of_the_mtf(angle_deg):
-    blur = Blur(form="exponential", frequency_cy_per_px=0.25)
+    blur = TrueBlur(form="exponential", frequency_cy_per_px=0.25)
     for x in (0.3, 2.0, 9.0):
         exact, _ = quad(
             lambda f: blur.mtf(f, angle_deg) / (np.pi * f), 1e-9, 6, weight="sin", wvar=2 * np.pi * x, limit=400

@@ -5,15 +5,15 @@ import json
 import numpy as np
 import pytest
 
-from charact.method.registry import of_kind
-from charact.study.edge.bound import least_relative_sd
+from charact.method.registry import methods_of_kind
+from charact.study.edge.cramer_rao import least_relative_sd
 from charact.study.edge.peers import PEERS, TABLE, answers, bound, row, scene_of, study, without_noise
-from charact.study.edge.peers_figure import draw_peers
+from charact.study.edge.peers_figure import plot_peers
 
 
 def test_every_edge_method_stands_in_the_table_with_enough_frames():
     table = json.loads(TABLE.read_text())
-    assert {one["method"] for one in table["ours"]} == set(of_kind("edge"))
+    assert {one["method"] for one in table["ours"]} == set(methods_of_kind("edge"))
     assert all(one["frames"] >= 60 for one in table["ours"])
     assert {one["snr"] for one in table["ours"]} == {100.0, 30.0, 10.0, 5.0, 2.0, 1.0}
     assert [peer["name"] for peer in table["peers"]] == [peer.name for peer in PEERS]
@@ -47,7 +47,7 @@ def test_a_small_study_is_drawn(tmp_path):
     assert [(one["method"], one["frames"]) for one in found["ours"]] == 2 * list(methods.items())
     assert found["ours"][2]["numbers"] == 0
     assert found["ours"][2]["rms_percent"] is None
-    assert draw_peers(found, tmp_path / "docs" / "peers.png").stat().st_size > 10_000
+    assert plot_peers(found, tmp_path / "docs" / "peers.png").stat().st_size > 10_000
 
 
 def test_without_noise_the_plain_methods_are_within_half_a_percent():

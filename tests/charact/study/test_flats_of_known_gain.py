@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from charact.study.flats.stacks import FlatScene
+from charact.study.flats.flat_cases import FlatScene
 
 
 def _summed_covariance_over_mean(scene: FlatScene, seed: int) -> tuple[float, float]:

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from charact.study.flats.gain_map import BREAKING, TABLE, cell_of, measured_cell
+from charact.study.flats.gain_map import BREAKING, TABLE, cell_of, measure_scenario
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,7 @@ def test_five_cells_are_what_the_method_still_does(table, seed):
     """Every drawing has its own seed: the verdicts are the same, and the widths within a tenth."""
     kept = cells(table["quick"])
     for number in np.random.default_rng(seed).choice(len(kept), 5, replace=False):
-        before, again = kept[number], measured_cell(kept[number]["number"])
+        before, again = kept[number], measure_scenario(kept[number]["number"])
         assert again.ok == before["ok"], (before, again)
         assert again.refused == before["refused"], (before, again)
         if again.ok:

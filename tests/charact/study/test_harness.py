@@ -13,14 +13,14 @@ from charact.study.bars import cases as bar_cases
 from charact.study.bloom import cases as bloom_cases
 from charact.study.edge import cases as edge_cases
 from charact.study.edge.cases import chart_cases, stability_cases
-from charact.study.edge.scene import Blur, EdgeScene
+from charact.study.edge.scene import EdgeScene, TrueBlur
 from charact.study.harness import Case, percentile_limit
 from charact.study.point import cases as point_cases
-from charact.study.quantities import methods_of
+from charact.study.study_registry import methods_of
 from labdata.errors import BadInput
-from labdata.measurement import Result, from_sd, measured, refused
+from labdata.measurement import Result, make_measurement, make_refusal, measurement_from_sd
 
-TRUTH = Blur().mtf50(5.0)
+TRUTH = TrueBlur().mtf50(5.0)
 
 
 def _case(truth: float | None = TRUTH, **changes) -> Case:
@@ -40,13 +40,13 @@ def _answering(value: float, sd: float, flags: tuple[str, ...] = (), seconds: fl
         until = time.process_time() + seconds
         while time.process_time() < until:
             pass
-        return Result(measurements=(from_sd("mtf50", "cy/px", value, sd, method="fake", flags=flags),))
+        return Result(measurements=(measurement_from_sd("mtf50", "cy/px", value, sd, method="fake", flags=flags),))
 
     return function
 
 
 def _refusing(stack, *, context, **arguments):
-    return Result(measurements=(refused("mtf50", "cy/px", "nothing to see", method="fake"),))
+    return Result(measurements=(make_refusal("mtf50", "cy/px", "nothing to see", method="fake"),))
 
 
 def _raising(error: Exception):
@@ -86,7 +86,7 @@ def test_an_interval_that_misses_by_little_is_a_miss_but_no_lie():
 
 
 def test_the_arm_on_the_truths_side_counts():
-    lopsided = measured("mtf50", "cy/px", TRUTH * 1.1, None, (TRUTH * 1.09, TRUTH * 2), method="fake")
+    lopsided = make_measurement("mtf50", "cy/px", TRUTH * 1.1, None, (TRUTH * 1.09, TRUTH * 2), method="fake")
     assert _row(lambda stack, *, context: Result(measurements=(lopsided,))).silent
 
 

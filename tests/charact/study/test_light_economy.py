@@ -6,7 +6,15 @@ from itertools import count
 import numpy as np
 import pytest
 
-from charact.study.light.economy import DRAWN_MOST, kept, measured, read, temporal_noise, told, written
+from charact.study.light.effect_selection_study import (
+    DRAWN_MOST,
+    load_outcomes,
+    measure_case,
+    read,
+    summarise_outcomes,
+    temporal_noise,
+    write_table,
+)
 from charact.study.light.scenes import case_of
 
 OUTCOMES = read()
@@ -18,7 +26,7 @@ def quickest(count):
 
 @pytest.mark.parametrize("before", quickest(2), ids=lambda one: f"case {one.number}")
 def test_a_case_measured_again_comes_out_as_in_the_table(before):
-    again = measured(before.number)
+    again = measure_case(before.number)
     for name in ("light", "sensor", "bands", "bounces"):
         assert getattr(again, name) == getattr(before, name)
     assert again.left_out == before.left_out
@@ -54,15 +62,15 @@ def test_a_picture_short_of_the_rays_that_it_needs_says_so():
 
 
 def test_cases_beyond_the_tolerance_are_counted_by_whether_the_plan_said_so():
-    whole = told(OUTCOMES)
+    whole = summarise_outcomes(OUTCOMES)
     assert whole["within"] + whole["beyond_and_told"] + whole["beyond_and_untold"] == len(OUTCOMES)
     assert whole["exact_known_to_a_third"] <= len(OUTCOMES)
 
 
 def test_cases_that_other_sources_made_are_not_kept(tmp_path):
     table = tmp_path / "table.json"
-    assert kept(table) == []
-    written(OUTCOMES[:2], table)
-    assert kept(table) == OUTCOMES[:2]
+    assert load_outcomes(table) == []
+    write_table(OUTCOMES[:2], table)
+    assert load_outcomes(table) == OUTCOMES[:2]
     table.write_text(table.read_text().replace('"sources": "', '"sources": "0'))
-    assert kept(table) == [] and read(table) == OUTCOMES[:2]
+    assert load_outcomes(table) == [] and read(table) == OUTCOMES[:2]

@@ -27,7 +27,7 @@ def test_three_cells_are_what_the_method_still_does(seed):
     """Every drawing has its own seed: the verdicts are the same, and the widths within a tenth."""
     kept = cells(table()["quick"])
     for number in np.random.default_rng(seed).choice(len(kept), 3, replace=False):
-        before, again = kept[number], spectra.measured_cell(kept[number]["number"])
+        before, again = kept[number], spectra.measure_scenario(kept[number]["number"])
         assert (again.ok, again.refused) == (before["ok"], before["refused"]), (before, again)
         if again.ok:
             assert again.sd_percent == pytest.approx(before["sd_percent"], rel=0.1)
@@ -48,11 +48,11 @@ def test_what_the_map_shows():
 
 def test_a_halo_drawn_spreads_as_much_light_as_is_said(seed):
     """Of photoelectrons with a halo of a third, 40 px wide, the share beyond 5 px is a third of (1 - (10/40)^2)."""
-    from charact.study.edge.scene import Blur
+    from charact.study.edge.scene import TrueBlur
     from charact.study.point.scene import landing_places
 
     count = 200_000
-    places = landing_places(Blur(sigma_px=0.5, halo_share=1 / 3, halo_px=40.0), count, np.random.default_rng(seed))
+    places = landing_places(TrueBlur(sigma_px=0.5, halo_share=1 / 3, halo_px=40.0), count, np.random.default_rng(seed))
     expected = (1.0 - (10.0 / 40.0) ** 2) / 3.0
     found = float(np.mean(np.hypot(*places.T) > 5.0))
     assert abs(found - expected) < 4.0 * np.sqrt(expected * (1.0 - expected) / count) + 0.002
@@ -61,7 +61,7 @@ def test_a_halo_drawn_spreads_as_much_light_as_is_said(seed):
 @pytest.mark.parametrize("number", [171, 306, 612])
 def test_spectra_that_one_form_alone_told_wrongly_are_not_silent(number):
     """Cameras inside the scope whose likeliest form was 3 to 6 % off at a told 1 %."""
-    again = spectra.measured_cell(number)
+    again = spectra.measure_scenario(number)
     assert again.ok == 1
     assert again.silent == 0
 
@@ -69,7 +69,7 @@ def test_spectra_that_one_form_alone_told_wrongly_are_not_silent(number):
 @pytest.mark.parametrize("number", [1551, 1788])
 def test_a_curved_response_is_told_by_levels_of_few_dn(number):
     """Exponents of 1.8 and 1.6 over signals of 0.4 to 7 DN: 7 and 4 % off, and ok, before pulses were counted."""
-    assert spectra.measured_cell(number).suspect == 1
+    assert spectra.measure_scenario(number).suspect == 1
 
 
 def test_a_map_of_no_cells_is_refused_in_one_sentence(monkeypatch, capsys):

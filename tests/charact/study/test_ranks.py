@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from charact.mtf.edge.fit.family_fit import FamilyFitter
+from charact.mtf.edge.fit.model_fit import BlurModelFitter
 from charact.study.edge import ranks
-from charact.study.edge.ranks import EXPONENT, HALF_FREQUENCY, NAMES, SAMPLERS, TABLE, blur_of, told, truth
+from charact.study.edge.ranks import EXPONENT, HALF_FREQUENCY, NAMES, SAMPLERS, TABLE, blur_of, summarise_ranks, truth
 
 TRIALS = 40
 
@@ -34,13 +34,13 @@ def test_ranks_of_edges_are_even_and_those_of_a_posterior_too_narrow_are_not(see
     assert right.probability > 1e-4
     cover = right.coverage(0.68)
     assert np.all(np.abs(cover - 0.68) < 4.5 * np.sqrt(0.68 * 0.32 / TRIALS))
-    honest = FamilyFitter.log_probability
+    honest = BlurModelFitter.log_probability
 
     def surer(self, family, slope):
         known = honest(self, family, slope)
         return lambda theta: 9.0 * known(theta)
 
-    monkeypatch.setattr(FamilyFitter, "log_probability", surer)
+    monkeypatch.setattr(BlurModelFitter, "log_probability", surer)
     assert ranks.ranks("importance", TRIALS, seed).coverage(0.68).max() < 0.55
 
 
@@ -60,6 +60,6 @@ def test_the_committed_ranks_are_even_for_both_samplers():
 
 def test_what_is_told_counts_the_truths(seed):
     found = ranks.ranks("importance", 12, seed)
-    row = told("importance", found)
+    row = summarise_ranks("importance", found)
     assert row.trials == 12
     assert all(sum(counts) == 12 - row.flagged for counts in row.histograms.values())

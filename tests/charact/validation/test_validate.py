@@ -17,7 +17,7 @@ from labdata.sensors import load_sensor
 from labdata.session import Session
 from labdata.target import Target
 from simulate.lab import LabBench
-from simulate.rig.truth import draw_truth
+from simulate.virtual_bench.true_sensor import draw_true_sensor
 
 SHAPE = (96, 128)
 STACKS = (
@@ -31,7 +31,7 @@ STACKS = (
 @pytest.fixture(scope="module")
 def specimen(seed: int) -> Sensor:
     """A specimen whose draws say that it is known exactly."""
-    truth = draw_truth(load_sensor("pulnix-ag5745ef3"), seed)
+    truth = draw_true_sensor(load_sensor("pulnix-ag5745ef3"), seed)
     small = replace(truth, ccd=replace(truth.ccd, rows=SHAPE[0], columns=SHAPE[1]))
     share = float(small.tube.post_gain_share)
     return replace(small, draws=Draws(names=("tube.post_gain_share",), values=((share,), (share,))))

@@ -15,8 +15,8 @@ import numpy as np
 from labdata.conditions import Conditions
 from labdata.gating import Gating
 from labdata.plan import Plan, Step
-from simulate.rig.faults import Faults
-from simulate.rig.outputs import Outputs
+from simulate.virtual_bench.faults import Faults
+from simulate.virtual_bench.outputs import Outputs
 from tests.faults.campaign.client import Client
 from tests.faults.campaign.rig import DANGEROUS_V, GATE, GATE_NS, INSTRUMENTS, LUX, SUPPLY, CampaignRig
 

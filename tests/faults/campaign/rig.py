@@ -11,16 +11,16 @@ from typing import IO, Self
 
 from labdata.conditions import Conditions
 from labdata.event_log import read_events
+from labdata.instrument_config import InstrumentConfig
 from labdata.limits import Override
 from labdata.plan import Plan, Step
 from labdata.sensors import load_sensor, save_sensor
-from labdata.wires import Wires
-from simulate.rig.bench import VirtualBench
-from simulate.rig.camera_process import CameraProcess
-from simulate.rig.faults import Faults, provoke
-from simulate.rig.operator import VirtualOperator
-from simulate.rig.outputs import Outputs
-from simulate.rig.truth_folder import Truth
+from simulate.virtual_bench.bench import VirtualBench
+from simulate.virtual_bench.camera_process import CameraProcess
+from simulate.virtual_bench.faults import Faults, inject_faults
+from simulate.virtual_bench.operator import VirtualOperator
+from simulate.virtual_bench.outputs import Outputs
+from simulate.virtual_bench.truth_folder import BenchTruth
 
 GATE, SUPPLY = INSTRUMENTS = ("delay_generator", "high_voltage")
 FREE_S = 20.0
@@ -127,13 +127,13 @@ class CampaignRig:
         return Plan(name="campaign", sensor=sensor, seed=self._seed, overrides=(FAST,), steps=steps)
 
     @property
-    def wires(self) -> Wires:
+    def wires(self) -> InstrumentConfig:
         """How a client reaches the instruments."""
         assert self._camera is not None
         return replace(self._bench.wires, camera=self._camera.identifier)
 
     @property
-    def truth(self) -> Truth:
+    def truth(self) -> BenchTruth:
         """What the specimen really is: for whoever compares afterwards."""
         return self._bench.truth()
 
@@ -209,7 +209,7 @@ class CampaignRig:
 
     def provoke(self, instrument: str, faults: Faults) -> None:
         """Give an instrument its faults."""
-        provoke(self._bench.wires_folder, instrument, faults)
+        inject_faults(self._bench.wires_folder, instrument, faults)
 
     def unplug(self, instrument: str) -> None:
         """Pull the plug of an instrument, or of the camera."""

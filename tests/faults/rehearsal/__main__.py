@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from charact.measuring import measure
-from charact.report.truth import Beside
+from charact.report.truth import TruthComparison
+from charact.session_measurement import measure
 from drivers.acquisition.acquire import LOG
 from labdata.event_log import read_events
 from labdata.measurement import Result
@@ -83,7 +83,7 @@ def _night(session: Session, plan: Plan, diary: Diary) -> Iterator[str]:
     yield ""
 
 
-def _measured(result: Result, rows: Sequence[Beside], seconds: float, *, quick: bool) -> Iterator[str]:
+def _measured(result: Result, rows: Sequence[TruthComparison], seconds: float, *, quick: bool) -> Iterator[str]:
     """What was measured of it."""
     yield (
         f"`charact measure{' --quick' if quick else ''}` took {seconds:.0f} s, on {os.cpu_count()} cores with "
@@ -94,12 +94,12 @@ def _measured(result: Result, rows: Sequence[Beside], seconds: float, *, quick: 
     yield from by_quantity(rows)
 
 
-def _each(rows: Sequence[Beside]) -> Iterator[str]:
+def _each(rows: Sequence[TruthComparison]) -> Iterator[str]:
     """Every number beside its truth."""
     for row in rows:
         m = row.measurement
         where = f"{m.quantity:20} {m.stack or '':24} truth {row.truth_text:>9}"
-        yield f"{where}  {row.measured_text:>24}  z {row.z:5.2f}  {m.status} {' '.join(m.flags)}"
+        yield f"{where}  {row.value_text:>24}  z {row.z:5.2f}  {m.status} {' '.join(m.flags)}"
 
 
 def _keep(page: Path, text: str) -> None:

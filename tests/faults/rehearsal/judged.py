@@ -5,12 +5,12 @@ from functools import cache
 
 import numpy as np
 
-from charact.report.truth import Beside, beside_truth
+from charact.report.truth import TruthComparison, compare_with_truth
 from labdata.conditions import Conditions
 from labdata.measurement import Result
 from labdata.sensor import Sensor
 from labdata.session import Session
-from simulate.iiccd import truth
+from simulate.iiccd import true_quantities
 from tests.faults.rehearsal.night import GATE_NS
 
 AT_EACH_GAIN = ("covariance_gain", "blur_factor", "photoelectron_gain", "excess_noise_factor")
@@ -19,18 +19,18 @@ CHANCE = 1e-3
 HOLDS = 1.96
 
 
-def beside(result: Result, session: Session, specimen: Sensor) -> tuple[Beside, ...]:
+def beside(result: Result, session: Session, specimen: Sensor) -> tuple[TruthComparison, ...]:
     """Every number with a truth beside it; those of a setting beside the truth at that setting."""
     main = _main_voltage(result, session)
 
     @cache
     def known(mcp_v: float | None) -> dict[str, float]:
-        return truth.quantities(specimen, Conditions(mcp_v=mcp_v, gate_ns=GATE_NS))
+        return true_quantities.true_quantities(specimen, Conditions(mcp_v=mcp_v, gate_ns=GATE_NS))
 
-    rows = list(beside_truth(result, {"gain_exponent": float(specimen.microchannel_plate.gain_exponent)}))
+    rows = list(compare_with_truth(result, {"gain_exponent": float(specimen.microchannel_plate.gain_exponent)}))
     for m in (m for name in AT_EACH_GAIN for m in result.find(name)):
         found = known(main if m.stack is None else session.stack(m.stack).conditions.mcp_v)
-        rows += beside_truth(Result(measurements=(m,)), {m.quantity: found[m.quantity]})
+        rows += compare_with_truth(Result(measurements=(m,)), {m.quantity: found[m.quantity]})
     return tuple(rows)
 
 
@@ -41,7 +41,7 @@ def _main_voltage(result: Result, session: Session) -> float | None:
     return next(iter(left)) if len(left) == 1 else None
 
 
-def missing(rows: Sequence[Beside]) -> int:
+def missing(rows: Sequence[TruthComparison]) -> int:
     """How many intervals of 95 % do not hold the truth."""
     return sum(abs(row.z) > HOLDS for row in rows)
 
@@ -57,7 +57,7 @@ def allowed(count: int) -> int:
     return int(binom.isf(CHANCE, count, 0.05))
 
 
-def by_quantity(rows: Sequence[Beside]) -> Iterator[str]:
+def by_quantity(rows: Sequence[TruthComparison]) -> Iterator[str]:
     """A table of Markdown, a row for each quantity and one for all."""
     yield "| quantity | intervals | hold the truth | may miss | worst z | median arm | flags |"
     yield "|---|---:|---:|---:|---:|---:|---|"
@@ -67,7 +67,7 @@ def by_quantity(rows: Sequence[Beside]) -> Iterator[str]:
     yield _row("all", rows)
 
 
-def _row(name: str, rows: Sequence[Beside]) -> str:
+def _row(name: str, rows: Sequence[TruthComparison]) -> str:
     arms = [abs(m.interval95[1] - m.interval95[0]) / (2.0 * abs(row.truth)) for row in rows
             if (m := row.measurement).interval95]  # fmt: skip
     flags = sorted({flag for row in rows for flag in row.measurement.flags})

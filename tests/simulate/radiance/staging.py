@@ -7,27 +7,27 @@ from simulate.radiance.brdf.lambert import Lambert
 from simulate.radiance.brdf.protocol import Brdf
 from simulate.radiance.lamps.distribution import Isotropic
 from simulate.radiance.materials.reflectance import grey
-from simulate.radiance.transport.air import Air
-from simulate.radiance.transport.dome import black, dome
-from simulate.radiance.transport.effort import Effort
-from simulate.radiance.transport.leaving import leaving
-from simulate.radiance.transport.lights import DiscLight, LampLight, Lighting, Pattern, panels_of
-from simulate.radiance.transport.points import Coats
-from simulate.radiance.transport.stage import Stage
-from simulate.radiance.world.shapes import Mesh
-from simulate.radiance.world.surfaces import surfaces
+from simulate.radiance.outdoor.shapes import Mesh
+from simulate.radiance.outdoor.surfaces import collect_surfaces
+from simulate.radiance.transport.air_path_table import Air
+from simulate.radiance.transport.environment_map import black, environment_map
+from simulate.radiance.transport.integrator_settings import IntegratorSettings
+from simulate.radiance.transport.light_sources import DiscLight, LampLight, LampPattern, Lighting, panels_of
+from simulate.radiance.transport.outgoing_radiance import outgoing_radiance
+from simulate.radiance.transport.shading_points import BsdfSet
+from simulate.radiance.transport.spectral_scene import SpectralScene
 
 NM = np.array([500.0, 600.0])
 UP = (0.0, 0.0, 1.0)
-DIRECT = Effort(bounces=0)
+DIRECT = IntegratorSettings(bounces=0)
 # The sky that is equally bright everywhere, and the one that is three times as bright overhead.
 UNIFORM = lambda way: np.ones((2, len(way)))  # noqa: E731
 OVERCAST = lambda way: np.ones((2, 1)) * (1.0 + 2.0 * way[:, 2]) / 3.0  # noqa: E731
 
 
-def staged(parts, rho, *, glow=None, sky=None, lamps=(), discs=()) -> Stage:
+def staged(parts, rho, *, glow=None, sky=None, lamps=(), discs=()) -> SpectralScene:
     """Return a stage of (object, material, mesh) with a reflectance or a BRDF by material and a glow by material."""
-    found = surfaces(parts)
+    found = collect_surfaces(parts)
     brdfs: tuple[Brdf, ...] = tuple(
         Lambert(reflectance=grey(rho[name])) if isinstance(rho[name], float) else rho[name] for name in found.materials
     )
@@ -35,12 +35,12 @@ def staged(parts, rho, *, glow=None, sky=None, lamps=(), discs=()) -> Stage:
     of_material = np.array([names.index(name) if name in names else -1 for name in found.materials], np.int64)
     spectra = np.array([[value, value] for value in (glow or {}).values()], np.float32).reshape(-1, 2)
     lighting = Lighting(
-        dome=dome(sky) if sky else black(2),
+        environment_map=environment_map(sky) if sky else black(2),
         lamps=lamps,
         discs=discs,
         panels=panels_of(found, of_material[found.material_of], spectra) if glow else None,
     )
-    return Stage(surfaces=found, coats=Coats.of(brdfs, NM), lighting=lighting, air=Air())
+    return SpectralScene(surfaces=found, bsdfs=BsdfSet.of(brdfs, NM), lighting=lighting, air=Air())
 
 
 def at(mesh: Mesh, x: float, y: float, z: float) -> Mesh:
@@ -63,7 +63,7 @@ def lamp(position, intensity=1.0, radius=1e-3) -> LampLight:
     spectrum = np.full(2, 4.0 * np.pi * intensity, np.float32)
     place = np.asarray(position, float)
     return LampLight(
-        name="lamp", position_m=place, radius_m=radius, spectrum=spectrum, pattern=Pattern(Isotropic(), np.eye(3))
+        name="lamp", position_m=place, radius_m=radius, spectrum=spectrum, pattern=LampPattern(Isotropic(), np.eye(3))
     )
 
 
@@ -74,15 +74,17 @@ def disc_light(direction, radius_rad=0.00465, irradiance=1.0) -> DiscLight:
     return DiscLight(name="sun", direction=towards, angular_radius_rad=radius_rad, irradiance=spectrum)
 
 
-def irradiance(stage: Stage, places, normal, *, seed=1, effort=DIRECT, rays=16, known=1.0) -> NDArray[np.floating]:
+def irradiance(
+    stage: SpectralScene, places, normal, *, seed=1, effort=DIRECT, rays=16, known=1.0
+) -> NDArray[np.floating]:
     """Return the irradiance of places (place, 3) on surfaces with a normal, looked at along it, shape (place,)."""
     places = np.atleast_2d(np.asarray(places, float))
     normals = np.broadcast_to(np.asarray(normal, float), places.shape)
     hit = stage.surfaces.tracer.hits(places + 1e-2 * normals, -normals)
     share = np.full(len(places), known, np.float32)
-    points = stage.coats.points(stage.surfaces, hit.face, places, -normals, share)
-    light = leaving(stage, points, effort, np.random.default_rng(seed), rays=rays).total()[:, 0]
-    return light / stage.coats.rho_by_pi[points.material, 0]
+    points = stage.bsdfs.points(stage.surfaces, hit.face, places, -normals, share)
+    light = outgoing_radiance(stage, points, effort, np.random.default_rng(seed), rays=rays).total()[:, 0]
+    return light / stage.bsdfs.rho_by_pi[points.material, 0]
 
 
 def agree(found: NDArray[np.floating], exact: float, relative: float = 0.005) -> None:

@@ -5,19 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from simulate.radiance.transport.allotment import GROWTH, Rays, allotted, further
-from simulate.radiance.transport.eye import KNOWN, Eye
-from simulate.radiance.transport.truth import Truth
-from simulate.radiance.world.plan import REGIONS, _influence
+from simulate.radiance.outdoor.render_settings import REGIONS, _influence
+from simulate.radiance.transport.adaptive_sampling import GROWTH, SamplingSettings, allocate_samples, further
+from simulate.radiance.transport.auxiliary_layers import AuxiliaryLayers
+from simulate.radiance.transport.render_sensor import KNOWN, RenderSensor
 
 SHAPE = (32, 64)
 ALLOWED = 0.01
 
 
-def halves() -> Truth:
+def halves() -> AuxiliaryLayers:
     """Two objects side by side on one plane, so that only their border is an edge."""
     right = np.broadcast_to(np.arange(SHAPE[1]) >= SHAPE[1] // 2, SHAPE)
-    return Truth(
+    return AuxiliaryLayers(
         material=right.astype(np.int16),
         object=right.astype(np.int32),
         range_m=np.ones(SHAPE, np.float32),
@@ -41,8 +41,8 @@ def spread(left: float, right: float) -> np.ndarray:
 
 def test_rays_are_as_the_root_of_the_variance_and_bring_its_mean_to_what_is_allowed():
     variance = spread(0.04, 1.0)
-    rays = Rays(most=10_000, edge=2, allowed=lambda signal: np.full_like(signal, ALLOWED))
-    wanted = allotted(halves(), rays, tried(variance), 1)
+    rays = SamplingSettings(most=10_000, edge=2, allowed=lambda signal: np.full_like(signal, ALLOWED))
+    wanted = allocate_samples(halves(), rays, tried(variance), 1)
     plain = ~halves().edges()
     left, right = (wanted[plain & (halves().object == side)] for side in (0, 1))
     assert np.ptp(left) == 0 and np.ptp(right) == 0
@@ -53,29 +53,29 @@ def test_rays_are_as_the_root_of_the_variance_and_bring_its_mean_to_what_is_allo
 
 
 def test_where_nothing_differs_and_where_nobody_asks_pixels_get_the_fewest():
-    for rays in (Rays(allowed=lambda signal: np.full_like(signal, ALLOWED)), Rays()):
-        wanted = allotted(halves(), rays, tried(spread(0.0, 0.0)), 1)
+    for rays in (SamplingSettings(allowed=lambda signal: np.full_like(signal, ALLOWED)), SamplingSettings()):
+        wanted = allocate_samples(halves(), rays, tried(spread(0.0, 0.0)), 1)
         assert set(wanted[~halves().edges()]) == {rays.fewest}
         assert set(wanted[halves().edges()]) == {rays.edge}
 
 
 def test_at_edges_only_what_lies_apart_is_evened_out_by_rays_that_are_spread():
     edges = halves().edges()
-    rays = Rays(most=10_000, edge=2, allowed=lambda signal: np.full_like(signal, ALLOWED))
-    grain = allotted(halves(), rays, tried(spread(1.0, 1.0)), 1)
+    rays = SamplingSettings(most=10_000, edge=2, allowed=lambda signal: np.full_like(signal, ALLOWED))
+    grain = allocate_samples(halves(), rays, tried(spread(1.0, 1.0)), 1)
     assert np.ptp(grain) == 0, "rays that differ at the same place do so at edges as elsewhere"
 
     def steps(pixel, rays, together=False):
         return np.ones(len(pixel)), np.full(len(pixel), 0.0 if together else 1.0)
 
-    step = allotted(halves(), rays, steps, 1)
+    step = allocate_samples(halves(), rays, steps, 1)
     assert step[edges].max() < 0.8 * grain[edges].min()
 
 
 @pytest.mark.parametrize("limit", [{"most": 16}, {"most": 10_000, "in_all": 10_000}])
 def test_limits_are_kept_and_what_is_missing_goes_to_nobody(limit):
-    rays = Rays(edge=2, allowed=lambda signal: np.full_like(signal, 1e-6), **limit)
-    wanted = allotted(halves(), rays, tried(spread(0.0, 1.0)), 1)
+    rays = SamplingSettings(edge=2, allowed=lambda signal: np.full_like(signal, 1e-6), **limit)
+    wanted = allocate_samples(halves(), rays, tried(spread(0.0, 1.0)), 1)
     assert wanted.max() <= rays.most
     assert wanted.sum() < 1.2 * (rays.in_all or np.inf)
     assert set(wanted[:, :24].ravel()) == {rays.fewest}
@@ -89,14 +89,14 @@ def test_rare_bright_rays_are_found_by_longer_trials():
         pixels.append(len(pixel))
         return np.ones(len(pixel)), np.where(rng.random(len(pixel)) < 0.01, 100.0, 0.0)
 
-    rays = Rays(most=10_000, edge=2, allowed=lambda signal: np.full_like(signal, ALLOWED))
-    wanted = allotted(halves(), rays, specks, 1)
+    rays = SamplingSettings(most=10_000, edge=2, allowed=lambda signal: np.full_like(signal, ALLOWED))
+    wanted = allocate_samples(halves(), rays, specks, 1)
     assert len(pixels) > 5
     assert wanted.sum() == pytest.approx(100 * wanted.size, rel=0.5)
 
 
 def test_rays_go_on_until_the_error_measured_is_what_was_allowed():
-    rays = Rays(most=100_000, edge=2, allowed=lambda signal: np.full_like(signal, ALLOWED))
+    rays = SamplingSettings(most=100_000, edge=2, allowed=lambda signal: np.full_like(signal, ALLOWED))
     single, signal = spread(0.1, 40.0), np.ones(SHAPE)
     sent, turns = np.full(SHAPE, 8, np.int32), 0
     while (more := further(halves(), rays, signal, single / sent, sent)).any():
@@ -111,7 +111,7 @@ def test_rays_go_on_until_the_error_measured_is_what_was_allowed():
 
 
 def test_a_pixel_that_met_nothing_bright_goes_on_with_those_around_it_that_did():
-    rays = Rays(most=100_000, edge=2, allowed=lambda signal: np.full_like(signal, ALLOWED))
+    rays = SamplingSettings(most=100_000, edge=2, allowed=lambda signal: np.full_like(signal, ALLOWED))
     sent = np.full(SHAPE, 64, np.int32)
     met = np.where(np.random.default_rng(4).random(SHAPE) < 0.1, 100.0 * ALLOWED, 0.0)
     more = further(halves(), rays, np.ones(SHAPE), np.where(halves().object == 0, met, 0.0), sent)
@@ -121,13 +121,13 @@ def test_a_pixel_that_met_nothing_bright_goes_on_with_those_around_it_that_did()
 
 @pytest.mark.parametrize("limit", [{"most": 64}, {"most": 10_000, "in_all": 64 * SHAPE[0] * SHAPE[1]}])
 def test_no_limit_is_broken_for_the_errors_sake(limit):
-    rays = Rays(edge=2, allowed=lambda signal: np.full_like(signal, ALLOWED), **limit)
+    rays = SamplingSettings(edge=2, allowed=lambda signal: np.full_like(signal, ALLOWED), **limit)
     sent = np.full(SHAPE, 64, np.int32)
     assert not further(halves(), rays, np.ones(SHAPE), np.ones(SHAPE), sent).any()
 
 
 def test_differences_are_weighed_by_noise_or_by_a_share_of_the_signal():
-    eye = Eye(response_nm=(500.0,), response=(1.0,), dark_variance=4.0, variance_per_signal=3.0)
+    eye = RenderSensor(response_nm=(500.0,), response=(1.0,), dark_variance=4.0, variance_per_signal=3.0)
     assert eye.grain(0.0) == 2.0
     assert eye.grain(20.0) == pytest.approx(8.0)
     assert eye.grain(1e6) == pytest.approx(KNOWN * 1e6)

@@ -7,12 +7,12 @@ import pytest
 
 from simulate.radiance.brdf import Glossy
 from simulate.radiance.materials.reflectance import grey
-from simulate.radiance.transport.along import along
-from simulate.radiance.transport.bright_sky import BrightSky
-from simulate.radiance.transport.dome import dome
-from simulate.radiance.transport.effort import Effort
-from simulate.radiance.transport.stage import Stage
-from simulate.radiance.world.shapes import plane
+from simulate.radiance.outdoor.shapes import plane
+from simulate.radiance.transport.camera_ray_radiance import radiance_along
+from simulate.radiance.transport.environment_map import environment_map
+from simulate.radiance.transport.integrator_settings import IntegratorSettings
+from simulate.radiance.transport.sky_importance_sampling import SkyImportance
+from simulate.radiance.transport.spectral_scene import SpectralScene
 from tests.simulate.radiance.staging import OVERCAST, UNIFORM, at, inside_out, staged, upright
 
 SUN = np.array([0.0, np.cos(0.6), np.sin(0.6)])
@@ -25,17 +25,17 @@ def glow(way):
     return np.ones((2, 1)) * (1.0 + 400.0 * np.exp(-np.arccos(np.clip(way @ SUN, -1.0, 1.0)) / 0.04))
 
 
-def without(stage: Stage) -> Stage:
+def without(stage: SpectralScene) -> SpectralScene:
     """The same stage whose bright sky is found by gathering alone."""
     lighting = replace(stage.lighting)
     lighting.__dict__["bright_sky"] = None
     return replace(stage, lighting=lighting)
 
 
-def seen(stage: Stage, count: int, seed: int, known: float, effort: Effort):
+def seen(stage: SpectralScene, count: int, seed: int, known: float, effort: IntegratorSettings):
     origin = np.broadcast_to([0.0, 0.0, 1.0], (count, 3))
     share = np.full(count, known, np.float32)
-    found = along(
+    found = radiance_along(
         stage, origin, np.broadcast_to(DOWN, (count, 3)), effort, np.random.default_rng(seed), gathered=2, known=share
     )
     return found.total()[:, 0].astype(float)
@@ -60,7 +60,7 @@ def wall(y: float):
 def test_light_of_a_glow_is_that_found_by_gathering_with_less_chance(seed, floor, y, known, bounces, gain):
     parts = [("floor", "floor", plane(60, 60)), ("wall", "wall", wall(y) if y > 0 else inside_out(wall(y)))]
     stage = staged(parts, {"floor": floor, "wall": 0.5}, sky=glow)
-    effort = Effort(bounces=bounces)
+    effort = IntegratorSettings(bounces=bounces)
     by_name = seen(stage, 6_000, seed, known, effort)
     gathered = seen(without(stage), 24_000, seed + 100, known, effort)
     error = np.hypot(by_name.std() / np.sqrt(len(by_name)), gathered.std() / np.sqrt(len(gathered)))
@@ -71,7 +71,7 @@ def test_light_of_a_glow_is_that_found_by_gathering_with_less_chance(seed, floor
 
 
 def test_directions_are_drawn_with_the_density_stated(seed):
-    bright = BrightSky.of(dome(glow))
+    bright = SkyImportance.of(environment_map(glow))
     assert bright is not None
     rng = np.random.default_rng(seed)
     way = bright.draw(40_000, rng)
@@ -87,5 +87,5 @@ def test_directions_are_drawn_with_the_density_stated(seed):
 
 
 def test_an_even_sky_costs_no_further_rays():
-    assert BrightSky.of(dome(UNIFORM)) is None
-    assert BrightSky.of(dome(OVERCAST)) is None
+    assert SkyImportance.of(environment_map(UNIFORM)) is None
+    assert SkyImportance.of(environment_map(OVERCAST)) is None

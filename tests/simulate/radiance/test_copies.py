@@ -8,17 +8,17 @@ import pytest
 
 from labdata.errors import BadInput
 from simulate.radiance.embree import COPY_BITS
-from simulate.radiance.transport.along import along
-from simulate.radiance.transport.effort import Effort
-from simulate.radiance.transport.truth import truth
-from simulate.radiance.world import build
-from simulate.radiance.world.description.camera import Camera
-from simulate.radiance.world.description.lamp_post import LampPost
-from simulate.radiance.world.description.material import Surface
-from simulate.radiance.world.description.objects import Object, Pose
-from simulate.radiance.world.description.scene import Scene
-from simulate.radiance.world.site import Site
-from simulate.radiance.world.viewpoint import Viewpoint
+from simulate.radiance.outdoor import build
+from simulate.radiance.outdoor.built_scene import BuiltScene
+from simulate.radiance.outdoor.description.camera import SceneCamera
+from simulate.radiance.outdoor.description.lamp_placement import LampPlacement
+from simulate.radiance.outdoor.description.material import MaterialSpec
+from simulate.radiance.outdoor.description.objects import Object, Pose
+from simulate.radiance.outdoor.description.scene import OutdoorScene
+from simulate.radiance.outdoor.viewpoint import Viewpoint
+from simulate.radiance.transport.auxiliary_layers import truth
+from simulate.radiance.transport.camera_ray_radiance import radiance_along
+from simulate.radiance.transport.integrator_settings import IntegratorSettings
 
 NM = np.array([500.0, 600.0])
 
@@ -39,14 +39,16 @@ def site(finish="matt", **lamp):
     )
     box = Object(label="boxes", material="box", shape="box", size_m=(1.0, 0.6, 1.2), instances=poses)
     floor = Object(label="floor", material="floor", shape="plane", size_m=(40.0, 40.0), position_m=(500.0, 0.0, 0.0))
-    post = LampPost(**{"label": "lamp", "kind": "mercury", "position_m": (503.0, 1.5, 4.0), "lumens": 100.0} | lamp)
-    return Site(
-        Scene(
+    post = LampPlacement(
+        **{"label": "lamp", "kind": "mercury", "position_m": (503.0, 1.5, 4.0), "lumens": 100.0} | lamp
+    )
+    return BuiltScene(
+        OutdoorScene(
             name="boxes",
-            camera=Camera(position_m=(503.0, -8.0, 5.0), look_at_m=(503.0, 3.0, 0.0)),
+            camera=SceneCamera(position_m=(503.0, -8.0, 5.0), look_at_m=(503.0, 3.0, 0.0)),
             material=(
-                Surface(label="box", reflectance=(0.7,), **more),
-                Surface(label="floor", reflectance=(0.4,)),
+                MaterialSpec(label="box", reflectance=(0.7,), **more),
+                MaterialSpec(label="floor", reflectance=(0.4,)),
             ),
             object=(floor, box),
             lamp=(post,),
@@ -86,11 +88,11 @@ def test_shared_copies_are_hit_where_copies_of_their_own_are(shared, monkeypatch
 @pytest.mark.parametrize("place", [(503.0, 1.5, 4.0), (500.9, -1.2, 0.05)])
 def test_light_by_way_of_shared_copies_is_that_of_copies_of_their_own(shared, monkeypatch, finish, place):
     """A lamp high above, and one so close to the floor that its patch is looked for from the lamp."""
-    (origin, towards), effort = rays(12_000), Effort(bounces=3)
+    (origin, towards), effort = rays(12_000), IntegratorSettings(bounces=3)
 
     def seen(seed):
         stage = site(finish, position_m=place, radius_m=0.01).on(NM)
-        light = along(stage, origin, towards, effort, np.random.default_rng(seed), gathered=4).total()[:, 0]
+        light = radiance_along(stage, origin, towards, effort, np.random.default_rng(seed), gathered=4).total()[:, 0]
         return np.minimum(light, np.percentile(light, 99.5))
 
     one = seen(1)
@@ -114,11 +116,11 @@ def test_truth_and_refusals_know_shared_copies(shared):
 
 
 PEAK = """
-from simulate.radiance.world.build import built
-from simulate.radiance.world.description.camera import Camera
-from simulate.radiance.world.description.material import Surface
-from simulate.radiance.world.description.objects import Object, Pose
-from simulate.radiance.world.description.scene import Scene
+from simulate.radiance.outdoor.build import built
+from simulate.radiance.outdoor.description.camera import Camera
+from simulate.radiance.outdoor.description.material import Surface
+from simulate.radiance.outdoor.description.objects import Object, Pose
+from simulate.radiance.outdoor.description.scene import Scene
 
 poses = tuple(Pose(position_m=(3.0 * (i % 150), 3.0 * (i // 150), 1.0), heading_deg=i % 360) for i in range(20_000))
 ball = Object(label="balls", material="grey", shape="sphere", size_m=(1.0,), instances=poses)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from labdata.errors import BadInput
-from simulate.radiance.sky.ephemeris import Place, ephemeris, uncovered_share
+from simulate.radiance.sky.ephemeris import ObserverLocation, ephemeris, visible_disc_fraction
 
-ROCHESTER = Place(latitude_deg=43.16, longitude_deg=-77.61, altitude_m=150.0)
+ROCHESTER = ObserverLocation(latitude_deg=43.16, longitude_deg=-77.61, altitude_m=150.0)
 
 
 def cases(count=50):
@@ -16,7 +16,7 @@ def cases(count=50):
     rng = np.random.default_rng(17)
     start = datetime(1998, 1, 1, tzinfo=UTC)
     for _ in range(count):
-        place = Place(
+        place = ObserverLocation(
             latitude_deg=float(np.rad2deg(np.arcsin(rng.uniform(-1.0, 1.0)))),
             longitude_deg=float(rng.uniform(-180.0, 180.0)),
             altitude_m=float(rng.uniform(0.0, 4000.0)),
@@ -79,7 +79,7 @@ def test_the_phase_is_that_of_the_place_and_not_of_the_earths_centre():
     """Two places that see the moon at the same time from 12,000 km apart see phases up to 2 degrees apart."""
     time = datetime(2024, 2, 24, 12, 30, tzinfo=UTC)
     phases = [
-        ephemeris(Place(latitude_deg=lat, longitude_deg=lon), time).phase_deg
+        ephemeris(ObserverLocation(latitude_deg=lat, longitude_deg=lon), time).phase_deg
         for lat, lon in ((60.0, 170.0), (-60.0, 170.0))
     ]
     assert 0.2 < abs(phases[0] - phases[1]) < 2.0
@@ -110,7 +110,7 @@ def test_a_half_covered_disc_agrees_with_counting():
     disc = np.hypot(x, y) < 1.0
     for cover, apart in ((1.5, 1.2), (0.5, 0.9), (3.0, 2.6), (0.4, 0.2)):
         free = disc & (np.hypot(x - apart, y) >= cover)
-        assert uncovered_share(1.0, cover, apart) == pytest.approx(free.sum() / disc.sum(), abs=3e-3)
+        assert visible_disc_fraction(1.0, cover, apart) == pytest.approx(free.sum() / disc.sum(), abs=3e-3)
 
 
 @pytest.mark.parametrize(
@@ -118,8 +118,11 @@ def test_a_half_covered_disc_agrees_with_counting():
     [
         (lambda: ephemeris(ROCHESTER, datetime(2024, 2, 24, 6)), "must know its zone"),
         (lambda: ephemeris(ROCHESTER, datetime(2350, 1, 1, tzinfo=UTC)), "between 1900 and 2100"),
-        (lambda: Place(latitude_deg=91.0, longitude_deg=0.0), r"latitude_deg must lie in \[-90, 90\], got 91"),
-        (lambda: Place(latitude_deg=0.0, longitude_deg=400.0), "longitude_deg must lie in"),
+        (
+            lambda: ObserverLocation(latitude_deg=91.0, longitude_deg=0.0),
+            r"latitude_deg must lie in \[-90, 90\], got 91",
+        ),
+        (lambda: ObserverLocation(latitude_deg=0.0, longitude_deg=400.0), "longitude_deg must lie in"),
     ],
 )
 def test_impossible_places_and_times_are_refused_in_a_sentence(make, says):

@@ -6,17 +6,17 @@ from functools import partial
 import numpy as np
 import pytest
 
-from simulate.radiance.transport.allotment import Rays
-from simulate.radiance.transport.effort import Effort
-from simulate.radiance.transport.even import TILE, evenly
-from simulate.radiance.transport.field import STEP, field
-from simulate.radiance.transport.leaving import leaving
-from simulate.radiance.transport.local_fit import Nodes
-from simulate.radiance.transport.picture import picture
-from simulate.radiance.transport.stage import Stage
+from simulate.radiance.outdoor.shapes import box, plane
+from simulate.radiance.outdoor.viewpoint import Viewpoint
+from simulate.radiance.transport.adaptive_sampling import SamplingSettings
+from simulate.radiance.transport.cache_smoothing import Nodes
+from simulate.radiance.transport.integrator_settings import IntegratorSettings
+from simulate.radiance.transport.irradiance_cache import STEP, build_irradiance_cache
+from simulate.radiance.transport.low_discrepancy import TILE, low_discrepancy_points
+from simulate.radiance.transport.outgoing_radiance import outgoing_radiance
+from simulate.radiance.transport.renderer import render_scene
+from simulate.radiance.transport.spectral_scene import SpectralScene
 from simulate.radiance.transport.workers import one_by_one, workers
-from simulate.radiance.world.shapes import box, plane
-from simulate.radiance.world.viewpoint import Viewpoint
 from tests.simulate.radiance.staging import UNIFORM, at, inside_out, lamp, staged, upright
 
 WHITE = np.ones(2, np.float32)
@@ -30,7 +30,7 @@ def squared(share: float, signal: np.ndarray) -> np.ndarray:
     return (share * signal) ** 2
 
 
-def beside_a_wall() -> Stage:
+def beside_a_wall() -> SpectralScene:
     wall = at(upright(plane(600, HEIGHT_M)), 0, 0, 0.5 * HEIGHT_M)
     return staged(
         [("floor", "floor", plane(600, 600)), ("wall", "wall", wall)], {"floor": 0.5, "wall": 0.0}, sky=UNIFORM
@@ -46,7 +46,9 @@ def sky_seen(view: Viewpoint) -> np.ndarray:
 
 
 def test_a_floor_beside_a_long_wall_is_as_bright_as_the_sky_that_it_sees(seed):
-    found = picture(beside_a_wall(), ABOVE, Rays(shared=64), Effort(bounces=0), weight=WHITE, seed=seed)
+    found = render_scene(
+        beside_a_wall(), ABOVE, SamplingSettings(shared=64), IntegratorSettings(bounces=0), weight=WHITE, seed=seed
+    )
     relative = found.cube.radiance[0] * 2.0 / sky_seen(ABOVE) - 1.0
     assert np.median(np.abs(relative)) < 0.005
     assert abs(relative.mean()) < 0.002
@@ -60,8 +62,10 @@ def test_shared_light_knows_its_own_error(seed):
 
     def shared(rays: int):
         limits = {"rays": rays, "most": rays}
-        effort = Effort(bounces=0)
-        return field(stage, ABOVE, effort, known, **limits, allowed=None, weight=weight, seed=seed, run=one_by_one)
+        effort = IntegratorSettings(bounces=0)
+        return build_irradiance_cache(
+            stage, ABOVE, effort, known, **limits, allowed=None, weight=weight, seed=seed, run=one_by_one
+        )
 
     found = shared(16)
     missed = found.change[..., 0] - np.pi * (sky_seen(ABOVE.smaller(STEP)) - 1.0)
@@ -74,8 +78,10 @@ def test_nodes_that_miss_more_than_is_allowed_send_more_rays(seed):
     known, weight, limits = np.ones(finer.shape, np.float32), np.array([1.0, 0.0]), {"rays": 4, "most": 256}
 
     def shared(share: float):
-        allowed, effort = partial(squared, share), Effort(bounces=0)
-        return field(stage, finer, effort, known, **limits, allowed=allowed, weight=weight, seed=seed, run=one_by_one)
+        allowed, effort = partial(squared, share), IntegratorSettings(bounces=0)
+        return build_irradiance_cache(
+            stage, finer, effort, known, **limits, allowed=allowed, weight=weight, seed=seed, run=one_by_one
+        )
 
     strict, middling, loose = shared(1e-4), shared(2e-2), shared(1.0)
     assert (loose.rays == 4).all()
@@ -98,7 +104,10 @@ def test_what_few_rays_find_counts_for_the_whole(share, fine, seed):
 
     def lost(number: int) -> float:
         asked = {"known": known, "weight": weight, "seed": 100 * seed + number, "run": one_by_one}
-        return field(stage, below, Effort(bounces=0), **limits, **asked).change[..., 0].mean() / np.pi
+        return (
+            build_irradiance_cache(stage, below, IntegratorSettings(bounces=0), **limits, **asked).change[..., 0].mean()
+            / np.pi
+        )
 
     relative = np.array([lost(number) for number in range(24)]) / -hidden_by_a_square(below, 0.5, 3.0) - 1.0
     error = relative.std(ddof=1) / np.sqrt(len(relative))
@@ -131,7 +140,9 @@ def test_a_pixel_on_a_shadows_slope_is_known_by_as_many_places_as_its_rays_allow
 
     def beside_the_kerb(one: int) -> float:
         known = np.ones(view.shape, np.float32)
-        found = field(stage, view, Effort(bounces=0), known, **limits, seed=one, run=one_by_one)
+        found = build_irradiance_cache(
+            stage, view, IntegratorSettings(bounces=0), known, **limits, seed=one, run=one_by_one
+        )
         return 1.0 + found.change[-1, 0, 0] / np.pi
 
     exact = 0.5 + (np.hypot(pixel_m, kerb_m) - kerb_m) / (2.0 * pixel_m)
@@ -143,8 +154,8 @@ def test_a_pixel_on_a_shadows_slope_is_known_by_as_many_places_as_its_rays_allow
 def test_a_furnace_of_shared_light_is_evenly_bright(seed):
     stage = staged([("room", "m", inside_out(box(2, 3, 2)))], {"m": 0.6}, glow={"m": 1.0})
     inside = Viewpoint(position_m=(0.1, 0.2, 1.0), forward=(0, 1, 0), shape=(32, 48), focal_px=(40.0, 40.0))
-    effort = Effort(bounces=200, roulette_from=3)
-    found = picture(stage, inside, Rays(shared=32), effort, weight=WHITE, seed=seed)
+    effort = IntegratorSettings(bounces=200, roulette_from=3)
+    found = render_scene(stage, inside, SamplingSettings(shared=32), effort, weight=WHITE, seed=seed)
     relative = found.cube.radiance[0] * (1.0 - 0.6) - 1.0
     assert abs(relative.mean()) < 0.005
     assert np.median(np.abs(relative)) < 0.02
@@ -154,10 +165,10 @@ def test_threads_change_no_byte(seed):
     parts = [("floor", "m", plane(40, 40)), ("box", "m", at(box(2, 2, 2), 0, 3, 0))]
     stage = staged(parts, {"m": 0.5}, sky=UNIFORM, lamps=(lamp((0, 0, 3), 3.0, 0.3),))
     view = Viewpoint(position_m=(0, -6, 3), forward=(0, 1, -0.4), shape=(48, 64), focal_px=(60.0, 60.0))
-    rays = Rays(allowed=lambda signal: (0.02 * signal) ** 2)
-    alone = picture(stage, view, rays, Effort(), weight=WHITE, seed=seed)
+    rays = SamplingSettings(allowed=lambda signal: (0.02 * signal) ** 2)
+    alone = render_scene(stage, view, rays, IntegratorSettings(), weight=WHITE, seed=seed)
     with workers(3) as run:
-        together = picture(stage, view, rays, Effort(), weight=WHITE, seed=seed, run=run)
+        together = render_scene(stage, view, rays, IntegratorSettings(), weight=WHITE, seed=seed, run=run)
     assert alone.cube.radiance.tobytes() == together.cube.radiance.tobytes()
 
 
@@ -192,7 +203,7 @@ def test_between_nodes_of_one_surface_others_have_no_say():
 
 def test_the_rays_of_a_tile_fill_the_square_evenly_together():
     row, col = (axis.ravel() for axis in np.meshgrid(np.arange(TILE), np.arange(TILE), indexing="ij"))
-    pairs = evenly(row, col, 4, [1]).pairs().reshape(-1, 2)
+    pairs = low_discrepancy_points(row, col, 4, [1]).pairs().reshape(-1, 2)
     cell = (pairs * 8).astype(int)
     counts = np.bincount(8 * cell[:, 0] + cell[:, 1], minlength=64)
     # 256 at random would leave cells of 4 with a standard deviation of 2.
@@ -208,9 +219,11 @@ def test_light_asked_for_in_parts_and_all_at_once_is_the_same(seed, known):
     count = len(tilted)
     place = np.column_stack([np.zeros(count), np.linspace(0.1, 3.0, count), np.full(count, 0.01)])
     face, share = np.zeros(count, np.int64), np.full(count, known, np.float32)
-    points = replace(stage.coats.points(stage.surfaces, face, place, -tilted, share), normal=tilted)
+    points = replace(stage.bsdfs.points(stage.surfaces, face, place, -tilted, share), normal=tilted)
     lit = [
-        leaving(stage, points, Effort(bounces=0), np.random.default_rng(seed), rays=8, split=split).total()
+        outgoing_radiance(
+            stage, points, IntegratorSettings(bounces=0), np.random.default_rng(seed), rays=8, split=split
+        ).total()
         for split in (True, False)
     ]
     assert lit[1] == pytest.approx(lit[0], rel=1e-4, abs=1e-5)

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as some
 
 from labdata.errors import BadInput
-from simulate.radiance.lamps.ies import parsed, read_ies
-from simulate.radiance.world.site import Site
+from simulate.radiance.lamps.ies import parse_photometry, read_ies
+from simulate.radiance.outdoor.built_scene import BuiltScene
 from tests.simulate.radiance.test_scenes import BALL, CAMERA, GREY, scene_of
 
 EXAMPLES = int(os.environ.get("CHARACT_FUZZ_EXAMPLES", "200"))
@@ -39,7 +39,7 @@ def candela(lamp, polar_deg: float, azimuth_deg: float) -> float:
 
 
 def test_intensities_are_those_of_the_file():
-    lamp = parsed(STREET)
+    lamp = parse_photometry(STREET)
     assert [candela(lamp, 60.0, turn) for turn in (0.0, 90.0, 180.0, 270.0)] == pytest.approx([200, 100, 50, 100])
     assert candela(lamp, 0.0, 0.0) == pytest.approx(100.0)
     assert candela(lamp, 120.0, 0.0) == 0.0
@@ -47,19 +47,19 @@ def test_intensities_are_those_of_the_file():
 
 def test_a_source_of_100_candela_all_around_has_400_pi_lumens():
     even = "TILT=NONE\n1 -1 2.0 2 1 1 1 0 0 0\n0.5 1 0\n0 180\n0\n100 100\n"
-    assert parsed(even).lumens == pytest.approx(400.0 * np.pi, rel=1e-6)
+    assert parse_photometry(even).lumens == pytest.approx(400.0 * np.pi, rel=1e-6)
 
 
 def test_tilt_that_changes_nothing_is_read_and_one_that_does_is_refused():
     with_tilt = STREET.replace("TILT=NONE", "TILT=INCLUDE\n1\n2\n0 90\n1 {}")
-    assert parsed(with_tilt.format("1.0")).lumens == pytest.approx(parsed(STREET).lumens)
+    assert parse_photometry(with_tilt.format("1.0")).lumens == pytest.approx(parse_photometry(STREET).lumens)
     with pytest.raises(BadInput, match=r"must not depend on its tilt, got factors of 0\.8"):
-        parsed(with_tilt.format("0.8"))
+        parse_photometry(with_tilt.format("0.8"))
 
 
 def test_a_lamp_given_from_90_to_270_degrees_is_the_same_on_both_sides():
     turned = STREET.replace("\n0 90 180\n", "\n90 180 270\n")
-    lamp = parsed(turned)
+    lamp = parse_photometry(turned)
     assert [candela(lamp, 60.0, turn) for turn in (90.0, 180.0, 270.0)] == pytest.approx([200, 100, 50])
     assert candela(lamp, 60.0, 0.0) == pytest.approx(100.0)
 
@@ -102,7 +102,7 @@ def test_a_bad_file_is_refused_in_a_sentence(tmp_path, old, new, says):
 )
 def test_whatever_a_file_holds_it_is_a_lamp_or_a_sentence(text):
     try:
-        lamp = parsed(text)
+        lamp = parse_photometry(text)
     except BadInput as error:
         assert "\n" not in str(error) and len(str(error)) < 300
     else:
@@ -112,8 +112,8 @@ def test_whatever_a_file_holds_it_is_a_lamp_or_a_sentence(text):
 def test_a_measured_lamp_in_a_scene_has_the_lumens_of_its_file_and_shines_where_it_is_turned(tmp_path):
     (tmp_path / "street.ies").write_text(STREET)
     lamp = '[[lamp]]\nlabel = "a"\nkind = "led-warm"\nbeam = "street.ies"\nposition_m = [0, 0, 5]\nheading_deg = 90\n'
-    site = Site(scene_of(tmp_path, CAMERA + GREY + BALL + lamp))
+    site = BuiltScene(scene_of(tmp_path, CAMERA + GREY + BALL + lamp))
     light = site.on(np.array([500.0, 600.0])).lighting.lamps[0]
-    assert site.lamps[0][1].flux.lumens == pytest.approx(parsed(STREET).lumens)
+    assert site.lamps[0][1].flux.lumens == pytest.approx(parse_photometry(STREET).lumens)
     east, north, west = (light.pattern(np.array([[x, y, -0.5]]))[0] for x, y in ((0.866, 0), (0, 0.866), (-0.866, 0)))
     assert [east, north, west] / east == pytest.approx([1.0, 0.5, 0.25], rel=1e-3)

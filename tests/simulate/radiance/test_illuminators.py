@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from labdata.errors import BadInput
-from simulate.iiccd.photons import JOULE_METRE
+from simulate.iiccd.tube_photometry import JOULE_METRE
 from simulate.radiance.lamps import read_spectrum, spectrum
+from simulate.radiance.outdoor.built_scene import BuiltScene
 from simulate.radiance.scene import load_scene
-from simulate.radiance.transport.along import along
-from simulate.radiance.transport.effort import Effort
-from simulate.radiance.world.site import Site
+from simulate.radiance.transport.camera_ray_radiance import radiance_along
+from simulate.radiance.transport.integrator_settings import IntegratorSettings
 
 SCENE = """
 name = "a wall and an illuminator"
@@ -46,7 +46,7 @@ def site(folder, lamp):
     """Return the scene with a lamp of such lines."""
     path = folder / "scene.toml"
     path.write_text(SCENE.format(lamp=lamp))
-    return Site(load_scene(path))
+    return BuiltScene(load_scene(path))
 
 
 def photons_from_the_wall(scene):
@@ -55,7 +55,9 @@ def photons_from_the_wall(scene):
     grid = scene.bands(NM, per_watt, 0.001)
     stage = scene.on(grid)
     ahead, eye = np.array([[0.0, 1.0, 0.0]]), np.array([[0.0, 0.0, 2.0]])
-    light = along(stage, eye, ahead, Effort(bounces=0), np.random.default_rng(0), gathered=1).total()[0]
+    light = radiance_along(
+        stage, eye, ahead, IntegratorSettings(bounces=0), np.random.default_rng(0), gathered=1
+    ).total()[0]
     return float(np.sum(light * np.gradient(grid) * np.interp(grid, NM, per_watt)))
 
 

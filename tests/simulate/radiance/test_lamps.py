@@ -4,8 +4,17 @@ import numpy as np
 import pytest
 
 from labdata.errors import BadInput
-from simulate.iiccd.photons import JOULE_METRE, quantum_efficiency
-from simulate.radiance.lamps import KINDS, Cosine, Isotropic, Lamp, Spot, Table, read_spectrum, spectrum
+from simulate.iiccd.tube_photometry import JOULE_METRE, quantum_efficiency
+from simulate.radiance.lamps import (
+    KINDS,
+    Cosine,
+    Isotropic,
+    Lamp,
+    MeasuredDistribution,
+    SpotBeam,
+    read_spectrum,
+    spectrum,
+)
 from simulate.radiance.photometry import luminous_efficiency, planck
 from simulate.radiance.sky.dark_sky import dark_sky
 from simulate.radiance.sky.moon import moon_spectrum
@@ -93,12 +102,12 @@ STREET = np.array([[100.0, 120.0, 260.0, 90.0, 0.0], [100.0, 110.0, 150.0, 40.0,
     [
         Isotropic(),
         Cosine(),
-        Spot(half_angle_deg=10.0),
-        Spot(half_angle_deg=60.0),
-        Table(polar_deg=POLAR, azimuth_deg=np.array([0.0]), candela=STREET[:1]),
-        Table(polar_deg=POLAR, azimuth_deg=np.array([0.0, 45.0, 90.0]), candela=STREET),
-        Table(polar_deg=POLAR, azimuth_deg=np.array([0.0, 90.0, 180.0]), candela=STREET),
-        Table(polar_deg=POLAR, azimuth_deg=np.array([0.0, 120.0, 360.0]), candela=STREET[[0, 1, 0]]),
+        SpotBeam(half_angle_deg=10.0),
+        SpotBeam(half_angle_deg=60.0),
+        MeasuredDistribution(polar_deg=POLAR, azimuth_deg=np.array([0.0]), candela=STREET[:1]),
+        MeasuredDistribution(polar_deg=POLAR, azimuth_deg=np.array([0.0, 45.0, 90.0]), candela=STREET),
+        MeasuredDistribution(polar_deg=POLAR, azimuth_deg=np.array([0.0, 90.0, 180.0]), candela=STREET),
+        MeasuredDistribution(polar_deg=POLAR, azimuth_deg=np.array([0.0, 120.0, 360.0]), candela=STREET[[0, 1, 0]]),
     ],
     ids=str,
 )
@@ -108,7 +117,7 @@ def test_a_lamp_shines_all_of_its_light_and_no_more(distribution):
 
 
 def test_a_table_is_read_at_its_angles_and_mirrored():
-    lamp = Table(polar_deg=POLAR, azimuth_deg=np.array([0.0, 45.0, 90.0]), candela=STREET)
+    lamp = MeasuredDistribution(polar_deg=POLAR, azimuth_deg=np.array([0.0, 45.0, 90.0]), candela=STREET)
     turn = np.deg2rad([45.0, 135.0, 225.0, 315.0])
     down = np.deg2rad(60.0)
     ring = np.column_stack([np.sin(down) * np.cos(turn), np.sin(down) * np.sin(turn), np.full(4, np.cos(down))])
@@ -118,7 +127,7 @@ def test_a_table_is_read_at_its_angles_and_mirrored():
 
 
 def test_a_spot_falls_to_half_at_its_half_angle():
-    spot, angle = Spot(half_angle_deg=12.0), np.deg2rad(12.0)
+    spot, angle = SpotBeam(half_angle_deg=12.0), np.deg2rad(12.0)
     edge, axis = spot.per_sr(np.array([[np.sin(angle), 0.0, np.cos(angle)], [0.0, 0.0, 1.0]]))
     assert edge / axis == pytest.approx(0.5, rel=1e-9)
 
@@ -166,9 +175,9 @@ def test_a_bad_file_is_refused_in_a_sentence(tmp_path, text, says):
         (lambda: spectrum("incandescent", temperature_k=300.0), r"temperature_k must lie in \[1000, 20000\], got 300"),
         (lambda: spectrum("led-warm", near_infrared_share=0.1), "near_infrared_share must be 0 for led-warm"),
         (lambda: spectrum("incandescent", near_infrared_share=0.1), "has no near_infrared_share"),
-        (lambda: Spot(half_angle_deg=90.0), "half_angle_deg must lie in"),
+        (lambda: SpotBeam(half_angle_deg=90.0), "half_angle_deg must lie in"),
         (
-            lambda: Table(polar_deg=POLAR, azimuth_deg=np.array([0.0, 70.0]), candela=STREET[:2]),
+            lambda: MeasuredDistribution(polar_deg=POLAR, azimuth_deg=np.array([0.0, 70.0]), candela=STREET[:2]),
             "azimuth_deg must ascend from 0 to 0, 90, 180 or 360",
         ),
         (lambda: read_spectrum("nowhere.csv"), "readable text file, got nowhere.csv"),

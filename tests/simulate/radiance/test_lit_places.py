@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 from scipy.integrate import dblquad, quad
 
-from simulate.radiance.lamps.distribution import Cosine, Isotropic, Spot, Table
-from simulate.radiance.transport.effort import Effort
-from simulate.radiance.transport.leaving import leaving
-from simulate.radiance.transport.lights import LampLight, Pattern
-from simulate.radiance.transport.lit_places import RINGS, Beams
-from simulate.radiance.world.shapes import plane
+from simulate.radiance.lamps.distribution import Cosine, Isotropic, MeasuredDistribution, SpotBeam
+from simulate.radiance.outdoor.shapes import plane
+from simulate.radiance.transport.integrator_settings import IntegratorSettings
+from simulate.radiance.transport.light_sources import LampLight, LampPattern
+from simulate.radiance.transport.light_tracing import RINGS, LightTracingSettings
+from simulate.radiance.transport.outgoing_radiance import outgoing_radiance
 from tests.simulate.radiance.staging import agree, at, inside_out, irradiance, lamp, staged
 
 FLOOR, ABOVE_M = 0.6, 2.0
 # Places enough that the heavy tail of what batches find is drawn fairly.
 MANY = 100_000
-ONCE = Effort(bounces=1)
+ONCE = IntegratorSettings(bounces=1)
 
 
 def low_room(lamps, above_m=ABOVE_M):
@@ -84,9 +84,9 @@ def test_what_hides_a_part_of_a_lamp_hides_as_much_of_its_light_from_the_floor(s
     shaded = staged(parts, {"floor": FLOOR, "ceiling": 0.5, "crumb": 0.0}, lamps=bare.lighting.lamps)
     assert shaded.beams.worth.all()
     places = np.tile([0.0, 0.0, ABOVE_M], (MANY, 1))
-    points = shaded.coats.points(shaded.surfaces, np.full(MANY, 2), places, np.tile([0, 0, 1.0], (MANY, 1)))
+    points = shaded.bsdfs.points(shaded.surfaces, np.full(MANY, 2), places, np.tile([0, 0, 1.0], (MANY, 1)))
     by = {
-        split: leaving(shaded, points, ONCE, np.random.default_rng(3), rays=16, split=split).total()[:, 0]
+        split: outgoing_radiance(shaded, points, ONCE, np.random.default_rng(3), rays=16, split=split).total()[:, 0]
         for split in (True, False)
     }
     apart = by[False].mean() - by[True].mean()
@@ -98,7 +98,7 @@ def test_what_hides_a_part_of_a_lamp_hides_as_much_of_its_light_from_the_floor(s
 def test_lamps_left_out_are_not_drawn():
     lamps = tuple(replace(lamp((x, 0, 0.03), radius=0.0), name=name) for x, name in ((0.0, "on"), (1.0, "off")))
     stage = low_room(lamps)
-    agree(at_the_ceiling(stage, Effort(bounces=1, left_out=frozenset({"off"}))), by_the_floor(0.03))
+    agree(at_the_ceiling(stage, IntegratorSettings(bounces=1, left_out=frozenset({"off"}))), by_the_floor(0.03))
 
 
 def test_lamps_far_from_everything_are_left_to_gathering():
@@ -110,7 +110,7 @@ def test_lamps_far_from_everything_are_left_to_gathering():
 def shining(distribution) -> LampLight:
     place, spectrum = np.array([0.0, 0.0, 0.03]), np.ones(2, np.float32)
     return LampLight(
-        name="lamp", position_m=place, radius_m=0.0, spectrum=spectrum, pattern=Pattern(distribution, np.eye(3))
+        name="lamp", position_m=place, radius_m=0.0, spectrum=spectrum, pattern=LampPattern(distribution, np.eye(3))
     )
 
 
@@ -119,22 +119,22 @@ def shining(distribution) -> LampLight:
     [
         (Isotropic(), lambda fall: 1.0 - fall / 2.0),
         (Cosine(), lambda fall: (1.0 - fall) ** 2),
-        (Spot(half_angle_deg=4.0), lambda fall: (1.0 - fall) ** (Spot(half_angle_deg=4.0).power + 1.0)),
-        (Spot(half_angle_deg=0.1), lambda fall: (1.0 - fall) ** (Spot(half_angle_deg=0.1).power + 1.0)),
+        (SpotBeam(half_angle_deg=4.0), lambda fall: (1.0 - fall) ** (SpotBeam(half_angle_deg=4.0).power + 1.0)),
+        (SpotBeam(half_angle_deg=0.1), lambda fall: (1.0 - fall) ** (SpotBeam(half_angle_deg=0.1).power + 1.0)),
     ],
 )
 def test_rings_hold_equal_light(distribution, light_beyond):
-    falls = Beams.of((shining(distribution),), low_room(()).surfaces.tracer).falls[0]
+    falls = LightTracingSettings.of((shining(distribution),), low_room(()).surfaces.tracer).falls[0]
     assert light_beyond(falls[:-1]) == pytest.approx(1.0 - np.arange(RINGS) / RINGS, abs=2e-3)
 
 
 def test_rings_pass_over_the_dark_of_a_table():
-    table = Table(
+    table = MeasuredDistribution(
         polar_deg=np.array([0.0, 30.0, 31.0, 60.0, 61.0, 90.0]),
         azimuth_deg=np.zeros(1),
         candela=np.array([[1.0, 1.0, 0.0, 0.0, 1.0, 1.0]]),
     )
-    falls = Beams.of((shining(table),), low_room(()).surfaces.tracer).falls[0]
+    falls = LightTracingSettings.of((shining(table),), low_room(()).surfaces.tracer).falls[0]
     assert (np.diff(falls) > 0.0).all()
     polar = np.rad2deg(np.arccos(1.0 - falls))
     assert ((polar > 32.0) & (polar < 59.0)).sum() <= 1

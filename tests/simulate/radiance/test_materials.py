@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from labdata.border import from_mapping
 from labdata.errors import BadInput
+from labdata.serialiser import from_mapping
 from simulate.radiance.brdf import Glossy, Lambert, Metal, Retroreflector
 from simulate.radiance.materials import Material, material, material_names
 
@@ -35,7 +35,7 @@ def test_every_material_says_its_source_and_gives_off_no_more_than_it_gets(name)
     found = material(name)
     assert found.source
     grid = np.linspace(380.0, 1100.0, 40)
-    assert (found.brdf().albedo(UP, grid)[:, 0] + found.transmitted(grid) <= 1.0 + 1e-9).all()
+    assert (found.brdf().albedo(UP, grid)[:, 0] + found.transmittance_at(grid) <= 1.0 + 1e-9).all()
     assert (found.reflected(grid) >= 0.0).all()
 
 
@@ -54,7 +54,7 @@ def test_leaves_and_dyes_turn_bright_in_the_near_infrared():
 
 def test_one_share_stands_for_all_wavelengths():
     leaf = Material(wavelength_nm=(500.0, 800.0), reflectance=(0.1, 0.5), transmittance=(0.3,))
-    assert leaf.transmitted([400.0, 600.0, 900.0]) == pytest.approx(0.3)
+    assert leaf.transmittance_at([400.0, 600.0, 900.0]) == pytest.approx(0.3)
 
 
 @pytest.mark.parametrize(

@@ -10,13 +10,13 @@ from simulate.radiance.atmosphere import Atmosphere
 from simulate.radiance.cube import band_widths
 from simulate.radiance.lamps import spectrum
 from simulate.radiance.photometry import luminous_efficiency
-from simulate.radiance.sky import Disc, NightSky, Place, TownGlow
+from simulate.radiance.sky import Disc, NightSky, ObserverLocation, TownGlow
 from simulate.radiance.sky.moon import moon_spectrum
 from simulate.radiance.sky.scattering import NANOLAMBERT_CD_M2, krisciunas_schaefer_nl
 from simulate.radiance.sky.sun import sun_spectrum
 
-ROCHESTER = Place(latitude_deg=43.16, longitude_deg=-77.61, altitude_m=150.0)
-SVALBARD = Place(latitude_deg=78.2, longitude_deg=15.6)
+ROCHESTER = ObserverLocation(latitude_deg=43.16, longitude_deg=-77.61, altitude_m=150.0)
+SVALBARD = ObserverLocation(latitude_deg=78.2, longitude_deg=15.6)
 EYE = np.arange(380.0, 771.0, 5.0)
 GRID = np.linspace(420.0, 940.0, 27)
 

@@ -7,9 +7,9 @@ import pytest
 
 from labdata.conditions import Conditions
 from labdata.sensors import load_camera
-from simulate.cameras import camera_of
-from simulate.iiccd.exposure import freed_by_radiance
-from simulate.night import Night
+from simulate.cameras import camera_from_description
+from simulate.iiccd.scene_to_photoelectrons import photoelectrons_from_radiance
+from simulate.outdoor_rendering import OutdoorRendering
 from simulate.radiance.scene import load_scene
 
 HEAD = 'name = "odd"\n'
@@ -43,8 +43,10 @@ def test_an_odd_scene_is_rendered_without_a_warning_and_finite_for_a_camera(tmp_
     """Warnings are errors here."""
     (tmp_path / "scene.toml").write_text(HEAD + text)
     description = load_camera("pulnix-ag5745ef3")
-    camera = camera_of(replace(description, ccd=replace(description.ccd, rows=12, columns=16)))
-    seen = Night(load_scene(tmp_path / "scene.toml"), camera, Conditions()).seen(tolerance=0.2, seed=1, threads=1)
+    camera = camera_from_description(replace(description, ccd=replace(description.ccd, rows=12, columns=16)))
+    seen = OutdoorRendering(load_scene(tmp_path / "scene.toml"), camera, Conditions()).seen(
+        tolerance=0.2, seed=1, threads=1
+    )
     assert np.isfinite(seen.picture.cube.radiance).all()
-    assert np.isfinite(freed_by_radiance(camera, seen.picture.cube, Conditions()).values).all()
+    assert np.isfinite(photoelectrons_from_radiance(camera, seen.picture.cube, Conditions()).values).all()
     assert seen.notes and seen.document()

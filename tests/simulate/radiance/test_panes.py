@@ -7,20 +7,20 @@ from typing import cast
 import numpy as np
 import pytest
 
-from labdata.border import from_mapping
 from labdata.errors import BadInput
+from labdata.serialiser import from_mapping
 from simulate.radiance.materials.pane import clearest, pane_shares
+from simulate.radiance.outdoor.built_scene import BuiltScene
+from simulate.radiance.outdoor.description.material import MaterialSpec
+from simulate.radiance.outdoor.description.scene import OutdoorScene
+from simulate.radiance.outdoor.shapes import Mesh, shape
+from simulate.radiance.outdoor.surfaces import collect_surfaces
+from simulate.radiance.outdoor.viewpoint import Viewpoint
 from simulate.radiance.scene import load_scene
-from simulate.radiance.transport.along import along
-from simulate.radiance.transport.effort import Effort
+from simulate.radiance.transport.camera_ray_radiance import radiance_along
+from simulate.radiance.transport.integrator_settings import IntegratorSettings
 from simulate.radiance.transport.panes import Panes
-from simulate.radiance.transport.small_sources import add_small_sources
-from simulate.radiance.world.description.material import Surface
-from simulate.radiance.world.description.scene import Scene
-from simulate.radiance.world.shapes import Mesh, shape
-from simulate.radiance.world.site import Site
-from simulate.radiance.world.surfaces import surfaces
-from simulate.radiance.world.viewpoint import Viewpoint
+from simulate.radiance.transport.subpixel_sources import add_small_sources
 from tests.simulate.radiance.staging import NM, UNIFORM, UP, agree, at, disc_light, irradiance, lamp, staged, upright
 
 INDEX = 1.5
@@ -30,14 +30,14 @@ FACE = {0: 0.0400, 30: 0.0415, 45: 0.0502, 60: 0.0892, 75: 0.2531}
 
 def glazed(stage, panes):
     """Return a stage with panes before it: meshes of clear glass."""
-    found = surfaces([(f"pane {i}", "glass", mesh) for i, mesh in enumerate(panes)])
+    found = collect_surfaces([(f"pane {i}", "glass", mesh) for i, mesh in enumerate(panes)])
     glass = Panes(
         tracer=found.tracer,
         kind_of_face=found.material_of,
         transmittance=np.full((1, len(NM)), clearest(INDEX)),
         refractive_index=(INDEX,),
     )
-    return replace(stage, coats=replace(stage.coats, panes=glass))
+    return replace(stage, bsdfs=replace(stage.bsdfs, panes=glass))
 
 
 def floor(rho=0.5, **light):
@@ -111,7 +111,7 @@ def test_under_an_even_sky_a_pane_takes_nothing_from_a_white_world():
     # Sky above and a floor that reflects all: what the pane mirrors is as bright as what it keeps away.
     stage = glazed(floor(1.0, sky=UNIFORM), [sheet(1.0)])
     for known in (0.0, 1.0):
-        seen = irradiance(stage, np.zeros((2000, 3)), UP, effort=Effort(bounces=30), rays=4, known=known)
+        seen = irradiance(stage, np.zeros((2000, 3)), UP, effort=IntegratorSettings(bounces=30), rays=4, known=known)
         agree(seen, np.pi, 0.01)
 
 
@@ -120,7 +120,9 @@ def test_under_glass_a_black_floor_gets_the_sky_that_the_pane_lets_through():
     steps = np.deg2rad(np.linspace(0.25, 89.75, 180))
     through = [textbook(np.rad2deg(angle))[1] for angle in steps]
     expected = np.sum(np.array(through) * 2.0 * np.pi * np.sin(steps) * np.cos(steps)) * np.deg2rad(0.5)
-    agree(irradiance(stage, np.zeros((4000, 3)), UP, effort=Effort(bounces=1), rays=8), float(expected), 0.01)
+    agree(
+        irradiance(stage, np.zeros((4000, 3)), UP, effort=IntegratorSettings(bounces=1), rays=8), float(expected), 0.01
+    )
 
 
 @pytest.mark.parametrize("count", [1, 2, 5])
@@ -129,16 +131,16 @@ def test_a_lit_wall_behind_windows_is_seen_weakened_and_the_sky_in_them(count):
     panes = [at(upright(shape("plane", (50.0, 50.0))), 0.0, 5.0 + 0.1 * i, 0.0) for i in range(count)]
     lit = staged([("wall", "grey", wall)], {"grey": 0.5}, lamps=(lamp((0.0, 15.0, 0.0), 100.0),))
     rays = np.zeros((4000, 3)), np.tile([0.0, 1.0, 0.0], (4000, 1))
-    effort = Effort(bounces=0, hidden_sky=False)
+    effort = IntegratorSettings(bounces=0, hidden_sky=False)
     bare, behind = (
-        along(stage, *rays, effort, np.random.default_rng(3), gathered=1).total()[:, 0]
+        radiance_along(stage, *rays, effort, np.random.default_rng(3), gathered=1).total()[:, 0]
         for stage in (lit, glazed(lit, panes))
     )
     back, _ = textbook(0.0)
     # Parallel panes together: light goes to and fro between them, and the lamp shines on the wall before them all.
     agree(behind / bare, (1 - back) / (1 + (count - 1) * back))
     sky = staged([("wall", "grey", wall)], {"grey": 1e-6}, sky=lambda way: np.ones((2, 1)) * (way[:, 1] < 0.0))
-    seen = along(glazed(sky, panes), *rays, effort, np.random.default_rng(4), gathered=1).total()[:, 0]
+    seen = radiance_along(glazed(sky, panes), *rays, effort, np.random.default_rng(4), gathered=1).total()[:, 0]
     agree(seen, 1 - (1 - back) / (1 + (count - 1) * back))
 
 
@@ -177,19 +179,19 @@ position_m = [0, 8, 1]
 def test_a_window_is_written_in_a_scene_and_goes_with_it_to_other_processes(tmp_path):
     path = tmp_path / "window.toml"
     path.write_text(GLASSHOUSE)
-    site = Site(cast("Scene", load_scene(path)))
+    site = BuiltScene(cast("OutdoorScene", load_scene(path)))
     surfaces_there = pickle.loads(pickle.dumps(site.surfaces))
     assert surfaces_there.objects == ("ground",)
     assert surfaces_there.panes is not None and surfaces_there.panes.objects == ("window",)
     grid = np.array([400.0, 550.0, 900.0])
-    panes = site.on(grid).coats.panes
+    panes = site.on(grid).bsdfs.panes
     assert panes is not None
     which, left = panes.left(np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 10.0, 0.0]]), 1.0)
     assert which == [0] and left[0] == pytest.approx([0.5, 0.88, 0.6], rel=1e-5)
     assert not len(panes.left(np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 4.0, 0.0]]), 1.0)[0])
     path.write_text(GLASSHOUSE.replace("position_m = [0, 8, 1]", "position_m = [0, 5.01, 1]"))
     with pytest.raises(BadInput, match="stand clear of surfaces"):
-        _ = Site(cast("Scene", load_scene(path))).surfaces
+        _ = BuiltScene(cast("OutdoorScene", load_scene(path))).surfaces
 
 
 def test_panes_that_nobody_could_buy_are_refused():
@@ -201,7 +203,7 @@ def test_panes_that_nobody_could_buy_are_refused():
         ({"pane_transmittance": [0.9], "reflectance": [0.1]}, "must have a library"),
     ):
         with pytest.raises(BadInput, match=says):
-            from_mapping({"label": "glass", **keys}, Surface)
+            from_mapping({"label": "glass", **keys}, MaterialSpec)
 
 
 def light_in_the_picture(stage):

@@ -4,23 +4,23 @@ import numpy as np
 import pytest
 
 from simulate.radiance.brdf.glossy import Glossy
-from simulate.radiance.lamps.distribution import Cosine, Isotropic, Spot, Table
+from simulate.radiance.lamps.distribution import Cosine, Isotropic, MeasuredDistribution, SpotBeam
 from simulate.radiance.materials.reflectance import grey
-from simulate.radiance.transport.compiled_lights import lamp_arrays, lamp_pattern
-from simulate.radiance.transport.effort import Effort
-from simulate.radiance.transport.even import Even
-from simulate.radiance.transport.gather.matt import plain
-from simulate.radiance.transport.lanes import WAVE
-from simulate.radiance.transport.leaving import leaving
-from simulate.radiance.transport.lights import LampLight, Pattern
-from simulate.radiance.transport.stage import Stage
-from simulate.radiance.world.shapes import box, plane
+from simulate.radiance.outdoor.shapes import box, plane
+from simulate.radiance.transport.compiled_light_sources import lamp_arrays, lamp_pattern
+from simulate.radiance.transport.final_gather.diffuse_surfaces import plain
+from simulate.radiance.transport.integrator_settings import IntegratorSettings
+from simulate.radiance.transport.light_sources import LampLight, LampPattern
+from simulate.radiance.transport.low_discrepancy import SequenceSlice
+from simulate.radiance.transport.outgoing_radiance import outgoing_radiance
+from simulate.radiance.transport.path_states import WAVE
+from simulate.radiance.transport.spectral_scene import SpectralScene
 from tests.simulate.radiance.staging import OVERCAST, at, disc_light, inside_out, lamp, staged
 
 # A glow of a hundred times the rest around a place 30 degrees high.
 GLOWING = lambda way: np.ones((2, 1)) * (0.2 + 20.0 * np.exp(-(((1.0 - way @ [0.866, 0.0, 0.5]) / 0.02) ** 2)))  # noqa: E731
-ONCE = Effort(bounces=1)
-EVEN = {"effort": Effort(bounces=3), "sky": OVERCAST, "lamps": (lamp((0, 0, 3), 5.0, 0.2),)}
+ONCE = IntegratorSettings(bounces=1)
+EVEN = {"effort": IntegratorSettings(bounces=3), "sky": OVERCAST, "lamps": (lamp((0, 0, 3), 5.0, 0.2),)}
 # Things that glow unlike each other; the plate shines upwards, and its underside is dark.
 SHINING = {"beam": 1.0, "box": 3.0, "plate": 20.0}
 UPWARDS = {"beam": 1e-3, "plate": 1.0}
@@ -30,19 +30,19 @@ CLOSE = (lamp((-1.2, 0.6, 0.75), 1.0, 0.1), lamp((0.4, 0.8, 0.5), 1.0, 0.15))
 CASES = {
     "a lamp under an overcast sky": EVEN,
     "one bounce": {**EVEN, "effort": ONCE},
-    "without hidden sky": {**EVEN, "effort": Effort(bounces=2, hidden_sky=False)},
+    "without hidden sky": {**EVEN, "effort": IntegratorSettings(bounces=2, hidden_sky=False)},
     "many lamps": {
         **EVEN,
         "sky": None,
         "lamps": tuple(lamp((x, 0.5, 2), 2.0 + x, 0.1) for x in (-2.0, -1.0, 0.0, 1.5)),
     },
     "the sun and a glow around it": {**EVEN, "sky": GLOWING, "lamps": (), "discs": (disc_light((0.866, 0, 0.5)),)},
-    "paths that chance ends": {**EVEN, "effort": Effort(bounces=100, roulette_from=1)},
+    "paths that chance ends": {**EVEN, "effort": IntegratorSettings(bounces=100, roulette_from=1)},
     "something glossy": {**EVEN, "gloss": True},
-    "glowing things alone, without bounces": {**DARK, "effort": Effort(bounces=0)},
+    "glowing things alone, without bounces": {**DARK, "effort": IntegratorSettings(bounces=0)},
     "glowing things alone, one bounce": {**DARK, "effort": ONCE},
     "glowing things under the sky": {**EVEN, "glow": SHINING},
-    "glowing things, paths that chance ends": {**DARK, "effort": Effort(bounces=100, roulette_from=1)},
+    "glowing things, paths that chance ends": {**DARK, "effort": IntegratorSettings(bounces=100, roulette_from=1)},
     "a glow by way of the ceiling": {**DARK, "effort": ONCE, "glow": UPWARDS, "ceiling": True},
     "glowing and glossy things": {**EVEN, "glow": SHINING, "gloss": True},
     "lamps close to a plate and half within a box": {
@@ -70,12 +70,12 @@ CASES = {
         **EVEN,
         "sky": None,
         "lamps": CLOSE,
-        "effort": Effort(bounces=100, roulette_from=1),
+        "effort": IntegratorSettings(bounces=100, roulette_from=1),
     },
 }
 
 
-def crowded(case: dict) -> Stage:
+def crowded(case: dict) -> SpectralScene:
     """A box, a beam and a plate over a floor; the beam may be glossy, and they may glow."""
     gloss = Glossy(reflectance=grey(0.3), roughness=0.3) if case.get("gloss") else 0.3
     parts = [
@@ -100,11 +100,13 @@ def test_loops_find_what_batches_find(case, known, seed):
         assert stage.beams.worth.tolist() == case["close"]
     place = np.column_stack([rng.uniform(-2.0, 2.0, (300, 2)), np.zeros(300)])
     down, share = np.broadcast_to([0.0, 0.0, -1.0], place.shape), np.full(300, known, np.float32)
-    points = stage.coats.points(stage.surfaces, np.zeros(300, np.int64), place, down, share)
+    points = stage.bsdfs.points(stage.surfaces, np.zeros(300, np.int64), place, down, share)
     found = np.array(
         [
             [
-                leaving(stage, points, case["effort"], rng, rays=case.get("rays", 16), split=split).total()[:, 0]
+                outgoing_radiance(stage, points, case["effort"], rng, rays=case.get("rays", 16), split=split).total()[
+                    :, 0
+                ]
                 for split in (True, False)
             ]
             for _ in range(24)
@@ -117,21 +119,25 @@ def test_loops_find_what_batches_find(case, known, seed):
     assert error < 0.01 * found.mean()
 
 
-def measured() -> Table:
+def measured() -> MeasuredDistribution:
     azimuth, polar = np.array([0.0, 30.0, 90.0, 180.0]), np.array([0.0, 20.0, 50.0, 120.0])
-    return Table(polar_deg=polar, azimuth_deg=azimuth, candela=np.random.default_rng(1).uniform(1.0, 9.0, (4, 4)))
+    return MeasuredDistribution(
+        polar_deg=polar, azimuth_deg=azimuth, candela=np.random.default_rng(1).uniform(1.0, 9.0, (4, 4))
+    )
 
 
-def same_around() -> Table:
-    return Table(polar_deg=np.array([10.0, 40.0, 90.0]), azimuth_deg=np.zeros(1), candela=np.array([[5.0, 2.0, 1.0]]))
+def same_around() -> MeasuredDistribution:
+    return MeasuredDistribution(
+        polar_deg=np.array([10.0, 40.0, 90.0]), azimuth_deg=np.zeros(1), candela=np.array([[5.0, 2.0, 1.0]])
+    )
 
 
 def loops_alone(
-    stage: Stage, face: int, place: list[float], up: list[float], even: Even, *, hidden_sky: bool
+    stage: SpectralScene, face: int, place: list[float], up: list[float], even: SequenceSlice, *, hidden_sky: bool
 ) -> np.ndarray:
     """What compiled loops find once around places of which no sky is known, shape (place,)."""
     many = len(even.start)
-    points = stage.coats.points(
+    points = stage.bsdfs.points(
         stage.surfaces,
         np.full(many, face),
         np.tile(place, (many, 1)),
@@ -148,12 +154,12 @@ def loops_alone(
 def test_stretches_go_on_where_waves_end(seed):
     """Rays of an open place find the sky where its stretch of even numbers says, however many waves they take."""
     stage = staged([("floor", "floor", plane(12, 12))], {"floor": 0.3}, sky=GLOWING)
-    even = Even.drawn(3, WAVE + WAVE // 3, np.random.default_rng(seed))
+    even = SequenceSlice.drawn(3, WAVE + WAVE // 3, np.random.default_rng(seed))
     found = loops_alone(stage, 0, [0, 0, 0], [0, 0, 1.0], even, hidden_sky=True)
     square, turn = np.moveaxis(even.pairs(), -1, 0)
     flat, turn = np.sqrt(square), 2.0 * np.pi * turn
     way = np.stack([flat * np.cos(turn), flat * np.sin(turn), np.sqrt(1.0 - square)], axis=-1)
-    sky = stage.lighting.dome.radiance(way.reshape(-1, 3))[:, 0].reshape(way.shape[:2])
+    sky = stage.lighting.environment_map.radiance(way.reshape(-1, 3))[:, 0].reshape(way.shape[:2])
     np.testing.assert_allclose(found, np.pi * sky.mean(axis=1), rtol=1e-5)
 
 
@@ -161,12 +167,14 @@ def test_no_ray_of_a_full_wave_is_lost(seed):
     """Under a ceiling close to a wide floor all rays find what the floor sends, and its sky is taken as known."""
     parts = [("floor", "floor", plane(400, 400)), ("ceiling", "floor", inside_out(at(plane(1, 1), 0, 0, 0.1)))]
     stage = staged(parts, {"floor": 0.4}, sky=lambda way: np.full((1, len(way)), 2.0))
-    even = Even.drawn(5, WAVE, np.random.default_rng(seed))
+    even = SequenceSlice.drawn(5, WAVE, np.random.default_rng(seed))
     found = loops_alone(stage, 2, [0, 0, 0.1], [0, 0, -1.0], even, hidden_sky=False)
     np.testing.assert_allclose(found, 0.4 * 2.0 * np.pi, rtol=1e-3)
 
 
-@pytest.mark.parametrize("distribution", [Isotropic(), Cosine(), Spot(half_angle_deg=12.0), measured(), same_around()])
+@pytest.mark.parametrize(
+    "distribution", [Isotropic(), Cosine(), SpotBeam(half_angle_deg=12.0), measured(), same_around()]
+)
 def test_loops_know_where_lamps_shine(distribution, seed):
     rng = np.random.default_rng(seed)
     frame = np.linalg.qr(rng.normal(size=(3, 3)))[0]
@@ -177,7 +185,7 @@ def test_loops_know_where_lamps_shine(distribution, seed):
         position_m=np.zeros(3),
         radius_m=0.0,
         spectrum=np.ones(2, np.float32),
-        pattern=Pattern(distribution, frame),
+        pattern=LampPattern(distribution, frame),
     )
     *_, axes, ends, tables = lamp_arrays((light, light), 2)
     found = [lamp_pattern(tables[ends[1] : ends[2]], axes[1], *towards) for towards in way]

@@ -4,11 +4,11 @@ import json
 from importlib import resources
 
 import pytest
+from tests.labdata.test_border import keeps
 from typer.testing import CliRunner
 
 from charact.cli.application import app
-from labdata.border import read_toml
-from tests.labdata.test_border import keeps
+from labdata.serialiser import read_toml
 
 
 def schema(kind):

@@ -8,20 +8,20 @@ import pytest
 from labdata.errors import BadInput
 from simulate.radiance.brdf import Metal
 from simulate.radiance.materials.reflectance import grey
+from simulate.radiance.outdoor.build import build_surfaces, place_mesh
+from simulate.radiance.outdoor.built_scene import BuiltScene
+from simulate.radiance.outdoor.description.objects import Pose
+from simulate.radiance.outdoor.description.scene import OutdoorScene
+from simulate.radiance.outdoor.render_settings import choose_render_settings
+from simulate.radiance.outdoor.shapes import SIZES, Mesh, box, ground, plane, shape, shed, sphere
+from simulate.radiance.outdoor.viewpoint import RasterGeometry, Viewpoint
 from simulate.radiance.scene import load_bench, load_scene
-from simulate.radiance.transport.allotment import Rays
-from simulate.radiance.transport.along import along
-from simulate.radiance.transport.effort import Effort
-from simulate.radiance.transport.eye import Eye
-from simulate.radiance.transport.picture import picture
-from simulate.radiance.transport.truth import truth
-from simulate.radiance.world.build import built, placed
-from simulate.radiance.world.description.objects import Pose
-from simulate.radiance.world.description.scene import Scene
-from simulate.radiance.world.plan import planned
-from simulate.radiance.world.shapes import SIZES, Mesh, box, ground, plane, shape, shed, sphere
-from simulate.radiance.world.site import Site
-from simulate.radiance.world.viewpoint import Scan, Viewpoint
+from simulate.radiance.transport.adaptive_sampling import SamplingSettings
+from simulate.radiance.transport.auxiliary_layers import truth
+from simulate.radiance.transport.camera_ray_radiance import radiance_along
+from simulate.radiance.transport.integrator_settings import IntegratorSettings
+from simulate.radiance.transport.render_sensor import RenderSensor
+from simulate.radiance.transport.renderer import render_scene
 from tests.simulate.radiance.staging import NM, UNIFORM, UP, at, disc_light, inside_out, irradiance, lamp, staged
 
 CAMERA = "[camera]\nposition_m = [0, -10, 2]\nlook_at_m = [0, 0, 1]\n"
@@ -32,19 +32,19 @@ VIEW = Viewpoint(position_m=(0, -10, 2), forward=(0, 1, -0.1), shape=(24, 32), f
 WEIGHT = np.ones(2, np.float32)
 
 
-def scene_of(folder, text: str) -> Scene:
+def scene_of(folder, text: str) -> OutdoorScene:
     path = folder / "scene.toml"
     path.write_text(f'name = "test"\n{text}')
     found = load_scene(path)
-    assert isinstance(found, Scene)
+    assert isinstance(found, OutdoorScene)
     return found
 
 
 @pytest.mark.parametrize("name", ["airfield", "hangar", "road"])
 def test_shipped_scenes_are_built_and_a_bench_is_another_kind(name):
     scene = load_scene(name)
-    assert isinstance(scene, Scene)
-    surfaces = Site(scene).surfaces
+    assert isinstance(scene, OutdoorScene)
+    surfaces = BuiltScene(scene).surfaces
     assert len(surfaces.objects) == len(scene.object)
     with pytest.raises(BadInput, match="a lab bench needs"):
         load_bench(name)
@@ -73,7 +73,7 @@ def test_shipped_scenes_are_built_and_a_bench_is_another_kind(name):
 )
 def test_a_scene_that_breaks_a_rule_is_refused_in_one_sentence(tmp_path, text, words):
     with pytest.raises(BadInput, match=words):
-        built(scene_of(tmp_path, text))
+        build_surfaces(scene_of(tmp_path, text))
 
 
 def test_a_mesh_file_is_read_in_its_unit_and_one_that_glows_must_be_closed(tmp_path):
@@ -85,14 +85,14 @@ def test_a_mesh_file_is_read_in_its_unit_and_one_that_glows_must_be_closed(tmp_p
         trimesh.Trimesh(whole.vertices_m, faces, process=False).export(tmp_path / f"{name}.ply")
     glow = '[[material]]\nlabel = "grey"\nreflectance = [0.5]\nglow_lm_per_m2 = 10\n'
     mesh = '[[object]]\nlabel = "a"\nunit = "cm"\nmaterial = "grey"\nfile = '
-    surfaces = built(scene_of(tmp_path, CAMERA + glow + mesh + '"sphere.ply"\n'))
+    surfaces = build_surfaces(scene_of(tmp_path, CAMERA + glow + mesh + '"sphere.ply"\n'))
     assert np.linalg.norm(surfaces.mesh.vertices_m, axis=1) == pytest.approx(0.1, rel=1e-5)
     with pytest.raises(BadInput, match="must be closed"):
-        built(scene_of(tmp_path, CAMERA + glow + mesh + '"bowl.ply"\n'))
-    assert len(built(scene_of(tmp_path, CAMERA + GREY + mesh + '"bowl.ply"\n')).area_m2) == 2000
+        build_surfaces(scene_of(tmp_path, CAMERA + glow + mesh + '"bowl.ply"\n'))
+    assert len(build_surfaces(scene_of(tmp_path, CAMERA + GREY + mesh + '"bowl.ply"\n')).area_m2) == 2000
     (tmp_path / "letter.obj").write_text("Dear lab")
     with pytest.raises(BadInput, match=r"letter\.obj"):
-        built(scene_of(tmp_path, CAMERA + GREY + mesh + '"letter.obj"\n'))
+        build_surfaces(scene_of(tmp_path, CAMERA + GREY + mesh + '"letter.obj"\n'))
 
 
 def test_a_mesh_files_own_materials_are_named_as_left_out(tmp_path):
@@ -105,12 +105,12 @@ def test_a_mesh_files_own_materials_are_named_as_left_out(tmp_path):
     trimesh.Scene({"a": painted, "b": sprayed, "c": bare}).export(tmp_path / "house.glb")
     bare.export(tmp_path / "bare.glb")
     mesh = '[[object]]\nlabel = "a"\nunit = "m"\nmaterial = "grey"\nfile = '
-    surfaces = built(scene_of(tmp_path, CAMERA + GREY + mesh + '"house.glb"\n'))
+    surfaces = build_surfaces(scene_of(tmp_path, CAMERA + GREY + mesh + '"house.glb"\n'))
     assert len(surfaces.mesh.faces) == 36
     assert surfaces.notes == (
         "house.glb has materials (red paint) and colours of its own, left out: all of 'a' is 'grey'",
     )
-    assert built(scene_of(tmp_path, CAMERA + GREY + mesh + '"bare.glb"\n')).notes == ()
+    assert build_surfaces(scene_of(tmp_path, CAMERA + GREY + mesh + '"bare.glb"\n')).notes == ()
 
 
 def test_a_measured_surface_in_a_scene_reflects_as_its_table_says(tmp_path):
@@ -118,9 +118,9 @@ def test_a_measured_surface_in_a_scene_reflects_as_its_table_says(tmp_path):
     table = np.broadcast_to(np.array([0.2, 0.6]).reshape(2, 1, 1, 1) / np.pi, (2, 10, 10, 7))
     np.savez(tmp_path / "paint.npz", wavelength_nm=[500.0, 700.0], polar_deg=polar, azimuth_deg=azimuth, table=table)
     paint = '[[material]]\nlabel = "grey"\nmeasured = "paint.npz"\n'
-    site = Site(scene_of(tmp_path, CAMERA + paint + BALL))
+    site = BuiltScene(scene_of(tmp_path, CAMERA + paint + BALL))
     stage = site.on(np.array([500.0, 600.0]))
-    albedo = stage.coats.brdfs[0].albedo(np.array([[0.0, 0.6, 0.8]]), stage.coats.wavelength_nm)[:, 0]
+    albedo = stage.bsdfs.brdfs[0].albedo(np.array([[0.0, 0.6, 0.8]]), stage.bsdfs.wavelength_nm)[:, 0]
     assert albedo == pytest.approx([0.2, 0.4], rel=1e-3)
     for name, content, words in (
         ("letter.npz", b"Dear lab", r"readable \.npz file, got .*letter\.npz"),
@@ -129,10 +129,10 @@ def test_a_measured_surface_in_a_scene_reflects_as_its_table_says(tmp_path):
         if content is not None:
             (tmp_path / name).write_bytes(content)
         with pytest.raises(BadInput, match=words):
-            Site(scene_of(tmp_path, CAMERA + paint.replace("paint.npz", name) + BALL)).on(NM)
+            BuiltScene(scene_of(tmp_path, CAMERA + paint.replace("paint.npz", name) + BALL)).on(NM)
     np.savez(tmp_path / "part.npz", wavelength_nm=[500.0])
     with pytest.raises(BadInput, match=r"must hold .* got no polar_deg in part\.npz"):
-        Site(scene_of(tmp_path, CAMERA + paint.replace("paint.npz", "part.npz") + BALL)).on(NM)
+        BuiltScene(scene_of(tmp_path, CAMERA + paint.replace("paint.npz", "part.npz") + BALL)).on(NM)
 
 
 def test_the_bench_ships_in_a_dark_room_and_in_a_lit_one():
@@ -144,24 +144,24 @@ def test_the_bench_ships_in_a_dark_room_and_in_a_lit_one():
 def test_a_picture_says_how_long_it_will_take_before_it_begins():
     stage = staged([("floor", "m", plane(40, 40))], {"m": 0.5}, sky=UNIFORM)
     told: list[tuple[str, float]] = []
-    rays = Rays(allowed=lambda signal: 1e-3 * np.ones_like(signal))
+    rays = SamplingSettings(allowed=lambda signal: 1e-3 * np.ones_like(signal))
     announce, progress = (lambda value, name=name: told.append((name, value)) for name in ("expected", "done"))
-    picture(stage, VIEW, rays, Effort(), weight=WEIGHT, seed=0, announce=announce, progress=progress)
+    render_scene(stage, VIEW, rays, IntegratorSettings(), weight=WEIGHT, seed=0, announce=announce, progress=progress)
     assert [name for name, _ in told].index("expected") == 0
     assert told[0][1] > 0.0 and told[-1] == ("done", 1.0)
 
 
 def test_a_crown_with_gaps_lets_through_what_they_leave_open(tmp_path):
     leaves = BALL + "gaps = 0.4\n"
-    crown = built(scene_of(tmp_path, CAMERA + GREY + leaves))
+    crown = build_surfaces(scene_of(tmp_path, CAMERA + GREY + leaves))
     assert crown.area_m2.sum() == pytest.approx(0.6 * 4.0 * np.pi, rel=0.01)
     rng = np.random.default_rng(3)
     radius, turn = np.sqrt(rng.random(20000)), 2.0 * np.pi * rng.random(20000)
     start = np.column_stack([radius * np.cos(turn), np.full(20000, -3.0), radius * np.sin(turn)])
-    open_ = ~crown.tracer.blocked(start, np.broadcast_to([0.0, 1.0, 0.0], start.shape))
+    open_ = ~crown.tracer.is_occluded(start, np.broadcast_to([0.0, 1.0, 0.0], start.shape))
     # Light that crosses passes the front and the back: 0.4 of each; rays of one gap share it, so chance counts gaps.
     assert open_.mean() == pytest.approx(0.16, abs=0.025)
-    again = built(scene_of(tmp_path, CAMERA + GREY + leaves))
+    again = build_surfaces(scene_of(tmp_path, CAMERA + GREY + leaves))
     assert np.array_equal(again.mesh.faces, crown.mesh.faces)
 
 
@@ -171,7 +171,7 @@ def test_a_map_lays_materials_on_a_plane_as_its_picture_shows_them(tmp_path):
     np.save(tmp_path / "signs.npy", picture_of.astype(np.uint8))
     paints = "".join(f'[[material]]\nlabel = "{name}"\nreflectance = [0.5]\n' for name in "abc")
     lot = '[[object]]\nlabel = "lot"\nshape = "plane"\nsize_m = [18, 6]\nmap = "signs.npy"\n'
-    laid = built(scene_of(tmp_path, CAMERA + paints + lot + 'map_materials = ["a", "b", "c"]\n'))
+    laid = build_surfaces(scene_of(tmp_path, CAMERA + paints + lot + 'map_materials = ["a", "b", "c"]\n'))
     assert laid.objects == ("lot",) and laid.area_m2.sum() == pytest.approx(18 * 6)
     row, col = (axis.ravel() for axis in np.indices(picture_of.shape))
     above = np.column_stack([2.0 * (col + 0.45) - 9.0, 3.0 - (row + 0.55), np.full(row.size, 2.0)])
@@ -179,7 +179,7 @@ def test_a_map_lays_materials_on_a_plane_as_its_picture_shows_them(tmp_path):
     assert [laid.materials[number] for number in laid.material_of[face]] == ["abc"[n] for n in picture_of.ravel()]
     assert (laid.tracer.planes[1][:, 2] > 0.99).all()
     with pytest.raises(BadInput, match=r"whole numbers from 0 to 1, got 2 in signs\.npy"):
-        built(scene_of(tmp_path, CAMERA + paints + lot + 'map_materials = ["a", "b"]\n'))
+        build_surfaces(scene_of(tmp_path, CAMERA + paints + lot + 'map_materials = ["a", "b"]\n'))
 
 
 def test_solids_are_closed_and_hold_their_volume():
@@ -198,9 +198,9 @@ def test_solids_are_closed_and_hold_their_volume():
 
 
 def test_a_heading_turns_clockwise_from_north():
-    turned = placed(Mesh(np.array([[0.0, 1.0, 0.0]]), np.zeros((0, 3), np.int64)), Pose(heading_deg=90.0))
+    turned = place_mesh(Mesh(np.array([[0.0, 1.0, 0.0]]), np.zeros((0, 3), np.int64)), Pose(heading_deg=90.0))
     assert turned.vertices_m[0] == pytest.approx([1.0, 0.0, 0.0], abs=1e-12)
-    nose_up = placed(Mesh(np.array([[0.0, 1.0, 0.0]]), np.zeros((0, 3), np.int64)), Pose(pitch_deg=90.0))
+    nose_up = place_mesh(Mesh(np.array([[0.0, 1.0, 0.0]]), np.zeros((0, 3), np.int64)), Pose(pitch_deg=90.0))
     assert nose_up.vertices_m[0] == pytest.approx([0.0, 0.0, 1.0], abs=1e-12)
 
 
@@ -210,7 +210,7 @@ def test_a_ray_goes_where_its_direction_is_seen(seed, distortion):
     rng = np.random.default_rng(seed)
     row, col = 24 * rng.random(200), 32 * rng.random(200)
     _, towards = view.rays(row, col)
-    back_row, back_col, inside = view.projected(towards)
+    back_row, back_col, inside = view.project(towards)
     assert inside.all()
     assert np.abs(back_row - row).max() < 1e-4 and np.abs(back_col - col).max() < 1e-4
     assert np.sum(view.solid_angle_sr(np.array([12.0]), np.array([16.0]))) == pytest.approx(1.0 / 1600.0, rel=0.02)
@@ -225,7 +225,7 @@ def test_the_picture_is_the_right_way_round():
 
 
 def test_a_scanner_moves_between_rows():
-    scan = Scan(line_time_s=0.1, velocity_m_per_s=(3.0, 0.0, 0.0), turn_deg_per_s=10.0)
+    scan = RasterGeometry(line_time_s=0.1, velocity_m_per_s=(3.0, 0.0, 0.0), turn_deg_per_s=10.0)
     origin, towards = replace(VIEW, scan=scan).rays(np.array([0.5, 10.5]), np.array([16.0, 16.0]))
     assert origin[1] - origin[0] == pytest.approx([3.0, 0.0, 0.0])
     turned = np.rad2deg(np.arctan2(towards[:, 0], towards[:, 1]))
@@ -249,23 +249,23 @@ def test_shadows_fall_away_from_the_light_and_truth_knows_them():
 def test_choosing_where_to_look_closely_does_not_bend_the_picture(seed):
     parts = [("floor", "m", plane(40, 40)), ("shed", "m", at(shed(6, 5, 3, 4), 0, 4, 0))]
     stage = staged(parts, {"m": 0.5}, sky=UNIFORM, lamps=(lamp((0, 4, 2), 3.0, 0.3),))
-    effort = Effort(bounces=1)
-    rays = Rays(most=64, allowed=lambda signal: (0.02 * signal) ** 2 + 1e-6)
-    found = picture(stage, VIEW, rays, effort, weight=WEIGHT, seed=seed)
+    effort = IntegratorSettings(bounces=1)
+    rays = SamplingSettings(most=64, allowed=lambda signal: (0.02 * signal) ** 2 + 1e-6)
+    found = render_scene(stage, VIEW, rays, effort, weight=WEIGHT, seed=seed)
     rng = np.random.default_rng([seed, 1])
     row, col = 24 * rng.random(40000), 32 * rng.random(40000)
-    every = along(stage, *VIEW.rays(row, col), effort, rng, gathered=2).total().sum(axis=1)
+    every = radiance_along(stage, *VIEW.rays(row, col), effort, rng, gathered=2).total().sum(axis=1)
     error = np.hypot(every.std() / 200.0, np.sqrt(found.variance.sum()) / found.variance.size)
     assert abs(found.signal.mean() - every.mean() - _of_lamp(stage, found)) < 4.0 * error
     assert found.rays.min() == 2 and found.rays.max() > 8
-    again = picture(stage, VIEW, rays, effort, weight=WEIGHT, seed=seed)
+    again = render_scene(stage, VIEW, rays, effort, weight=WEIGHT, seed=seed)
     assert np.array_equal(again.cube.radiance, found.cube.radiance)
 
 
 def _of_lamp(stage, found) -> float:
     """Mean over the picture of the lamp itself, which single rays never meet."""
     place = np.array(VIEW.position_m) - stage.lighting.lamps[0].position_m
-    row, col, inside = VIEW.projected(-place[None])
+    row, col, inside = VIEW.project(-place[None])
     assert inside.all()
     size = float(VIEW.solid_angle_sr(row, col)[0])
     return float(2.0 * 3.0 / (place @ place) / size / found.signal.size)
@@ -273,7 +273,7 @@ def _of_lamp(stage, found) -> float:
 
 def test_a_camera_inside_an_object_sees_its_inside():
     stage = staged([("box", "m", at(box(4, 4, 4), 0, -10, 0))], {"m": 0.5}, sky=UNIFORM)
-    found = picture(stage, VIEW, Rays(), Effort(bounces=1), weight=WEIGHT, seed=0)
+    found = render_scene(stage, VIEW, SamplingSettings(), IntegratorSettings(bounces=1), weight=WEIGHT, seed=0)
     assert np.abs(found.signal).max() < 1e-6
     assert (found.truth.object == 0).all()
 
@@ -283,7 +283,9 @@ def test_of_faces_in_one_plane_the_light_is_that_of_either():
     stage = staged(parts, {"dark": 0.1, "pale": 0.9}, sky=UNIFORM, discs=(disc_light(UP),))
     towards = np.array([[0.0, 0.0, -1.0]] * 500)
     origin = np.random.default_rng(0).random((500, 3)) * [3, 3, 0] + [-1.5, -1.5, 2.0]
-    seen = along(stage, origin, towards, Effort(), np.random.default_rng(1), gathered=2).total()[:, 0]
+    seen = radiance_along(stage, origin, towards, IntegratorSettings(), np.random.default_rng(1), gathered=2).total()[
+        :, 0
+    ]
     bright = 1.0 + 1.0 / np.pi
     assert np.minimum(np.abs(seen - 0.1 * bright), np.abs(seen - 0.9 * bright)).max() < 1e-3
 
@@ -294,14 +296,14 @@ def test_grazing_rays_are_finite():
     towards = np.column_stack([np.ones(300), np.zeros(300), slope])
     towards /= np.linalg.norm(towards, axis=1, keepdims=True)
     origin = np.broadcast_to([0.0, 0.0, 1e-3], towards.shape)
-    seen = along(stage, origin, towards, Effort(), np.random.default_rng(0), gathered=2).total()
+    seen = radiance_along(stage, origin, towards, IntegratorSettings(), np.random.default_rng(0), gathered=2).total()
     assert np.isfinite(seen).all() and seen.min() >= -1e-6 and seen.max() < 1.2
 
 
 def test_a_lamp_that_touches_a_wall_is_refused(tmp_path):
     near = LAMP.replace("[0, 0, 3]", "[0, 0, 1.03]")
     with pytest.raises(BadInput, match=r"stand clear of surfaces by its radius of 0\.05 m, got 'bulb'.*'ball'"):
-        _ = Site(scene_of(tmp_path, CAMERA + GREY + BALL + near)).surfaces
+        _ = BuiltScene(scene_of(tmp_path, CAMERA + GREY + BALL + near)).surfaces
 
 
 def test_a_glowing_wall_that_touches_another_makes_no_bright_specks(seed):
@@ -320,16 +322,18 @@ def test_a_mirror_that_faces_a_mirror_ends():
     parts = [("a", "m", plane(20, 20)), ("b", "m", at(inside_out(plane(20, 20)), 0, 0, 1))]
     stage = staged(parts, {"m": mirror}, sky=UNIFORM)
     towards = np.array([[0.3, 0.0, -1.0]] * 300) / np.hypot(0.3, 1.0)
-    effort = Effort(bounces=200, roulette_from=3)
+    effort = IntegratorSettings(bounces=200, roulette_from=3)
     rng = np.random.default_rng(2)
-    seen = along(stage, np.array([[0.0, 0.0, 0.5]] * 300), towards, effort, rng, gathered=1).total()
+    seen = radiance_along(stage, np.array([[0.0, 0.0, 0.5]] * 300), towards, effort, rng, gathered=1).total()
     assert np.isfinite(seen).all()
     assert -0.01 < seen.mean() < 1.1
 
 
 def test_a_scene_without_a_triangle_is_all_sky():
     stage = staged([], {}, sky=UNIFORM)
-    found = picture(stage, replace(VIEW, forward=(0, 1, 1)), Rays(), Effort(), weight=WEIGHT, seed=0)
+    found = render_scene(
+        stage, replace(VIEW, forward=(0, 1, 1)), SamplingSettings(), IntegratorSettings(), weight=WEIGHT, seed=0
+    )
     assert found.signal == pytest.approx(2.0, rel=1e-5)
 
 
@@ -339,18 +343,20 @@ def test_a_scene_without_a_triangle_is_all_sky():
     ids=["moon below the horizon", "polar night at noon"],
 )
 def test_without_sun_and_moon_a_lawn_is_planned_and_seen_by_the_sky_alone(tmp_path, where, when, darker_than):
-    eye = Eye(response_nm=(450.0, 700.0, 900.0), response=(1e6, 4e6, 3e6), dark_variance=0.1, variance_per_signal=3.0)
+    eye = RenderSensor(
+        response_nm=(450.0, 700.0, 900.0), response=(1e6, 4e6, 3e6), dark_variance=0.1, variance_per_signal=3.0
+    )
     there = f"[place]\nlatitude_deg = {where[0]}\nlongitude_deg = {where[1]}\ntime = {when}\n"
     lawn = '[[object]]\nlabel = "lawn"\nshape = "ground"\nsize_m = [200]\nmaterial = "grey"\n'
     for objects in (lawn, ""):
-        site = Site(scene_of(tmp_path, CAMERA + there + GREY + objects))
+        site = BuiltScene(scene_of(tmp_path, CAMERA + there + GREY + objects))
         assert site.sky is not None and site.sky.discs() == ()
-        plan, stage = planned(site, VIEW, eye, 0.1, 1)
+        plan, stage = choose_render_settings(site, VIEW, eye, 0.1, 1)
         assert not {"sun", "moon"} & {effect.name for effect in plan.plan.kept}
         weight = eye.weight(plan.wavelength_nm)
-        found = picture(stage, VIEW, plan.rays, plan.effort, weight=weight, seed=0)
+        found = render_scene(stage, VIEW, plan.rays, plan.effort, weight=weight, seed=0)
         assert np.isfinite(found.signal).all() and found.signal[0].min() > 0.0
-        radiance = found.cube.weighted(np.gradient(plan.wavelength_nm))
+        radiance = found.cube.sum_bands(np.gradient(plan.wavelength_nm))
         assert radiance.min() >= 0.0 and radiance.max() < darker_than
 
 
@@ -359,7 +365,7 @@ def test_a_million_triangles():
     parts = [("balls", "m", at(ball, 0.5 * (i % 14) - 3.5, 0.5 * (i // 14), 0.2)) for i in range(196)]
     stage = staged([("floor", "m", plane(40, 40)), *parts], {"m": 0.5}, sky=UNIFORM)
     assert len(stage.surfaces.material_of) > 1_000_000
-    found = picture(stage, VIEW, Rays(), Effort(), weight=WEIGHT, seed=0)
+    found = render_scene(stage, VIEW, SamplingSettings(), IntegratorSettings(), weight=WEIGHT, seed=0)
     assert (found.truth.object == 1).sum() > 50
     assert np.isfinite(found.signal).all()
 
@@ -376,7 +382,9 @@ def test_lights_of_very_different_strength_add_up():
 
 
 def test_daylight_starlight_and_sodium_light_are_planned_differently(tmp_path):
-    eye = Eye(response_nm=(450.0, 700.0, 900.0), response=(1e5, 4e5, 3e5), dark_variance=1.0, variance_per_signal=3.0)
+    eye = RenderSensor(
+        response_nm=(450.0, 700.0, 900.0), response=(1e5, 4e5, 3e5), dark_variance=1.0, variance_per_signal=3.0
+    )
     floor = '[[object]]\nlabel = "floor"\nshape = "ground"\nsize_m = [200]\nmaterial = "grey"\n'
     shed = (
         '[[object]]\nlabel = "shed"\nshape = "shed"\nsize_m = [6, 5, 3, 4]\nmaterial = "grey"\nposition_m = [0, 5, 0]\n'
@@ -389,8 +397,8 @@ def test_daylight_starlight_and_sodium_light_are_planned_differently(tmp_path):
         ("stars", there + "1998-06-24T02:00:00-04:00\n"),
         ("sodium", sodium),
     ):
-        site = Site(scene_of(tmp_path, CAMERA + light + GREY + floor + shed))
-        plans[name], _ = planned(site, VIEW, eye, 0.1, 1)
+        site = BuiltScene(scene_of(tmp_path, CAMERA + light + GREY + floor + shed))
+        plans[name], _ = choose_render_settings(site, VIEW, eye, 0.1, 1)
     kept = {name: {effect.name for effect in plan.plan.kept} for name, plan in plans.items()}
     assert "sun" in kept["day"] and "bulb" in kept["sodium"] and "hidden sky" in kept["stars"]
     assert "hidden sky" not in kept["sodium"] and "sun" not in kept["stars"]
@@ -403,12 +411,16 @@ def test_daylight_starlight_and_sodium_light_are_planned_differently(tmp_path):
 
 def test_a_lamp_whose_light_arrives_by_reflection_alone_is_kept(tmp_path):
     """A shade keeps the lamp from the wall that the camera sees, but not from the wall behind the camera."""
-    eye = Eye(response_nm=(450.0, 700.0, 900.0), response=(1e7, 4e7, 3e7), dark_variance=1.0, variance_per_signal=3.0)
+    eye = RenderSensor(
+        response_nm=(450.0, 700.0, 900.0), response=(1e7, 4e7, 3e7), dark_variance=1.0, variance_per_signal=3.0
+    )
     wall = '[[object]]\nlabel = "{}"\nshape = "box"\nsize_m = {}\nposition_m = {}\nmaterial = "grey"\n'
     parts = wall.format("screen", [30, 0.2, 8], [0, 5, 0.02]) + wall.format("back", [30, 0.2, 8], [0, -14, 0.02])
     shade = wall.format("shade", [4, 0.2, 4], [0, -11, 1])
     lit = LAMP.replace("[0, 0, 3]", "[0, -12.5, 3]")
-    plan, _ = planned(Site(scene_of(tmp_path, CAMERA + GREY + parts + shade + lit)), VIEW, eye, 0.1, 1)
+    plan, _ = choose_render_settings(
+        BuiltScene(scene_of(tmp_path, CAMERA + GREY + parts + shade + lit)), VIEW, eye, 0.1, 1
+    )
     kept = {effect.name for effect in plan.plan.kept}
     assert {"bulb", "bounce 1"} <= kept and "bulb" not in plan.effort.left_out
 
@@ -420,16 +432,22 @@ def test_rays_that_trials_thought_too_few_go_on_until_the_error_is_as_promised(m
     stage = staged(parts, {"m": 0.2, "steel": brdf}, lamps=(lamp((2, -6, 5), 1000.0),))
     few = replace(VIEW, shape=(6, 8), focal_px=(10.0, 10.0))
     monkeypatch.setattr(
-        "simulate.radiance.transport.picture.allotted", lambda here, rays, trial, seed: np.full((6, 8), 32, np.int32)
+        "simulate.radiance.transport.renderer.allocate_samples",
+        lambda here, rays, trial, seed: np.full((6, 8), 32, np.int32),
     )
 
     def allowed(signal):
         return np.full_like(signal, 0.05**2)
 
-    many = Rays(fewest=2, edge=2, most=8192, shared=None, allowed=allowed)
-    exact = picture(stage, few, replace(many, allowed=None), Effort(bounces=0), weight=WEIGHT, seed=seed)
+    many = SamplingSettings(fewest=2, edge=2, most=8192, shared=None, allowed=allowed)
+    exact = render_scene(
+        stage, few, replace(many, allowed=None), IntegratorSettings(bounces=0), weight=WEIGHT, seed=seed
+    )
     assert exact.rays.max() == 32
-    found, again = (picture(stage, few, many, Effort(bounces=0), weight=WEIGHT, seed=seed + turn) for turn in (1, 2))
+    found, again = (
+        render_scene(stage, few, many, IntegratorSettings(bounces=0), weight=WEIGHT, seed=seed + turn)
+        for turn in (1, 2)
+    )
     assert exact.variance.mean() > 3.0 * 0.05**2, "the rays of the trials do not do"
     assert found.rays.mean() > 64 and np.median(found.rays) < 0.3 * found.rays.max()
     assert found.variance.mean() < 1.2 * 0.05**2
@@ -438,18 +456,20 @@ def test_rays_that_trials_thought_too_few_go_on_until_the_error_is_as_promised(m
 
 
 def test_a_dim_scene_is_planned_with_less_than_a_bright_one(tmp_path):
-    eye = Eye(response_nm=(450.0, 700.0, 900.0), response=(1e7, 4e7, 3e7), dark_variance=1.0, variance_per_signal=3.0)
+    eye = RenderSensor(
+        response_nm=(450.0, 700.0, 900.0), response=(1e7, 4e7, 3e7), dark_variance=1.0, variance_per_signal=3.0
+    )
     plans = []
     for lumens in (1e-5, 100.0):
         lit = LAMP.replace("1000", str(lumens))
         floor = '[[object]]\nlabel = "floor"\nshape = "ground"\nsize_m = [200]\nmaterial = "grey"\n'
-        site = Site(
+        site = BuiltScene(
             scene_of(tmp_path, CAMERA + GREY + BALL.replace("size_m", "position_m = [0, 0, 1]\nsize_m") + floor + lit)
         )
-        plan, stage = planned(site, VIEW, eye, 0.1, 1)
+        plan, stage = choose_render_settings(site, VIEW, eye, 0.1, 1)
         plans.append(plan)
         assert plan.plan.influence <= 0.05
-        assert len(stage.coats.wavelength_nm) == len(plan.wavelength_nm)
+        assert len(stage.bsdfs.wavelength_nm) == len(plan.wavelength_nm)
     dim, bright = plans
     assert dim.effort.bounces < bright.effort.bounces
     assert len(dim.wavelength_nm) <= len(bright.wavelength_nm)

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from simulate.radiance.transport.allotment import Rays
+from simulate.radiance.outdoor.shapes import shape
+from simulate.radiance.outdoor.viewpoint import RasterGeometry, Viewpoint
+from simulate.radiance.transport.adaptive_sampling import SamplingSettings
 from simulate.radiance.transport.coverage import coverage
-from simulate.radiance.transport.effort import Effort
-from simulate.radiance.transport.picture import picture
-from simulate.radiance.transport.small_sources import add_small_sources
-from simulate.radiance.world.shapes import shape
-from simulate.radiance.world.viewpoint import Scan, Viewpoint
+from simulate.radiance.transport.integrator_settings import IntegratorSettings
+from simulate.radiance.transport.renderer import render_scene
+from simulate.radiance.transport.subpixel_sources import add_small_sources
 from tests.simulate.radiance.staging import at, disc_light, lamp, staged, upright
 
 
@@ -69,7 +69,7 @@ def test_a_disc_that_reaches_beyond_the_picture_is_cut_at_its_border():
 
 def test_a_scanner_that_turns_by_a_pixel_a_row_sees_the_disc_that_a_framing_camera_sees():
     """Its line stands upright and sweeps from west to east past a lamp, which moves through the line's own width."""
-    scan = Scan(line_time_s=1.0, turn_deg_per_s=float(np.rad2deg(1.0 / 500.0)))
+    scan = RasterGeometry(line_time_s=1.0, turn_deg_per_s=float(np.rad2deg(1.0 / 500.0)))
     view = looking_north((60, 40), 500.0, roll_deg=90.0, scan=scan)
     azimuth = 30.3 / 500.0
     found = seen(view, lamps=(lamp((10.0 * np.sin(azimuth), 10.0 * np.cos(azimuth), 0.0), 1.0, 0.12),))
@@ -81,7 +81,7 @@ def test_a_scanner_that_turns_by_a_pixel_a_row_sees_the_disc_that_a_framing_came
 
 
 def test_a_scanners_pixels_are_as_high_as_they_are_wide():
-    view = looking_north((6, 8), 500.0, scan=Scan(line_time_s=1.0, velocity_m_per_s=(0.0, 0.0, 1.0)))
+    view = looking_north((6, 8), 500.0, scan=RasterGeometry(line_time_s=1.0, velocity_m_per_s=(0.0, 0.0, 1.0)))
     middle = np.array([2.5]), np.array([3.5])
     assert view.solid_angle_sr(*middle)[0] == pytest.approx(1.0 / 500.0**2, rel=1e-3)
 
@@ -106,8 +106,8 @@ def test_a_lamp_whose_light_on_surfaces_is_left_out_is_seen_all_the_same():
     wall = at(upright(shape("plane", (100.0, 100.0))), 0.0, 20.0, 0.0)
     stage = staged([("wall", "grey", wall)], {"grey": 0.5}, lamps=(lamp((0.1, 10.0, 0.1), 3.0),))
     view = Viewpoint(position_m=(0.0, 0.0, 0.0), forward=(0.0, 1.0, 0.0), shape=(12, 16), focal_px=(20.0, 20.0))
-    effort = Effort(bounces=0, hidden_sky=False, left_out=frozenset({"lamp"}))
-    seen = picture(stage, view, Rays(shared=None), effort, weight=np.ones(2), seed=1).cube.radiance[0]
+    effort = IntegratorSettings(bounces=0, hidden_sky=False, left_out=frozenset({"lamp"}))
+    seen = render_scene(stage, view, SamplingSettings(shared=None), effort, weight=np.ones(2), seed=1).cube.radiance[0]
     row, col = (axis.ravel() + 0.5 for axis in np.indices(view.shape))
     at_the_lens = np.sum(seen.ravel() * view.solid_angle_sr(row, col))
     assert np.count_nonzero(seen) == 1

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from labdata.errors import BadInput
-from simulate.iiccd.photons import JOULE_METRE, detected_per_radiance, quantum_efficiency
+from simulate.iiccd.tube_photometry import JOULE_METRE, detection_weights, quantum_efficiency
 from simulate.radiance.cube import band_widths
 from simulate.radiance.lamps import KINDS, spectrum
+from simulate.radiance.outdoor.render_settings import COARSEST
 from simulate.radiance.sky import NightSky
 from simulate.radiance.sky.moon import moon_spectrum
 from simulate.radiance.spectral_grid import spectral_grid
-from simulate.radiance.spectrum import Spectrum, combined
-from simulate.radiance.world.plan import COARSEST
+from simulate.radiance.spectrum import SourceSpectrum, sum_spectra
 
 
 @pytest.mark.parametrize("kind", [*KINDS, "moon", "dark sky"])
@@ -28,7 +28,9 @@ def test_any_grid_keeps_all_power_and_its_mean_wavelength(kind, seed):
 
 
 def test_light_outside_the_grid_is_not_folded_in():
-    line = Spectrum(wavelength_nm=np.array([300.0, 1200.0]), density=np.zeros(2), line_nm=(589.0,), line_power=(1.0,))
+    line = SourceSpectrum(
+        wavelength_nm=np.array([300.0, 1200.0]), density=np.zeros(2), line_nm=(589.0,), line_power=(1.0,)
+    )
     assert np.sum(line.on(np.array([600.0, 700.0, 800.0]))) == 0.0
     assert np.sum(spectrum("led-cool").on(np.array([900.0, 1000.0]))) == 0.0
 
@@ -78,7 +80,7 @@ def detected(light, nm, efficiency):
     fine = np.union1d(nm, np.arange(nm[0], nm[-1], 5.0))
     per_watt = np.interp(fine, nm, efficiency) * fine * 1e-9 / JOULE_METRE
     grid, _ = spectral_grid([light], fine, per_watt, tolerance=COARSEST)
-    return light.on(grid) @ detected_per_radiance(grid, nm, efficiency, averaged=True)
+    return light.on(grid) @ detection_weights(grid, nm, efficiency, averaged=True)
 
 
 BROAD = np.array([400.0, 500.0, 600.0, 700.0, 900.0, 950.0]), np.array([0.1, 0.4, 0.42, 0.38, 0.1, 0.0])
@@ -101,9 +103,9 @@ def test_even_light_through_a_steep_filter_keeps_the_filters_area(width_nm, midd
     """A watt per nm: 0.5 (width + one edge) lambda / (h c), of bands of a rendering and of bands that a file states."""
     nm, efficiency = filtered(middle_nm, width_nm)
     exact = 0.5 * (width_nm + 0.2) * middle_nm * 1e-9 / JOULE_METRE
-    even = Spectrum(wavelength_nm=np.array([300.0, 1200.0]), density=np.ones(2))
+    even = SourceSpectrum(wavelength_nm=np.array([300.0, 1200.0]), density=np.ones(2))
     assert detected(even, nm, efficiency) == pytest.approx(exact, rel=0.001)
-    assert detected_per_radiance([400.0, 700.0, 950.0], nm, efficiency).sum() == pytest.approx(exact, rel=1e-6)
+    assert detection_weights([400.0, 700.0, 950.0], nm, efficiency).sum() == pytest.approx(exact, rel=1e-6)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -129,7 +131,7 @@ def test_a_smooth_light_needs_few_bands_and_a_tighter_tolerance_more(sheet):
 
 def test_spectra_add():
     parts = [spectrum("mercury"), spectrum("low-pressure-sodium", lumens=3.0)]
-    assert combined(parts).lumens == pytest.approx(4.0, rel=1e-3)
+    assert sum_spectra(parts).lumens == pytest.approx(4.0, rel=1e-3)
     half = parts[0].filtered(lambda nm: np.full(np.shape(nm), 0.5))
     assert half.lumens == pytest.approx(0.5)
 

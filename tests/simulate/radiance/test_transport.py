@@ -5,9 +5,9 @@ import pytest
 
 from simulate.radiance.brdf import Glossy, Metal
 from simulate.radiance.materials.reflectance import grey
-from simulate.radiance.transport.along import along
-from simulate.radiance.transport.effort import Effort
-from simulate.radiance.world.shapes import Mesh, box, disc, plane, sphere
+from simulate.radiance.outdoor.shapes import Mesh, box, disc, plane, sphere
+from simulate.radiance.transport.camera_ray_radiance import radiance_along
+from simulate.radiance.transport.integrator_settings import IntegratorSettings
 from tests.simulate.radiance.staging import (
     OVERCAST,
     UNIFORM,
@@ -23,7 +23,7 @@ from tests.simulate.radiance.staging import (
 )
 
 WIDE = plane(50, 50)
-EXACT = Effort(bounces=200, roulette_from=3)
+EXACT = IntegratorSettings(bounces=200, roulette_from=3)
 
 
 def over(x: float, y: float, count: int, seed: int, centre=(0.0, 0.0)) -> np.ndarray:
@@ -159,7 +159,7 @@ def test_an_integrating_sphere_multiplies_its_light(seed, rho, port, rays):
     direction = rng.normal(size=(rays, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     direction = direction[direction[:, 2] < 1.0 - 2.5 * port - 0.01]
-    eye = along(stage, np.zeros_like(direction), direction, EXACT, rng, gathered=2).total()[:, 0]
+    eye = radiance_along(stage, np.zeros_like(direction), direction, EXACT, rng, gathered=2).total()[:, 0]
     exact = 4.0 * np.pi / (np.pi * area.sum()) * rho / (1.0 - rho * (1.0 - hole))
     agree(eye, exact)
 
@@ -171,7 +171,9 @@ def test_following_so_many_bounces_leaves_out_a_power_of_the_reflectance(seed, b
     rng = np.random.default_rng([seed, 6])
     direction = rng.normal(size=(2000, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    eye = along(stage, np.zeros_like(direction), direction, Effort(bounces=bounces), rng, gathered=2).total()[:, 0]
+    eye = radiance_along(
+        stage, np.zeros_like(direction), direction, IntegratorSettings(bounces=bounces), rng, gathered=2
+    ).total()[:, 0]
     agree(eye, rho / np.pi * (1.0 - rho ** (bounces + 1)) / (1.0 - rho))
 
 
@@ -201,7 +203,7 @@ def test_in_a_furnace_every_surface_is_as_bright_as_its_glow_over_what_it_does_n
     direction = rng.normal(size=(4000, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     origin = np.broadcast_to([0.1, 0.2, 1.0], direction.shape)
-    agree(along(stage, origin, direction, EXACT, rng, gathered=4).total()[:, 0], 1.0 / (1.0 - 0.6))
+    agree(radiance_along(stage, origin, direction, EXACT, rng, gathered=4).total()[:, 0], 1.0 / (1.0 - 0.6))
 
 
 @pytest.mark.parametrize(
@@ -220,8 +222,8 @@ def test_under_a_uniform_sky_a_gloss_shows_its_albedo(seed, brdf, tilt_deg, hidd
     eye = np.array([[np.sin(tilt), 0.0, np.cos(tilt)]])
     origin, towards = np.repeat(eye, 3000, axis=0), np.repeat(-eye, 3000, axis=0)
     rng = np.random.default_rng([seed, 4])
-    effort = Effort(bounces=0, hidden_sky=hidden_sky)
-    seen = along(stage, origin, towards, effort, rng, gathered=4).total()[:, 0]
+    effort = IntegratorSettings(bounces=0, hidden_sky=hidden_sky)
+    seen = radiance_along(stage, origin, towards, effort, rng, gathered=4).total()[:, 0]
     agree(seen, float(brdf.albedo(eye, np.array([500.0]))[0, 0]), relative=0.01)
 
 
@@ -229,7 +231,7 @@ def test_one_lamp_drawn_of_many_gives_the_same_light_as_all(seed):
     lamps = tuple(lamp((x, 0, 1), 1.0 + x * x) for x in (-2.0, 0.0, 1.0, 3.0))
     ceiling = at(inside_out(plane(50, 50)), 0, 0, 2)
     stage = staged([("floor", "m", WIDE), ("ceiling", "m", ceiling)], {"m": 0.5}, lamps=lamps)
-    few = irradiance(stage, [(0, 0, 0)] * 3000, UP, seed=seed, effort=Effort(bounces=1), rays=2)
+    few = irradiance(stage, [(0, 0, 0)] * 3000, UP, seed=seed, effort=IntegratorSettings(bounces=1), rays=2)
     rng = np.random.default_rng([seed, 3])
     # Where cosine-drawn rays meet the ceiling, all lamps are asked.
     sine, turn = np.sqrt(rng.random(12000)), 2.0 * np.pi * rng.random(12000)

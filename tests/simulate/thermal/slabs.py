@@ -6,7 +6,7 @@ import numpy as np
 
 from labdata.parameter import Parameter
 from simulate.radiance.blackbody import STEFAN_BOLTZMANN
-from simulate.radiance.world.description.slab import Layer, Slab
+from simulate.radiance.outdoor.description.slab import Layer, Slab
 from simulate.thermal.convection import Exchange
 from simulate.thermal.slab import Forcing
 

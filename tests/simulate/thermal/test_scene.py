@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labdata.border import from_mapping
 from labdata.errors import BadInput
+from labdata.serialiser import from_mapping
 from simulate.radiance.blackbody import STEFAN_BOLTZMANN
+from simulate.radiance.outdoor.built_scene import BuiltScene
+from simulate.radiance.outdoor.description.scene import OutdoorScene
+from simulate.radiance.outdoor.viewpoint import Viewpoint
 from simulate.radiance.scene import load_scene
-from simulate.radiance.world.description.scene import Scene
-from simulate.radiance.world.site import Site
-from simulate.radiance.world.viewpoint import Viewpoint
 from simulate.thermal.balance import Balance
 from simulate.thermal.convection import ZERO_C
 from simulate.thermal.exposure import exposure_of, facets_of
@@ -33,8 +33,8 @@ NIGHT = {
 }
 
 
-def scene_of(*objects, **changes) -> Scene:
-    return from_mapping(NIGHT | {"object": list(objects)} | changes, Scene, where="test")
+def scene_of(*objects, **changes) -> OutdoorScene:
+    return from_mapping(NIGHT | {"object": list(objects)} | changes, OutdoorScene, where="test")
 
 
 def plane(label, side, material="paving", height=0.0, **more):
@@ -61,7 +61,7 @@ def last_c(found: Temperatures, name: str, normal=(0, 0, 1)) -> float:
 
 
 def exposure(scene):
-    facets = facets_of(Site(scene).surfaces)
+    facets = facets_of(BuiltScene(scene).surfaces)
     sun = np.array([[0.0, -0.6, 0.8], [0.0, 0.6, 0.8]])
     return facets, exposure_of(facets, sun, np.random.default_rng(1))
 
@@ -110,7 +110,7 @@ def dark_room(scene, temperature_k=285.0):
         diffuse_w_m2=0.0 * steady,
         longwave_w_m2=STEFAN_BOLTZMANN * steady**4,
     )
-    site = Site(scene)
+    site = BuiltScene(scene)
     facets = facets_of(site.surfaces)
     things = {thing.label: thing for thing in scene.object}
     materials = {surface.label: slab_of(scene, surface) for surface in scene.material}
@@ -140,7 +140,7 @@ def test_walls_receive_what_the_ground_before_them_sends():
     walls = np.flatnonzero(np.abs(balance.facets.normal[:, 2]) < 0.5)
     sent = (1.0 - balance.absorptivity[ground]) * balance.sunlight[:, [ground]]
     assert sent.max() > 200.0
-    assert balance.reflected_sunlight[:, walls] == pytest.approx(np.repeat(0.5 * sent, 4, axis=1), rel=0.03)
+    assert balance.sunlight_by_reflection[:, walls] == pytest.approx(np.repeat(0.5 * sent, 4, axis=1), rel=0.03)
     warm = np.full((len(balance.weather), len(balance.facets)), 300.0)
     _, neighbours = balance.longwave(warm)
     assert neighbours[:, walls] == pytest.approx(0.5 * STEFAN_BOLTZMANN * 300.0**4, rel=0.04)
@@ -193,7 +193,7 @@ def test_a_point_of_the_map_is_what_its_place_has_by_itself(hours, error_k):
     for x, y in ((0.0, 4.95), (2.0, 3.4), (-2.9, 6.5), (5.0, 4.0)):
         patch = plane("patch", 0.2, position_m=[x, y], height=0.01)
         alone = temperatures_of(scene_of(plane("ground", 60.0), wall, patch, place=place))
-        row, col, _ = view.projected(np.array([[x, y, -height]]))
+        row, col, _ = view.project(np.array([[x, y, -height]]))
         found = pixels[int(row[0]), int(col[0])] - ZERO_C
         print(f"{x:5.1f} {y:4.1f}: {found:.2f} C, by itself {last_c(alone, 'patch'):.2f} C")
         assert found == pytest.approx(last_c(alone, "patch"), abs=error_k)

@@ -7,11 +7,11 @@ import pytest
 
 from labdata.errors import BadInput
 from simulate.radiance.blackbody import STEFAN_BOLTZMANN
-from simulate.radiance.sky.ephemeris import Place
-from simulate.radiance.world.description.camera import Camera
-from simulate.radiance.world.description.scene import Scene
-from simulate.radiance.world.description.surroundings import Weather as State
-from simulate.radiance.world.description.surroundings import Where
+from simulate.radiance.outdoor.description.camera import SceneCamera
+from simulate.radiance.outdoor.description.scene import OutdoorScene
+from simulate.radiance.outdoor.description.surroundings import Weather as State
+from simulate.radiance.outdoor.description.surroundings import Where
+from simulate.radiance.sky.ephemeris import ObserverLocation
 from simulate.thermal.clear_day import clear_sun, sky_emissivity, sky_radiance, sun_directions
 from simulate.thermal.convection import ZERO_C, dew_point_k, vapour_pressure_pa
 from simulate.thermal.library import library
@@ -19,17 +19,17 @@ from simulate.thermal.slab import Columns, march, periodic_start
 from simulate.thermal.weather import DAY_STEPS, weather_from_files, weather_of
 from tests.simulate.thermal.slabs import forcing_of
 
-ROCHESTER = Place(latitude_deg=43.16, longitude_deg=-77.61, altitude_m=150.0)
+ROCHESTER = ObserverLocation(latitude_deg=43.16, longitude_deg=-77.61, altitude_m=150.0)
 EASTERN = timezone(timedelta(hours=-4))
 NOON = datetime(1998, 6, 23, 12, tzinfo=EASTERN)
 
 
-def scene_of(**weather) -> Scene:
+def scene_of(**weather) -> OutdoorScene:
     """Return an empty scene in Rochester at two in the morning."""
     where = Where(latitude_deg=43.16, longitude_deg=-77.61, altitude_m=150.0, time="1998-06-24T02:00:00-04:00")
-    return Scene(
+    return OutdoorScene(
         name="night",
-        camera=Camera(position_m=(0.0, 0.0, 1.0), look_at_m=(0.0, 1.0, 1.0)),
+        camera=SceneCamera(position_m=(0.0, 0.0, 1.0), look_at_m=(0.0, 1.0, 1.0)),
         place=where,
         weather=State(**weather),
     )
@@ -223,7 +223,7 @@ def test_scenes_without_place_or_weather_are_refused():
         ({"weather": State()}, "wind_m_s"),
     ):
         with pytest.raises(BadInput, match=words):
-            weather_of(Scene(**{**vars(scene), **changes}))
+            weather_of(OutdoorScene(**{**vars(scene), **changes}))
 
 
 def test_alamosa_is_met_with_nothing_fitted(shared_data):
@@ -232,7 +232,7 @@ def test_alamosa_is_met_with_nothing_fitted(shared_data):
     if not folder.is_dir():
         pytest.skip("the two days of Alamosa are not among the shared data")
     files = [folder / "slv15365.dat", folder / "slv16001.dat"]
-    place = Place(latitude_deg=37.70, longitude_deg=-105.92, altitude_m=2317.0)
+    place = ObserverLocation(latitude_deg=37.70, longitude_deg=-105.92, altitude_m=2317.0)
     weather = weather_from_files(files, place, datetime(2016, 1, 2, tzinfo=UTC))
     assert len(weather) == 2 * DAY_STEPS and any("measured" in note for note in weather.notes)
     rows = np.concatenate([np.loadtxt(file, skiprows=2) for file in files])[4::5]

@@ -33,8 +33,8 @@ class Marginal:
     def __init__(self, white: Array, levels: Array, data: Array, level_precision: Array, step_dn: float) -> None:
         span = np.linalg.qr(np.concatenate([levels, np.diag(np.sqrt(level_precision))], axis=1).T)[0]
         none = np.zeros(len(levels))
-        self._data = _without(np.concatenate([data, none]), span)
-        self._map = _without(np.concatenate([white, np.zeros((len(white), none.size))], axis=1), span)
+        self._data = _project_out(np.concatenate([data, none]), span)
+        self._map = _project_out(np.concatenate([white, np.zeros((len(white), none.size))], axis=1), span)
         self._step_dn = step_dn
         self.power = float(self._data @ self._data)
 
@@ -54,6 +54,6 @@ class Marginal:
         return spread @ self._data, np.maximum(np.einsum("ij,ij->i", spread, spread), 1e-300)
 
 
-def _without(rows: Array, span: Array) -> Array:
+def _project_out(rows: Array, span: Array) -> Array:
     """Return rows less what orthonormal columns span of them."""
     return rows - (rows @ span) @ span.T

@@ -10,7 +10,7 @@ Array = NDArray[np.float64]
 
 
 @njit(cache=True)
-def turned(modulus: Array, turns: Array, fixed: Array) -> Array:
+def apply_phases(modulus: Array, turns: Array, fixed: Array) -> Array:
     """Return transfers delayed by phases, real and imaginary parts side by side, shape (n, 2 node).
 
     Parameters

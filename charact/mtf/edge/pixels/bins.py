@@ -7,8 +7,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from charact.mtf.edge.pixels.line import Line
-from charact.mtf.picture import Picture
+from charact.mtf.edge.pixels.line import EdgeLine
+from charact.mtf.mean_frame import OrientedFrame
 from charact.robust import median
 
 Array = NDArray[np.float64]
@@ -19,7 +19,7 @@ WIDTHS_PX = ((4.0, NARROWEST_PX), (8.0, 0.25), (16.0, 0.5))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Gathered:
+class BinnedPixels:
     """Pixels of a band along the edge and the bins they fall in.
 
     Parameters
@@ -54,12 +54,12 @@ class Gathered:
         """Mean distance of the pixels of every bin, shape (bin,), px."""
         return self.means(self.distance)[0]
 
-    def carried(self, mean: Array, rise: Array) -> Array:
+    def interpolate(self, mean: Array, rise: Array) -> Array:
         """Return a mean of each bin, with its rise per px for the place within the bin, at every pixel."""
-        return _carried(self.distance, self.bin_index, self.place, mean, rise)
+        return _interpolate(self.distance, self.bin_index, self.place, mean, rise)
 
 
-def coarser(gathered: Gathered) -> Gathered:
+def coarsen(gathered: BinnedPixels) -> BinnedPixels:
     """Return the band with bins twice as wide, which hold the narrower ones whole; pixels beyond the last are left."""
     borders = _borders((-gathered.borders[0], gathered.borders[-1]), wider=2)
     middle = 0.5 * (gathered.borders[1:] + gathered.borders[:-1])
@@ -85,7 +85,7 @@ def _means(value: Array, used: NDArray[np.bool_], index: NDArray[np.int64], size
 
 
 @njit(cache=True)
-def _carried(distance: Array, index: NDArray[np.int64], place: Array, mean: Array, rise: Array) -> Array:
+def _interpolate(distance: Array, index: NDArray[np.int64], place: Array, mean: Array, rise: Array) -> Array:
     out = np.empty(distance.shape)
     for row in range(distance.shape[0]):
         for col in range(distance.shape[1]):
@@ -95,7 +95,7 @@ def _carried(distance: Array, index: NDArray[np.int64], place: Array, mean: Arra
 
 
 @njit(cache=True)
-def _fallen(distance: Array, borders: Array) -> NDArray[np.int64]:
+def _bin_indices(distance: Array, borders: Array) -> NDArray[np.int64]:
     """Return the bin of every distance: borders lie on multiples of the narrowest width from the first."""
     last = borders.size - 2
     lookup = np.empty(int(np.rint((borders[-1] - borders[0]) / NARROWEST_PX)), np.int64)
@@ -111,7 +111,7 @@ def _fallen(distance: Array, borders: Array) -> NDArray[np.int64]:
     return out
 
 
-def gather(picture: Picture, line: Line, half_width_px: float, masked: NDArray[np.bool_]) -> Gathered:
+def bin_pixels(picture: OrientedFrame, line: EdgeLine, half_width_px: float, masked: NDArray[np.bool_]) -> BinnedPixels:
     """Gather the pixels within a half width of the line.
 
     Parameters
@@ -126,16 +126,16 @@ def gather(picture: Picture, line: Line, half_width_px: float, masked: NDArray[n
     distance = line.across(shape) * np.cos(angle)
     row = np.arange(shape[0])[:, None] - (shape[0] - 1) / 2
     along = row * picture.pitch_ratio / np.cos(angle) + distance * np.tan(angle)
-    reach = _covered(distance, half_width_px)
+    reach = _coverage(distance, half_width_px)
     borders = _borders(reach)
-    index = _fallen(distance, borders)
+    index = _bin_indices(distance, borders)
     used = (distance >= borders[0]) & (distance < borders[-1]) & ~masked
-    return Gathered(
+    return BinnedPixels(
         distance=distance, along=along, used=used, bin_index=index, borders=borders, half_width_px=min(reach)
     )
 
 
-def _covered(distance: Array, half_width_px: float) -> tuple[float, float]:
+def _coverage(distance: Array, half_width_px: float) -> tuple[float, float]:
     """Return how far to both sides most rows reach, at most the half width."""
     cells, other = _columns(distance)
     full = max(median(cells[:4]) if cells.size else 0.0, median(other[:4]) if other.size else 0.0)

@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.edge.pixels.line import Line
-from charact.mtf.picture import Picture
+from charact.mtf.edge.pixels.line import EdgeLine
+from charact.mtf.mean_frame import OrientedFrame
 from charact.mtf.region import Region
 from charact.robust import NORMAL, median
 
@@ -12,10 +12,10 @@ Array = NDArray[np.float64]
 
 # The step is taken between these distances on both sides of the line, px.
 NEAR_PX, FAR_PX = 3.0, 9.0
-LEAST_ROWS = 12
+MIN_ROWS = 12
 
 
-def extent(picture: Picture, line: Line) -> Region | None:
+def edge_extent(picture: OrientedFrame, line: EdgeLine) -> Region | None:
     """Return ROW, COL, HEIGHT, WIDTH of the original frame that hold one edge and its plateaus; None: all of it.
 
     Rows belong to the edge as long as the step across the line stands there; plateaus end where the mean profile of
@@ -29,13 +29,13 @@ def extent(picture: Picture, line: Line) -> Region | None:
     if not reference > 0:
         return None
     missing = ~np.isfinite(step) | (step < 0.5 * reference - 3.0 * error)
-    first, last = _longest(~missing)
-    if (last - first) * size < LEAST_ROWS:
+    first, last = _longest_run(~missing)
+    if (last - first) * size < MIN_ROWS:
         return None
     whole_rows = last - first >= len(step) - 1
     inset = 2 * size + 4
     top, bottom = (0, rows) if whole_rows else (first * size + inset, min(last * size, rows) - inset)
-    if bottom - top < LEAST_ROWS:
+    if bottom - top < MIN_ROWS:
         return None
     left, right = _plateaus(picture.value[top:bottom], across[top:bottom], reference, error)
     middle = line.position + line.slope * (np.array([top, bottom - 1]) - (rows - 1) / 2)
@@ -43,7 +43,7 @@ def extent(picture: Picture, line: Line) -> Region | None:
     high = int(np.ceil(min(middle.max() + right + 1.0, float(cols))))
     if (top, bottom, low, high) == (0, rows, 0, cols):
         return None
-    return original(picture, (top, low, bottom - top, high - low))
+    return original_region(picture, (top, low, bottom - top, high - low))
 
 
 def _reference(step: Array) -> float:
@@ -54,7 +54,7 @@ def _reference(step: Array) -> float:
     return median(finite[finite > 0.5 * finite.max()])
 
 
-def original(picture: Picture, region: Region) -> Region:
+def original_region(picture: OrientedFrame, region: Region) -> Region:
     """Return a region of an upright picture in its original frame."""
     row, col, height, width = region
     if picture.mirrored:
@@ -78,7 +78,7 @@ def _steps(value: Array, across: Array, size: int) -> tuple[Array, float]:
     return step, error
 
 
-def _longest(good: NDArray[np.bool_]) -> tuple[int, int]:
+def _longest_run(good: NDArray[np.bool_]) -> tuple[int, int]:
     """Return the first and one past the last index of the longest run, single gaps closed."""
     closed = good.copy()
     closed[1:-1] |= good[:-2] & good[2:]

@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.edge.pixels.bins import gather
-from charact.mtf.edge.pixels.line import Line, RowFit, refine
-from charact.mtf.picture import Picture
-from charact.robust import median, spread
+from charact.mtf.edge.pixels.bins import bin_pixels
+from charact.mtf.edge.pixels.line import EdgeLine, RowFit, refine
+from charact.mtf.mean_frame import OrientedFrame
+from charact.robust import median, robust_sd
 
 Array = NDArray[np.float64]
 
 # A displacement counts from so many standard errors, which few numbers tell, and from this size, px.
-SIGNIFICANT, LEAST_PX = 3.5, 0.04
+SIGNIFICANT, MIN_PX = 3.5, 0.04
 # Rows of each field that tell where it is, and how far from the edge pixels tell it, px.
-LEAST_ROWS, REACH_PX = 6, 16.0
+MIN_ROWS, REACH_PX = 6, 16.0
 # Steps over which a profile's slope is told, px, and how many of them are averaged.
 STEP_PX, SMOOTH_STEPS = 0.25, 5
 # An edge that moved was first taken at the middle of two places, with a profile smeared over both.
@@ -25,20 +25,20 @@ TURNS, SETTLED_PX = 5, 0.005
 Displacement = tuple[float, float]
 
 
-def counts(displacement: Displacement) -> bool:
+def is_significant(displacement: Displacement) -> bool:
     """Tell whether fields lie apart by more than chance, and by enough to matter."""
     apart, error = displacement
-    return bool(abs(apart) > max(SIGNIFICANT * error, LEAST_PX))
+    return bool(abs(apart) > max(SIGNIFICANT * error, MIN_PX))
 
 
-def apart_by_rows(picture: Picture, rows: RowFit) -> Displacement:
+def field_displacement_of_rows(picture: OrientedFrame, rows: RowFit) -> Displacement:
     """Return how far the edge lies elsewhere in odd lines of the frame, which are rows of the picture."""
     good = np.isfinite(rows.offset)
     odd = (picture.row_index[:, 0] % 2).astype(bool)
-    if min(np.count_nonzero(good & odd), np.count_nonzero(good & ~odd)) < LEAST_ROWS:
+    if min(np.count_nonzero(good & odd), np.count_nonzero(good & ~odd)) < MIN_ROWS:
         return 0.0, np.inf
     one, other = rows.offset[good & odd], rows.offset[good & ~odd]
-    error = 1.25 * np.hypot(spread(one) / np.sqrt(one.size), spread(other) / np.sqrt(other.size))
+    error = 1.25 * np.hypot(robust_sd(one) / np.sqrt(one.size), robust_sd(other) / np.sqrt(other.size))
     return median(one) - median(other), float(error)
 
 
@@ -55,7 +55,9 @@ def steepness(place: Array, value: Array, distance: Array) -> Array:
     return np.interp(distance, middle[2:-2], np.gradient(smooth, STEP_PX)[2:-2], left=0.0, right=0.0)
 
 
-def apart_by_pixels(line_parity: NDArray[np.int64], residual: Array, steep: Array, noise: float) -> Displacement:
+def field_displacement_of_pixels(
+    line_parity: NDArray[np.int64], residual: Array, steep: Array, noise: float
+) -> Displacement:
     """Return how far odd lines lie from even ones, which run along the edge, by least squares on single pixels.
 
     Parameters
@@ -76,27 +78,31 @@ def apart_by_pixels(line_parity: NDArray[np.int64], residual: Array, steep: Arra
     return float(shape @ residual) / power, noise / np.sqrt(power)
 
 
-def with_fields_apart(picture: Picture, rows: RowFit) -> RowFit:
+def separate_fields(picture: OrientedFrame, rows: RowFit) -> RowFit:
     """Return an edge whose two fields are taken each at its own place, where they lie apart."""
-    moved = _apart(picture, rows)
-    if not counts(moved):
+    moved = _field_displacement(picture, rows)
+    if not is_significant(moved):
         return rows
     for _ in range(TURNS):
         apart = rows.line.fields_apart_px + moved[0]
         rows = refine(picture, replace(rows.line, fields_apart_px=apart, fields=picture.row_index % 2))
-        moved = _apart(picture, rows)
+        moved = _field_displacement(picture, rows)
         if abs(moved[0]) < SETTLED_PX:
             break
     return rows
 
 
-def _apart(picture: Picture, rows: RowFit) -> Displacement:
-    return _apart_along(picture, rows.line) if picture.transposed else apart_by_rows(picture, rows)
+def _field_displacement(picture: OrientedFrame, rows: RowFit) -> Displacement:
+    return (
+        _field_displacement_along(picture, rows.line)
+        if picture.transposed
+        else field_displacement_of_rows(picture, rows)
+    )
 
 
-def _apart_along(picture: Picture, line: Line) -> Displacement:
+def _field_displacement_along(picture: OrientedFrame, line: EdgeLine) -> Displacement:
     """Return how far fields lie apart whose lines run along the edge."""
-    gathered = gather(picture, line, REACH_PX, np.zeros(picture.value.shape, bool))
+    gathered = bin_pixels(picture, line, REACH_PX, np.zeros(picture.value.shape, bool))
     mean, count = gathered.means(picture.value)
     filled = count > 0
     place, value = gathered.place[filled], mean[filled]
@@ -104,5 +110,5 @@ def _apart_along(picture: Picture, line: Line) -> Displacement:
     residual = picture.value[used] - np.interp(gathered.distance[used], place, value)
     slopes = steepness(place, value, gathered.distance[used])
     # Distances grow along the picture's columns, so that an edge displaced by d stands at a distance of -d.
-    found, error = apart_by_pixels(picture.row_index[used] % 2, residual, slopes, float(np.std(residual)))
+    found, error = field_displacement_of_pixels(picture.row_index[used] % 2, residual, slopes, float(np.std(residual)))
     return found / float(np.cos(line.angle_rad(picture.pitch_ratio))), error

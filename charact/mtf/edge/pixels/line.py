@@ -7,9 +7,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from charact.mtf.edge.pixels.projections import SLOPE_STEP, strongest
-from charact.mtf.picture import Picture
-from charact.robust import NORMAL, median, spread
+from charact.mtf.edge.pixels.projections import SLOPE_STEP, strongest_step
+from charact.mtf.mean_frame import OrientedFrame
+from charact.robust import NORMAL, median, robust_sd
 
 Array = NDArray[np.float64]
 
@@ -24,7 +24,7 @@ CELLS_PER_PX, ROW_BLUR_PX = 4, 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
-class Line:
+class EdgeLine:
     """An edge col = position + slope (row - middle row) of an upright picture.
 
     Parameters
@@ -55,20 +55,20 @@ class Line:
         return float(np.arctan(self.slope / pitch_ratio))
 
 
-def find(picture: Picture) -> tuple[Picture, Line]:
+def find(picture: OrientedFrame) -> tuple[OrientedFrame, EdgeLine]:
     """Find the strongest straight step, turn the picture upright and return both."""
     factor = max(1, int(np.ceil(max(picture.value.shape) / COARSE_SIZE)))
-    small = _binned(picture.value, factor)
-    ways = [(strongest(small.T if transpose else small), transpose) for transpose in (0, 1)]
+    small = _block_means(picture.value, factor)
+    ways = [(strongest_step(small.T if transpose else small), transpose) for transpose in (0, 1)]
     (score, place, slope), transpose = max(ways, key=lambda way: abs(way[0][0]))
     upright = picture.turned(transpose=bool(transpose), mirror=score < 0)
     width = upright.value.shape[1]
     position = (place + 0.5) * factor - 0.5
-    line = Line(position=width - 1 - position if score < 0 else position, slope=-slope if score < 0 else slope)
-    return upright, replace(settled(upright, line), strength=_strength(small, score))
+    line = EdgeLine(position=width - 1 - position if score < 0 else position, slope=-slope if score < 0 else slope)
+    return upright, replace(iterate_edge_line(upright, line), strength=_strength(small, score))
 
 
-def _binned(value: Array, factor: int) -> Array:
+def _block_means(value: Array, factor: int) -> Array:
     """Return block means, the remainder cut off."""
     rows, cols = (size // factor * factor for size in value.shape)
     return value[:rows, :cols].reshape(rows // factor, factor, cols // factor, factor).mean(axis=(1, 3))
@@ -80,7 +80,7 @@ def _strength(small: Array, score: float) -> float:
     return abs(score) / max(noise, 1e-12 * (1 + abs(score)))
 
 
-def settled(picture: Picture, line: Line, iterations: int = 12) -> Line:
+def iterate_edge_line(picture: OrientedFrame, line: EdgeLine, iterations: int = 12) -> EdgeLine:
     """Return the line that fits the pixels around it best with a smooth step, by damped Gauss-Newton.
 
     Notes
@@ -105,13 +105,13 @@ def settled(picture: Picture, line: Line, iterations: int = 12) -> Line:
     for iteration in range(iterations):
         value, distance, height = few if iteration < FINE_FROM else every
         place = (distance - shift - turn * height) / width
-        design, residual = _levelled(value, place, np.tanh(place), height, width)
+        design, residual = _step_and_derivatives(value, place, np.tanh(place), height, width)
         if iteration in (3, 6):
             clip = 6.0 * NORMAL * median(np.abs(residual[:: max(1, value.size // 4000)]))
         move = _least_squares(design, np.minimum(np.maximum(residual, -clip), clip))[4:].tolist()
-        step = _within(move[0], -4.0, 4.0), _within(move[1], -8.0, 8.0)
-        shift, turn = _within(shift + step[0], -reach, reach), turn + step[1]
-        width = _within(width + _within(move[2], -0.5 * width, width), 0.4, 20.0)
+        step = _clamp(move[0], -4.0, 4.0), _clamp(move[1], -8.0, 8.0)
+        shift, turn = _clamp(shift + step[0], -reach, reach), turn + step[1]
+        width = _clamp(width + _clamp(move[2], -0.5 * width, width), 0.4, 20.0)
         size = abs(step[0]) + abs(step[1])
         if iteration > FINE_FROM and size < 1e-3 and last < 0.1:
             break
@@ -119,13 +119,13 @@ def settled(picture: Picture, line: Line, iterations: int = 12) -> Line:
     return replace(line, position=line.position + shift, slope=line.slope + turn / rows)
 
 
-def _within(value: float, low: float, high: float) -> float:
+def _clamp(value: float, low: float, high: float) -> float:
     """Return a number, or the limit that it passes: on one of them NumPy's clip takes fifty times as long."""
     return min(max(value, low), high)
 
 
 @njit(cache=True)
-def _levelled(value: Array, place: Array, bend: Array, height: Array, width: float) -> tuple[Array, Array]:
+def _step_and_derivatives(value: Array, place: Array, bend: Array, height: Array, width: float) -> tuple[Array, Array]:
     """Return the change of a smooth step with level, rise, their slopes along the edge, place, turn and width.
 
     Shape (7, pixel); and what the best levels and slopes leave of the pixels, shape (pixel,).
@@ -166,12 +166,12 @@ class RowFit:
         Their scatter, px.
     """
 
-    line: Line
+    line: EdgeLine
     offset: Array
     offset_sd: float
 
 
-def refine(picture: Picture, line: Line) -> RowFit:
+def refine(picture: OrientedFrame, line: EdgeLine) -> RowFit:
     """Return the displacement of each row's edge from the line, the line's own course corrected by them.
 
     Notes
@@ -180,35 +180,35 @@ def refine(picture: Picture, line: Line) -> RowFit:
     """
     rows = picture.value.shape[0]
     row = np.arange(rows) - (rows - 1) / 2
-    offset, good, shift, turn = _against(picture, line, row)
+    offset, good, shift, turn = _compare_rows(picture, line, row)
     if abs(shift) + abs(turn) * rows > 0.02:
-        shift, turn = _within(shift, -3.0, 3.0), _within(turn * rows, -6.0, 6.0) / rows
+        shift, turn = _clamp(shift, -3.0, 3.0), _clamp(turn * rows, -6.0, 6.0) / rows
         line = replace(line, position=line.position + shift, slope=line.slope + turn)
-        offset, good, shift, turn = _against(picture, line, row)
+        offset, good, shift, turn = _compare_rows(picture, line, row)
     if good.sum() < 3:
         return RowFit(line=line, offset=offset, offset_sd=np.inf)
     offset = np.where(good, offset - shift - turn * row, np.nan)
-    return RowFit(line=line, offset=offset, offset_sd=spread(offset[good]))
+    return RowFit(line=line, offset=offset, offset_sd=robust_sd(offset[good]))
 
 
-def _against(picture: Picture, line: Line, row: Array) -> tuple[Array, NDArray[np.bool_], float, float]:
+def _compare_rows(picture: OrientedFrame, line: EdgeLine, row: Array) -> tuple[Array, NDArray[np.bool_], float, float]:
     """Return the rows' displacements, which of them hold the edge, and their mean and slope over the rows."""
     offset, good = _row_offsets(picture, line)
     if good.sum() < 3:
         return offset, good, 0.0, 0.0
-    good &= np.abs(offset - median(offset[good])) < 6 * spread(offset[good]) + 1e-9
+    good &= np.abs(offset - median(offset[good])) < 6 * robust_sd(offset[good]) + 1e-9
     design = np.stack([np.ones_like(row), row], axis=1)[good]
     shift, turn = np.linalg.lstsq(design, offset[good], rcond=None)[0]
     return offset, good, float(shift), float(turn)
 
 
-def _row_offsets(picture: Picture, line: Line) -> tuple[Array, NDArray[np.bool_]]:
+def _row_offsets(picture: OrientedFrame, line: EdgeLine) -> tuple[Array, NDArray[np.bool_]]:
     """Return each row's displacement against the mean profile, and which rows hold the edge."""
     across = line.across(picture.value.shape)
-    sums, counts = _near(picture.value, across)
+    sums, counts = _profile_sums(picture.value, across)
     places, kernel = _smoothing()
     profile = kernel @ sums / np.maximum(kernel @ counts, 1e-300)
-    offset, power = _displaced(picture.value, across, places, profile, np.gradient(profile, places))
+    offset, power = _row_displacements(picture.value, across, places, profile, np.gradient(profile, places))
     return offset, (power > 0.5 * median(power)) & (power > 0)
 
 
@@ -220,7 +220,7 @@ def _smoothing() -> tuple[Array, Array]:
 
 
 @njit(cache=True)
-def _near(value: Array, across: Array) -> tuple[Array, Array]:
+def _profile_sums(value: Array, across: Array) -> tuple[Array, Array]:
     """Return the sum of the pixels in each cell of the rows' mean profile, and their number.
 
     A pixel between the middles of two cells counts in both as it is near: at 45 degrees all rows cross the cells at
@@ -241,7 +241,7 @@ def _near(value: Array, across: Array) -> tuple[Array, Array]:
 
 
 @njit(cache=True)
-def _displaced(value: Array, across: Array, places: Array, profile: Array, rise: Array) -> tuple[Array, Array]:
+def _row_displacements(value: Array, across: Array, places: Array, profile: Array, rise: Array) -> tuple[Array, Array]:
     """Return by how much each row's edge lies off a profile, shape (row,), px, and the power that tells it.
 
     A row's own level and step are free: light that changes along the edge must not move it.

@@ -6,37 +6,37 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.curvature import believed_black
-from charact.mtf.edge.fit.evidence import Evidence, evidence_of
-from charact.mtf.edge.fit.spread import edge_weights
-from charact.mtf.edge.pixels.bins import Gathered, coarser, gather
-from charact.mtf.edge.pixels.grain import Grain, bin_covariance, grain_of
-from charact.mtf.edge.pixels.light import (
+from charact.mtf.edge.fit.esf_from_mtf import edge_weights
+from charact.mtf.edge.fit.sufficient_statistics import ProfileStatistics, profile_statistics
+from charact.mtf.edge.pixels.bins import BinnedPixels, bin_pixels, coarsen
+from charact.mtf.edge.pixels.illumination_gradient import IlluminationGradient, uneven_light
+from charact.mtf.edge.pixels.line import EdgeLine
+from charact.mtf.edge.pixels.noise_model import EdgeNoiseModel, bin_covariance, estimate_edge_noise
+from charact.mtf.edge.pixels.plateau_levels import (
     DEFECT_SD,
-    LEAST_DEFECT,
-    defective,
-    even_along,
+    MIN_DEFECT,
+    find_defects,
     levels_of,
+    remove_slope,
+    remove_slope_along,
     residual_of,
     span,
-    without_slope,
 )
-from charact.mtf.edge.pixels.line import Line
-from charact.mtf.edge.pixels.uneven_light import UnevenLight, uneven_light
-from charact.mtf.picture import Picture
+from charact.mtf.mean_frame import OrientedFrame
+from charact.mtf.nonlinearity_prior import usable_black_level
 from charact.robust import median
 
 Array = NDArray[np.float64]
 
 PLATEAU_FROM_PX = 10.0
 SHADING_LENGTH_PX = 10.0
-LEAST_SHADED_PX = 1.4 * SHADING_LENGTH_PX
+MIN_SHADED_PX = 1.4 * SHADING_LENGTH_PX
 # Step over the noise of a pixel below which bins need not be narrow.
 NOISY = 8.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Profile:
+class EdgeProfile:
     """A measured edge profile.
 
     Parameters
@@ -66,7 +66,7 @@ class Profile:
         Least variance of a pixel, DN^2: rounding to codes, and a ten-thousandth of the step.
     """
 
-    gathered: Gathered
+    gathered: BinnedPixels
     distance: Array
     spread_px: Array
     value: Array
@@ -75,7 +75,7 @@ class Profile:
     dark: float
     bright: float
     black: float | None
-    grain: Grain
+    grain: EdgeNoiseModel
     covariance: Array
     shading_sd: float
     defects: int
@@ -89,7 +89,7 @@ class Profile:
         return self.bright - self.dark
 
     @cached_property
-    def light(self) -> UnevenLight:
+    def light(self) -> IlluminationGradient:
         """How light may slope."""
         return uneven_light(self.dark, self.bright, self.black)
 
@@ -108,7 +108,7 @@ class Profile:
         """
         return self.light.slopes_sd(slope_sd_per_px) * max(abs(self.step), 1e-300)
 
-    def evidence(self, grid: Array, slope_sd_per_px: float) -> Evidence:
+    def evidence(self, grid: Array, slope_sd_per_px: float) -> ProfileStatistics:
         """Return the evidence on nodes, level, step and the slopes of the light marginalised.
 
         Parameters
@@ -118,10 +118,10 @@ class Profile:
         """
         spread = np.concatenate(edge_weights(grid, self.distance, self.spread_px), axis=1)
         prior = np.array([np.inf, *self.slopes_sd(slope_sd_per_px)])
-        return evidence_of(self.value, self.covariance, spread, self.levels, prior, abs(self.step))
+        return profile_statistics(self.value, self.covariance, spread, self.levels, prior, abs(self.step))
 
 
-def profile_of(picture: Picture, line: Line, half_width_px: float, *, quickly: bool = False) -> Profile:
+def profile_of(picture: OrientedFrame, line: EdgeLine, half_width_px: float, *, quickly: bool = False) -> EdgeProfile:
     """Gather the profile of an edge and estimate its noise from what the pixels leave over after it.
 
     Parameters
@@ -132,24 +132,24 @@ def profile_of(picture: Picture, line: Line, half_width_px: float, *, quickly: b
         Whether bins may be twice as wide where noise hides what narrow ones would tell: a fit costs as their square.
     """
     masked = np.zeros(picture.value.shape, bool)
-    gathered = gather(picture, line, half_width_px, masked)
-    picture = even_along(picture, gathered)
+    gathered = bin_pixels(picture, line, half_width_px, masked)
+    picture = remove_slope_along(picture, gathered)
     residual, level = residual_of(picture, gathered)
     rounding_sd = 0.3 / np.sqrt(picture.frames) if picture.whole_codes else 0.0
     spread = abs(span(picture, gathered))
-    masked = defective(residual, level, gathered.used, max(rounding_sd, LEAST_DEFECT * spread / DEFECT_SD))
+    masked = find_defects(residual, level, gathered.used, max(rounding_sd, MIN_DEFECT * spread / DEFECT_SD))
     defects = int(masked.sum())
     if defects:
-        gathered = gather(picture, line, half_width_px, masked)
+        gathered = bin_pixels(picture, line, half_width_px, masked)
         residual, level = residual_of(picture, gathered)
     if quickly and spread < NOISY * np.std(residual[gathered.used]):
-        gathered = coarser(gathered)
-    return _assembled(picture, line, gathered, residual, level, defects)
+        gathered = coarsen(gathered)
+    return _assemble(picture, line, gathered, residual, level, defects)
 
 
-def centred(picture: Picture, line: Line) -> Line:
+def centre_line(picture: OrientedFrame, line: EdgeLine) -> EdgeLine:
     """Return the line moved to where the profile is half way up, so that bins fall alike on both sides of the edge."""
-    gathered = gather(picture, line, 16.0, np.zeros(picture.value.shape, bool))
+    gathered = bin_pixels(picture, line, 16.0, np.zeros(picture.value.shape, bool))
     mean, count = gathered.means(picture.value)
     filled = count > 0
     distance, value = gathered.place[filled], mean[filled]
@@ -164,9 +164,9 @@ def centred(picture: Picture, line: Line) -> Line:
     return replace(line, position=line.position + shift / float(np.cos(line.angle_rad(picture.pitch_ratio))))
 
 
-def _assembled(
-    picture: Picture, line: Line, gathered: Gathered, residual: Array, level: Array, defects: int
-) -> Profile:
+def _assemble(
+    picture: OrientedFrame, line: EdgeLine, gathered: BinnedPixels, residual: Array, level: Array, defects: int
+) -> EdgeProfile:
     """Return the profile of gathered pixels with the covariance of its bins."""
     mean, count = gathered.means(picture.value)
     distance = gathered.place
@@ -177,8 +177,8 @@ def _assembled(
     slopes = (float(np.cos(angle)), float(-line.slope * np.cos(angle)))
     rounding = 1.0 / (12.0 * picture.frames) if picture.whole_codes else 0.0
     floor = max(rounding, (3e-4 * (bright - dark)) ** 2, 1e-30)
-    grain = grain_of(residual, level, gathered, floor, picture.field_axis)
-    profile = Profile(
+    grain = estimate_edge_noise(residual, level, gathered, floor, picture.field_axis)
+    profile = EdgeProfile(
         gathered=gathered,
         distance=distance[keep],
         spread_px=np.sqrt(np.maximum(square - distance**2, 0.0))[keep],
@@ -187,7 +187,7 @@ def _assembled(
         keep=keep,
         dark=dark,
         bright=bright,
-        black=believed_black(picture.black_dn, dark, bright),
+        black=usable_black_level(picture.black_dn, dark, bright),
         grain=grain,
         covariance=np.eye(int(keep.sum())),
         shading_sd=0.0,
@@ -196,10 +196,10 @@ def _assembled(
         slopes=slopes,
         variance_floor=floor,
     )
-    return with_grain(profile, grain)
+    return with_noise(profile, grain)
 
 
-def refined(profile: Profile, picture: Picture, model_value: Array) -> Profile:
+def refine_noise(profile: EdgeProfile, picture: OrientedFrame, model_value: Array) -> EdgeProfile:
     """Return the profile with its noise estimated anew from what the pixels leave over after a model's bin values.
 
     Parameters
@@ -210,20 +210,20 @@ def refined(profile: Profile, picture: Picture, model_value: Array) -> Profile:
     at_pixel = np.interp(profile.gathered.distance, profile.distance, model_value)
     level = (at_pixel - profile.dark) / profile.step
     value = np.where(profile.gathered.used, picture.value - at_pixel, 0.0)
-    residual = without_slope(value, profile.gathered, level)
-    grain = grain_of(residual, level, profile.gathered, profile.variance_floor, picture.field_axis)
-    anew = with_grain(profile, grain)
+    residual = remove_slope(value, profile.gathered, level)
+    grain = estimate_edge_noise(residual, level, profile.gathered, profile.variance_floor, picture.field_axis)
+    anew = with_noise(profile, grain)
     return with_shading(anew, profile.value)
 
 
-def with_grain(profile: Profile, grain: Grain) -> Profile:
+def with_noise(profile: EdgeProfile, grain: EdgeNoiseModel) -> EdgeProfile:
     """Return the profile with another noise, its plateaus taken as even."""
     level = (profile.value - profile.dark) / (profile.step if profile.step != 0 else 1.0)
     covariance = bin_covariance(grain, profile.gathered, level, profile.count, profile.keep, profile.slopes)
     return replace(profile, grain=grain, covariance=covariance, shading_sd=0.0)
 
 
-def with_shading(profile: Profile, left_over: Array) -> Profile:
+def with_shading(profile: EdgeProfile, left_over: Array) -> EdgeProfile:
     """Return the profile with slow undulations of its plateaus allowed for, as large as values left over show them.
 
     Parameters
@@ -231,19 +231,19 @@ def with_shading(profile: Profile, left_over: Array) -> Profile:
     left_over
         The bins' values, or what a model leaves of them, shape (bin,), DN.
     """
-    bare = profile.covariance - _undulations(profile.distance, profile.shading_sd)
-    shading = _shading(replace(profile, covariance=bare), left_over)
-    return replace(profile, covariance=bare + _undulations(profile.distance, shading), shading_sd=shading)
+    bare = profile.covariance - _shading_covariance(profile.distance, profile.shading_sd)
+    shading = _shading_sd(replace(profile, covariance=bare), left_over)
+    return replace(profile, covariance=bare + _shading_covariance(profile.distance, shading), shading_sd=shading)
 
 
-def _undulations(place: Array, sd: float) -> Array | float:
+def _shading_covariance(place: Array, sd: float) -> Array | float:
     """Return the covariance of slow undulations at some places, shape (place, place); 0 where there are none."""
     if sd == 0:
         return 0.0
     return sd**2 * np.exp(-0.5 * ((place[:, None] - place) / SHADING_LENGTH_PX) ** 2)
 
 
-def _shading(profile: Profile, left_over: Array) -> float:
+def _shading_sd(profile: EdgeProfile, left_over: Array) -> float:
     """Return the standard deviation by which the plateaus undulate beyond the noise of wide bins.
 
     In a plateau not much longer than an undulation all but a thousandth of it is bend, of which nothing is told.
@@ -251,10 +251,10 @@ def _shading(profile: Profile, left_over: Array) -> float:
     excess, weight, scatter = 0.0, 0.0, 0.0
     for side in (profile.distance < -PLATEAU_FROM_PX, profile.distance > PLATEAU_FROM_PX):
         place = profile.distance[side]
-        if place.size < 12 or np.ptp(place) < LEAST_SHADED_PX:
+        if place.size < 12 or np.ptp(place) < MIN_SHADED_PX:
             continue
         basis = np.linalg.qr(np.stack([np.ones_like(place), place, place**2], axis=1))[0]
-        noise, even = profile.covariance[np.ix_(side, side)], _undulations(place, 1.0)
+        noise, even = profile.covariance[np.ix_(side, side)], _shading_covariance(place, 1.0)
         # Of what is left of values, noise and undulations after the bend I - B B^T: squares and traces.
         across = noise @ basis
         within = basis.T @ across

@@ -10,27 +10,27 @@ Array = NDArray[np.float64]
 SLOPES = np.tan(np.deg2rad(np.arange(-48.0, 49.0, 2.0)))
 SLOPE_STEP = 0.035
 # Share of the pixels of a full side that each side of a step must have.
-LEAST_SIDE = 0.1
+MIN_SIDE = 0.1
 
 
-def strongest(value: Array) -> tuple[float, float, float]:
+def strongest_step(value: Array) -> tuple[float, float, float]:
     """Return the largest weighted step of the profiles projected along all slopes: signed, its place and its slope."""
-    return _strongest(np.ascontiguousarray(value), SLOPES)
+    return _strongest_step(np.ascontiguousarray(value), SLOPES)
 
 
 @njit(cache=True)
-def _strongest(value: Array, slopes: Array) -> tuple[float, float, float]:
+def _strongest_step(value: Array, slopes: Array) -> tuple[float, float, float]:
     best, place, along = 0.0, 0.0, 0.0
     for slope in slopes:
-        first, total, count = _running(value, slope)
-        score, cut = _step(total, count, min(value.shape))
+        first, total, count = _running_sums(value, slope)
+        score, cut = _largest_step(total, count, min(value.shape))
         if abs(score) > abs(best):
             best, place, along = score, cut - 0.5 + first, slope
     return best, place, along
 
 
 @njit(cache=True)
-def _running(value: Array, slope: float) -> tuple[float, Array, Array]:
+def _running_sums(value: Array, slope: float) -> tuple[float, Array, Array]:
     """Return the first cell's place, and running sums of the pixels projected along a slope and of their number."""
     rows, cols = value.shape
     middle = 0.5 * (rows - 1)
@@ -49,14 +49,14 @@ def _running(value: Array, slope: float) -> tuple[float, Array, Array]:
 
 
 @njit(cache=True)
-def _step(total: Array, count: Array, side: int) -> tuple[float, float]:
+def _largest_step(total: Array, count: Array, side: int) -> tuple[float, float]:
     """Return the largest step between neighbouring stretches of a profile, weighted by its pixels, and its cell."""
     size, reach = total.size - 1, max(3, side // 6)
     best, at = 0.0, 0.0
     for cut in range(2, size - 1):
         low, high = max(cut - reach, 0), min(cut + reach, size)
         left, right = count[cut] - count[low], count[high] - count[cut]
-        if min(left, right) <= LEAST_SIDE * reach * side:
+        if min(left, right) <= MIN_SIDE * reach * side:
             continue
         step = (total[high] - total[cut]) / right - (total[cut] - total[low]) / left
         score = step * np.sqrt(left * right / (left + right))

@@ -9,24 +9,24 @@ from numba import njit
 from numpy.typing import NDArray
 
 from charact.mtf.edge.pixels.fields import steepness
-from charact.mtf.edge.pixels.profile import Profile
-from charact.mtf.picture import Picture
+from charact.mtf.edge.pixels.profile import EdgeProfile
+from charact.mtf.mean_frame import OrientedFrame
 from charact.mtf.rounding import QUANTISATION_DN2
-from charact.mtf.wander import Wander
+from charact.mtf.target_motion import TargetMotion
 
 Array = NDArray[np.float64]
 
 # Share of the squares of the profile's slope that the pixels hold which tell a place, and their least and most reach.
-HELD, LEAST_REACH_PX, MOST_REACH_PX = 0.95, 3.0, 10.0
+SLOPE_FRACTION, MIN_REACH_PX, MAX_REACH_PX = 0.95, 3.0, 10.0
 # Least rows that tell, least places on a plateau, and rows over which noise ties places.
-LEAST_ROWS, LEAST_PLACES, TIED_ROWS = 16, 30, 4
+MIN_ROWS, MIN_PLACES, CORRELATED_ROWS = 16, 30, 4
 # Terms of the series of what rounding to whole codes leaves in a mean.
 TERMS = 6
 # Step of the distances at which the profile's slope is looked at, px.
 STEP_PX = 0.25
 
 
-def roughness_of(picture: Picture, profile: Profile) -> Wander:
+def roughness_of(picture: OrientedFrame, profile: EdgeProfile) -> TargetMotion:
     """Return how an edge wanders along its length about a straight line.
 
     Notes
@@ -37,28 +37,28 @@ def roughness_of(picture: Picture, profile: Profile) -> Wander:
     """
     from scipy.special import fdtrc
 
-    reach = _reach(profile)
-    places, squares = _places_of(picture, profile, reach)
+    reach = _half_width(profile)
+    places, squares = _positions_of(picture, profile, reach)
     edge = places[:, 0]
     told = np.flatnonzero(np.isfinite(edge))
-    beside = [_plateau(side) for side in np.split(places[:, 1:], 2, axis=1)]
-    if told.size < LEAST_ROWS or min(one[1] for one in beside) < LEAST_PLACES:
-        return Wander()
+    beside = [_plateau_scatter(side) for side in np.split(places[:, 1:], 2, axis=1)]
+    if told.size < MIN_ROWS or min(one[1] for one in beside) < MIN_PLACES:
+        return TargetMotion()
     left = edge[told] - np.polyval(np.polyfit(told, edge[told], 1), told)
     # Of each pixel the profile holds as much as one of its bin's pixels weighs.
     held = float(np.mean(1.0 / profile.count[np.abs(profile.distance) < reach]))
     square = float(left @ left) / (told.size - 2) / max(1.0 - held, 0.5)
     noise = 0.5 * sum(one[0] for one in beside) + _rounding(picture, profile) * float(np.mean(squares[told]))
     if not square > noise > 0:
-        return Wander()
+        return TargetMotion()
     tied = 0.5 * sum(one[2] for one in beside)
     # Of a mean of two squares (Satterthwaite); windows that overlap by half count for half.
     freedom = 0.5 * 4.0 * noise**2 / sum(one[0] ** 2 * tied / one[1] for one in beside)
     chance = float(fdtrc(told.size / tied, freedom, square / noise))
-    return Wander(rms_px=float(np.sqrt(square - noise)), chance=chance)
+    return TargetMotion(rms_px=float(np.sqrt(square - noise)), chance=chance)
 
 
-def _rounding(picture: Picture, profile: Profile) -> float:
+def _rounding(picture: OrientedFrame, profile: EdgeProfile) -> float:
     """Return the mean square that rounding to whole codes leaves in means of pixels at any level, DN^2.
 
     All pixels of a plateau have it alike, those near an edge each its own. The sawtooth of `charact.mtf.rounding`.
@@ -71,16 +71,16 @@ def _rounding(picture: Picture, profile: Profile) -> float:
     return float(np.mean(np.sum(np.exp(-4.0 * turn**2 * variance) / (2.0 * turn**2), axis=0)))
 
 
-def _reach(profile: Profile) -> float:
+def _half_width(profile: EdgeProfile) -> float:
     """Return how far from the edge pixels tell where it is, px."""
-    distance = np.arange(0.0, MOST_REACH_PX, STEP_PX)
+    distance = np.arange(0.0, MAX_REACH_PX, STEP_PX)
     steep = sum(steepness(profile.distance, profile.value, sign * distance) ** 2 for sign in (-1.0, 1.0))
     held = np.cumsum(steep)
-    reach = distance[int(np.searchsorted(held, HELD * held[-1]))] if held[-1] > 0 else LEAST_REACH_PX
-    return max(float(reach) + STEP_PX, LEAST_REACH_PX)
+    reach = distance[int(np.searchsorted(held, SLOPE_FRACTION * held[-1]))] if held[-1] > 0 else MIN_REACH_PX
+    return max(float(reach) + STEP_PX, MIN_REACH_PX)
 
 
-def _places_of(picture: Picture, profile: Profile, reach: float) -> tuple[Array, Array]:
+def _positions_of(picture: OrientedFrame, profile: EdgeProfile, reach: float) -> tuple[Array, Array]:
     """Return the rows' places at the edge, then in as many windows on its dark as on its bright side.
 
     Shape (row, 1 + window), px, NaN where a window is not whole; and the sum of squares of each row's weights.
@@ -93,11 +93,13 @@ def _places_of(picture: Picture, profile: Profile, reach: float) -> tuple[Array,
     steep = steepness(profile.distance, profile.value, at)
     step = reach / abs(profile.slopes[0])
     away = np.rint(np.arange(2.0 * step, max(picture.value.shape[1], 2.0 * step + 1.0), step)).astype(np.int64)
-    return _displaced(residual, distance, gathered.used, reach, profile_at, steep, np.concatenate([[0], -away, away]))
+    return _row_positions(
+        residual, distance, gathered.used, reach, profile_at, steep, np.concatenate([[0], -away, away])
+    )
 
 
 @njit(cache=True)
-def _displaced(
+def _row_positions(
     residual: Array,
     distance: Array,
     used: NDArray[np.bool_],
@@ -147,7 +149,7 @@ def _displaced(
     return places, squares
 
 
-def _plateau(places: Array) -> tuple[float, int, float]:
+def _plateau_scatter(places: Array) -> tuple[float, int, float]:
     """Return mean square, number and ties of places on a plateau, shape (row, window).
 
     Ties are by how much a mean square scatters more than that of as many independent normal places.
@@ -165,7 +167,7 @@ def _plateau(places: Array) -> tuple[float, int, float]:
         return 0.0, number, 1.0
     shared = [
         float(np.sum(values[lag:] * values[:-lag])) / max(np.count_nonzero(good[lag:] & good[:-lag]), 1) / square
-        for lag in range(1, TIED_ROWS + 1)
+        for lag in range(1, CORRELATED_ROWS + 1)
     ]
     heavy = max(float(np.sum(values**4)) / number / square**2 - 1.0, 2.0) / 2.0
     return square, number, heavy + 2.0 * float(np.sum(np.square(shared)))

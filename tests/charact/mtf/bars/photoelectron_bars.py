@@ -7,14 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.study.bars.scene import spectrum_of_bars
-from charact.study.edge.scene import Blur
-from charact.study.pulses import FINER, PulsedTarget
+from charact.study.edge.scene import TrueBlur
+from charact.study.photoelectron_targets import FINER, PhotoelectronTarget
 
 Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True, kw_only=True)
-class PulsedBars(PulsedTarget):
+class PulsedBars(PhotoelectronTarget):
     """Bright bars before an intensified camera; the ground around them is the dark side.
 
     Parameters
@@ -55,7 +55,7 @@ class PulsedBars(PulsedTarget):
         variance = 0.5 * ((1.0 + self.gain_spread) * counted.sum() * pulse**2 + read)
         return height / float(np.sqrt(variance / self.frames))
 
-    def _lit(self, row: Array, col: Array, moved_px: float) -> Array:
+    def _illumination(self, row: Array, col: Array, moved_px: float) -> Array:
         shape, first = (row.size, col.size), (float(row[0, 0]), float(col[0, 0]))
         place = self.row_px - first[0], self.col_px + moved_px - first[1]
         return _blurred(self.blur, self.bars, self.frequency_cy_per_px, self.angle_deg, shape, place)
@@ -63,7 +63,7 @@ class PulsedBars(PulsedTarget):
 
 @lru_cache(maxsize=4)
 def _blurred(
-    blur: Blur, bars: int, frequency: float, angle_deg: float, shape: tuple[int, int], place: tuple[float, float]
+    blur: TrueBlur, bars: int, frequency: float, angle_deg: float, shape: tuple[int, int], place: tuple[float, float]
 ) -> Array:
     """Bars through the blur alone, 1 on a wide bar, on the fine grid; their middle at a place from its corner, px.
 

@@ -9,7 +9,7 @@ from scipy.special import erf
 from charact.method import Context
 from charact.mtf import measure
 from charact.study.bars.scene import BarScene
-from charact.study.edge.scene import Blur
+from charact.study.edge.scene import TrueBlur
 from labdata.frames import FrameStack
 
 SHAPE = (120, 140)
@@ -116,7 +116,7 @@ def test_steps_that_hide_the_bars_are_told(seed: int) -> None:
 @pytest.mark.parametrize("share", [0.12, 0.35])
 def test_a_halo_that_nobody_described_is_no_silent_failure(share: float, seed: int) -> None:
     """It makes the blur fall more slowly than any lens or tube: MTF 3 to 40 % off before it was looked for."""
-    blur = Blur(form="exponential", frequency_cy_per_px=0.4, exponent=1.25, halo_share=share)
+    blur = TrueBlur(form="exponential", frequency_cy_per_px=0.4, exponent=1.25, halo_share=share)
     scene = BarScene(blur=blur, frequency_cy_per_px=0.1, rows=200, cols=220, snr=30.0)
     found = mtf_at(scene.frames_drawn(np.random.default_rng(seed)), 0.1)
     assert found.status == "suspect" or abs(found.value - scene.truth_mtf) < np.ptp(found.interval95)
@@ -149,7 +149,7 @@ def test_the_chain_agrees_with_the_curvature(seed: int) -> None:
 def test_a_gaussian_and_its_halo_are_one_blur(seed: int) -> None:
     """A halo of 7 % beside a Gaussian is two Gaussians nearly: its light is counted, quick and in full."""
     scene = BarScene(
-        blur=Blur(sigma_px=1.17, halo_share=0.07, halo_px=30.0), frequency_cy_per_px=0.075, bars=3, frames=1, snr=37.0,
+        blur=TrueBlur(sigma_px=1.17, halo_share=0.07, halo_px=30.0), frequency_cy_per_px=0.075, bars=3, frames=1, snr=37.0,
         rows=200, cols=210, pedestal_dn=500.0, level_dn=1000.0, black_dn=100.0, full_scale_dn=4095.0, shot_share=0.0,
     )  # fmt: skip
     asked = {"bars": scene.bars, "frequency_cy_per_px": scene.frequency_cy_per_px, "method": "bars-forward"}
@@ -222,7 +222,7 @@ def test_light_in_the_tails_of_a_tube_is_counted_though_it_leaves_the_window(see
     errors = []
     for trial in range(6):
         rng = np.random.default_rng([seed, trial])
-        blur = Blur(form="exponential", frequency_cy_per_px=float(rng.uniform(0.2, 0.35)))
+        blur = TrueBlur(form="exponential", frequency_cy_per_px=float(rng.uniform(0.2, 0.35)))
         scene = BarScene(blur=blur, frequency_cy_per_px=0.12, snr=60.0)
         found = scene_mtf(scene, rng)
         assert found.status == "ok", found.flags
@@ -260,7 +260,9 @@ def test_a_camera_that_sharpens_is_told(seed: int) -> None:
     """What it takes off around the bars is no blur's doing; without it nothing is missing there."""
     plain, sharp = (
         mtf_at(
-            BarScene(blur=Blur(sigma_px=0.9), snr=30.0, sharpening=amount).frames_drawn(np.random.default_rng(seed)),
+            BarScene(blur=TrueBlur(sigma_px=0.9), snr=30.0, sharpening=amount).frames_drawn(
+                np.random.default_rng(seed)
+            ),
             0.12,
         )
         for amount in (0.0, 0.4)
@@ -273,7 +275,7 @@ def test_a_camera_that_sharpens_is_told(seed: int) -> None:
 def test_noise_that_neighbours_share_tells_a_response_that_no_harmonic_shows(gamma: float, seed: int) -> None:
     """Bars blurred to one harmonic: only what pulses share of the noise grows otherwise than the light."""
     scene = BarScene(
-        blur=Blur(sigma_px=2.2), frequency_cy_per_px=0.12, snr=12.0, shot_share=1.0, noise_blur_px=0.9, frames=16,
+        blur=TrueBlur(sigma_px=2.2), frequency_cy_per_px=0.12, snr=12.0, shot_share=1.0, noise_blur_px=0.9, frames=16,
         pedestal_dn=300.0, level_dn=1500.0, black_dn=100.0, full_scale_dn=2100.0, gamma=gamma,
     )  # fmt: skip
     flags = [scene_mtf(scene, np.random.default_rng([seed, n])).flags for n in range(4)]
@@ -312,7 +314,7 @@ def test_untilted_bars_whose_alias_lies_within_their_width_are_refused(col_px: f
     """Three bars at 0.39 cy/px: 3 to 4 % high, ok, by their phase; of no noise a picture of terabytes was asked for."""
     for snr in (31.0, 1e4):
         scene = BarScene(
-            blur=Blur(sigma_px=0.51), bars=3, frequency_cy_per_px=0.3913, angle_deg=0.0, row_px=2.6, col_px=col_px,
+            blur=TrueBlur(sigma_px=0.51), bars=3, frequency_cy_per_px=0.3913, angle_deg=0.0, row_px=2.6, col_px=col_px,
             snr=snr, pedestal_dn=666.0, level_dn=1198.0, black_dn=100.0, full_scale_dn=4095.0,
         )  # fmt: skip
         assert scene_mtf(scene, np.random.default_rng(seed)).status == "refused"
@@ -320,7 +322,7 @@ def test_untilted_bars_whose_alias_lies_within_their_width_are_refused(col_px: f
 
 def test_four_untilted_bars_at_two_fifths_of_the_sampling_are_told(seed: int) -> None:
     scene = BarScene(
-        blur=Blur(sigma_px=0.5), frequency_cy_per_px=0.4, angle_deg=0.0, pedestal_dn=666.0, level_dn=1198.0,
+        blur=TrueBlur(sigma_px=0.5), frequency_cy_per_px=0.4, angle_deg=0.0, pedestal_dn=666.0, level_dn=1198.0,
         black_dn=100.0, full_scale_dn=4095.0,
     )  # fmt: skip
     found = scene_mtf(scene, np.random.default_rng(seed))
@@ -331,7 +333,7 @@ def test_four_untilted_bars_at_two_fifths_of_the_sampling_are_told(seed: int) ->
 def test_one_frame_of_few_codes_has_what_rounding_hides_in_its_interval(seed: int) -> None:
     """Bars of twelve codes in noise of a quarter of one: 1.5 % low at a told 0.35, in frame after frame."""
     scene = BarScene(
-        blur=Blur(sigma_px=0.6), frequency_cy_per_px=0.0654, frames=1, snr=54.0, level_dn=11.98, pedestal_dn=14.0,
+        blur=TrueBlur(sigma_px=0.6), frequency_cy_per_px=0.0654, frames=1, snr=54.0, level_dn=11.98, pedestal_dn=14.0,
         black_dn=8.0, rows=200, cols=220,
     )  # fmt: skip
     rng = np.random.default_rng(seed)

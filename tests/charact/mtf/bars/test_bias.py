@@ -7,14 +7,14 @@ import pytest
 from bar_frames import STEP_DN, frames_of, gaussian, strip, tube
 from numpy.typing import NDArray
 
+from charact.mtf.bars.bar_image_model import BarLikelihood, initial_parameters
 from charact.mtf.bars.bias import mtf_bias
-from charact.mtf.bars.fit import Fit, fitted
-from charact.mtf.bars.noise import Noise
-from charact.mtf.bars.picture import Problem, start_of
-from charact.mtf.bars.place import strip_of
+from charact.mtf.bars.fit import BarFit, fit_bars
+from charact.mtf.bars.noise import BarWindowNoise
+from charact.mtf.bars.strip_location import strip_of
 
 PAIRS, ANGLE_DEG, PHASE_PX = 80, 3.0, 0.2
-Fits = Callable[[NDArray, dict[str, float] | None], tuple[Fit, Problem]]
+Fits = Callable[[NDArray, dict[str, float] | None], tuple[BarFit, BarLikelihood]]
 
 
 def correlation_of(blur_px: float) -> NDArray[np.float64]:
@@ -31,15 +31,15 @@ def fits_of(image: NDArray, frequency: float, snr: float, blur_px: float) -> Fit
     target = strip_of(image, bars=4, frequency=frequency, pitch_ratio=1.0)
     assert target is not None
     variance = np.full(image.size, (STEP_DN / snr) ** 2)
-    noise = Noise(variance=variance, correlation=correlation_of(blur_px))
+    noise = BarWindowNoise(variance=variance, correlation=correlation_of(blur_px))
 
-    def fit(picture: NDArray, start: dict[str, float] | None = None) -> tuple[Fit, Problem]:
-        problem = Problem(
+    def fit(picture: NDArray, start: dict[str, float] | None = None) -> tuple[BarFit, BarLikelihood]:
+        problem = BarLikelihood(
             image=picture, window=np.ones(picture.shape, bool), variance=variance, asked=frequency,
             length_px=picture.shape[0], strip=True,
         )  # fmt: skip
-        begun = start or start_of(problem, target)
-        return fitted(problem, target, begun, noise, tolerance=1e-4 if start else 1e-8), problem
+        begun = start or initial_parameters(problem, target)
+        return fit_bars(problem, target, begun, noise, tolerance=1e-4 if start else 1e-8), problem
 
     return fit
 

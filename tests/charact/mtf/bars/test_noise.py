@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from charact.mtf.bars.noise import Noise, noise_of
+from charact.mtf.bars.noise import BarWindowNoise, noise_of
 
 
 def test_correlations_of_no_noise_make_no_negative_variance(seed):
@@ -12,7 +12,7 @@ def test_correlations_of_no_noise_make_no_negative_variance(seed):
     correlation = np.full((9, 9), 0.45)
     correlation[4, 4] = 1.0
     window = np.ones((24, 30), bool)
-    noise = Noise(variance=np.ones(window.sum()), correlation=correlation)
+    noise = BarWindowNoise(variance=np.ones(window.sum()), correlation=correlation)
     spread = noise.spread(rng.standard_normal((40, window.sum())), window)
     assert np.linalg.eigvalsh(spread).min() > -1e-9 * np.trace(spread)
     column = np.arange(30) * np.ones((24, 1))
@@ -28,7 +28,7 @@ def test_offsets_of_rows_are_told_and_counted(offset_dn, seed):
     window = np.ones(shape, bool)
     noise = noise_of(100.0 + drawn, np.full(window.size, 100.0), window, ground_dn=100.0, inflation=1.0)
     free = (frames - 1) * shape[0]
-    assert noise.of_rows * frames == pytest.approx(offset_dn**2, rel=5.0 * np.sqrt(2.0 / free))
+    assert noise.row_variance * frames == pytest.approx(offset_dn**2, rel=5.0 * np.sqrt(2.0 / free))
     variance = (3.0**2 / shape[1] + offset_dn**2) / shape[0] / frames
     found = float(noise.spread(np.full((1, window.size), 1.0 / window.size), window)[0, 0])
     assert offset_dn == 0.0 or found == pytest.approx(variance, rel=0.25)

@@ -8,12 +8,12 @@ import pytest
 from charact.method import Context
 from charact.mtf import measure
 from charact.study.bars.scene import BarScene
-from charact.study.edge.scene import Blur
+from charact.study.edge.scene import TrueBlur
 from tests.charact.mtf.bars.photoelectron_bars import PulsedBars
 
 BRIGHT = {"photoelectrons": 1e5, "gain_spread": 0.0, "bright_dn": 30000.0, "black_dn": 1000.0, "full_scale_dn": 65535.0}
 DIM = PulsedBars(
-    blur=Blur(form="exponential", frequency_cy_per_px=0.32, exponent=1.3), pulse_px=0.6, photoelectrons=4.0,
+    blur=TrueBlur(form="exponential", frequency_cy_per_px=0.32, exponent=1.3), pulse_px=0.6, photoelectrons=4.0,
     bright_dn=60.0, dark_share=0.3, gain_spread=0.7, frames=4, frequency_cy_per_px=0.22, rows=90, cols=100,
 )  # fmt: skip
 
@@ -27,10 +27,10 @@ def found(scene, rng):
 def test_the_mean_is_that_of_bars_in_closed_form(seed):
     """Gaussians of 0.8 and 0.6 px make one of 1.0: pixels within 5 of their own scatter and two thousandths."""
     place = {"row_px": 0.3, "col_px": -0.7, "rows": 120, "cols": 130, "angle_deg": 5.0}
-    pulsed = PulsedBars(blur=Blur(sigma_px=0.8), pulse_px=0.6, dark_share=0.2, frames=40, **place, **BRIGHT)
+    pulsed = PulsedBars(blur=TrueBlur(sigma_px=0.8), pulse_px=0.6, dark_share=0.2, frames=40, **place, **BRIGHT)
     drawn = pulsed.frames_drawn(np.random.default_rng(seed)).data.astype(float)
     closed = BarScene(
-        blur=Blur(sigma_px=1.0), black_dn=1000.0, pedestal_dn=7000.0, level_dn=24000.0, full_scale_dn=65535.0, **place
+        blur=TrueBlur(sigma_px=1.0), black_dn=1000.0, pedestal_dn=7000.0, level_dn=24000.0, full_scale_dn=65535.0, **place
     )  # fmt: skip
     error = drawn.std(axis=0, ddof=1) / np.sqrt(len(drawn))
     assert np.all(np.abs(drawn.mean(axis=0) - closed.mean()) < 5.0 * error + 0.002 * 24000.0)
@@ -54,7 +54,7 @@ def test_its_fundamental_over_noise_is_that_of_sums(seed):
 def test_a_tube_behind_a_gaussian_is_no_tube_and_told_rightly(frequency, seed):
     """The product of both forms is of neither: 0.3 to 1.2 % high, and `processed`, where one exponent must hold it."""
     scene = PulsedBars(
-        blur=Blur(form="exponential", frequency_cy_per_px=0.3, exponent=1.15), pulse_px=0.8, dark_share=0.1, frames=4,
+        blur=TrueBlur(form="exponential", frequency_cy_per_px=0.3, exponent=1.15), pulse_px=0.8, dark_share=0.1, frames=4,
         frequency_cy_per_px=frequency, rows=160, cols=170, **BRIGHT,
     )  # fmt: skip
     one = found(scene, np.random.default_rng(seed))
@@ -76,7 +76,7 @@ def test_bars_that_wide_sums_hide_in_noise_are_measured(seed):
 def test_one_frame_of_much_light_is_told_in_full_as_quickly(frequency, seed):
     """Noise looked for in what a rough first fit left over was no noise: 3 to 56 % off in full, or a traceback."""
     scene = BarScene(
-        blur=Blur(sigma_px=1.0), frequency_cy_per_px=frequency, frames=1, snr=300.0, level_dn=3000.0, pedestal_dn=300.0,
+        blur=TrueBlur(sigma_px=1.0), frequency_cy_per_px=frequency, frames=1, snr=300.0, level_dn=3000.0, pedestal_dn=300.0,
         black_dn=100.0, full_scale_dn=4095.0, rows=160, cols=180, angle_deg=4.0,
     )  # fmt: skip
     stack = scene.frames_drawn(np.random.default_rng(seed))
@@ -94,7 +94,7 @@ def test_bars_without_noise_are_no_surer_than_their_table(seed):
     rng = np.random.default_rng(seed)
     for frequency in (0.0625, 0.09, 0.125, 0.18):
         scene = BarScene(
-            blur=Blur(sigma_px=1.0), frequency_cy_per_px=frequency, frames=4, snr=3000.0, level_dn=50000.0,
+            blur=TrueBlur(sigma_px=1.0), frequency_cy_per_px=frequency, frames=4, snr=3000.0, level_dn=50000.0,
             pedestal_dn=3000.0, black_dn=1000.0, full_scale_dn=65535.0, rows=160, cols=180, shot_share=0.0,
         )  # fmt: skip
         one = found(scene, rng)

@@ -6,7 +6,7 @@ from bar_frames import frames_of, gaussian, mtf_of, strip, tube
 
 from charact.method import Context
 from charact.mtf import measure
-from charact.study.harness import Stopwatch
+from charact.study.harness import CaseTimer
 
 CORES = {"gaussian 0.8 px": gaussian(0.8), "gaussian 1.5 px": gaussian(1.5), "tube n 1.1": tube(0.25, 1.1)}
 
@@ -94,7 +94,7 @@ def test_untilted_bars_near_the_sampling_limit_are_not_identifiable(turned: bool
 def test_the_chain_on_compressed_data_agrees_with_the_curvature(seed) -> None:
     rng = np.random.default_rng(seed)
     stack = frames_of(strip(CORES["tube n 1.1"], 0.2, 3.0, 0.2), rng, snr=20.0, blur_px=0.6)
-    watch = Stopwatch()
+    watch = CaseTimer()
     chain = read(stack, 0.2, quick=False)
     seconds, quick = watch.seconds(), read(stack, 0.2)
     assert chain.posterior.sampler == "emcee"

@@ -7,9 +7,9 @@ from scipy.special import sici
 
 from charact import mtf
 from charact.method import Context
-from charact.mtf.bars.joint import of_frame, of_session
+from charact.mtf.bars.group_curve import frame_curves, session_curves
 from labdata.frames import FrameStack
-from labdata.measurement import Measurement, Result, from_sd
+from labdata.measurement import Measurement, Result, measurement_from_sd
 from labdata.sensors import load_sensor
 
 QUICK = Context(seed=1, quick=True)
@@ -21,7 +21,7 @@ PIXEL_HEIGHT, COLUMN_AT_CATHODE_MM = 26.0 / 11.0, 0.018
 
 def reading(frequency: float, value: float, sd: float = 0.01, angle_deg: float = 3.0, **fields) -> Measurement:
     own = {"method": "bars-forward", "frequency_cy_per_px": frequency, "orientation_deg": angle_deg, **fields}
-    return from_sd("mtf", "1", value, sd, **own)
+    return measurement_from_sd("mtf", "1", value, sd, **own)
 
 
 def tube(frequency, half: float = 0.22, exponent: float = 1.3):
@@ -78,7 +78,9 @@ def test_of_a_described_camera_the_halo_the_row_pair_and_the_video_are_in_the_cu
             for f in FREQUENCIES
         ]
         context = Context(seed=1, quick=True, sensor=CAMERA, interlaced=True)
-        found = of_session(Result(measurements=tuple(m.with_(stack="b") for m in own)), {"b": "bars"}, context=context)
+        found = session_curves(
+            Result(measurements=tuple(m.with_(stack="b") for m in own)), {"b": "bars"}, context=context
+        )
         (curve,) = found.curves.values()
         low, high = found.find("mtf50")[0].interval95
         held[0] += low <= crossing(lambda f, share=share: whole(f, share)) <= high
@@ -110,14 +112,14 @@ def video(frequency):
     ],
 )
 def test_too_few_sound_groups_of_one_direction_add_nothing(readings: list[Measurement]) -> None:
-    assert of_frame(Result(measurements=tuple(readings)), context=QUICK) == Result()
+    assert frame_curves(Result(measurements=tuple(readings)), context=QUICK) == Result()
 
 
 def test_rows_and_columns_are_told_apart_and_a_half_turn_is_none() -> None:
     """Bars at 178 and at 2 degrees lie alike; those at 92 have a curve of their own."""
     own = [reading(f, float(tube(f)), angle_deg=angle) for f, angle in zip(FREQUENCIES, (178, 2, 179, 1), strict=True)]
     down = [reading(f, float(tube(f, half=0.15)), angle_deg=92.0) for f in FREQUENCIES]
-    found = of_frame(Result(measurements=(*own, *down)), context=QUICK)
+    found = frame_curves(Result(measurements=(*own, *down)), context=QUICK)
     across, along = found.find("mtf50")
     assert min(across.orientation_deg, 180.0 - across.orientation_deg) < 1.0
     for m, half in ((across, 0.22), (along, 0.15)):
@@ -128,7 +130,9 @@ def test_rows_and_columns_are_told_apart_and_a_half_turn_is_none() -> None:
 
 @pytest.mark.parametrize("frequencies", [(0.02, 0.04), (0.5, 0.6)])
 def test_an_mtf50_far_from_all_groups_is_refused_with_the_rule(frequencies: tuple[float, ...]) -> None:
-    found = of_frame(Result(measurements=tuple(reading(f, float(tube(f)), 0.002) for f in frequencies)), context=QUICK)
+    found = frame_curves(
+        Result(measurements=tuple(reading(f, float(tube(f)), 0.002) for f in frequencies)), context=QUICK
+    )
     refused = found.find("mtf50")[0]
     assert refused.status == "refused"
     assert "within a factor of 1.5 of the groups' frequencies" in refused.reason
@@ -137,5 +141,5 @@ def test_an_mtf50_far_from_all_groups_is_refused_with_the_rule(frequencies: tupl
 
 @pytest.mark.parametrize(("frequencies", "beyond"), [((0.08, 0.12, 0.16), True), (FREQUENCIES, False)])
 def test_an_mtf50_a_little_beyond_its_groups_says_so(frequencies: tuple[float, ...], beyond: bool) -> None:
-    found = of_frame(Result(measurements=tuple(reading(f, float(tube(f))) for f in frequencies)), context=QUICK)
+    found = frame_curves(Result(measurements=tuple(reading(f, float(tube(f))) for f in frequencies)), context=QUICK)
     assert any("beyond the groups" in note for note in found.find("mtf50")[0].notes) == beyond

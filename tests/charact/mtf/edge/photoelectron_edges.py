@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.study.edge.scene import Blur, distance_across, edge_spread, level_crossing
-from charact.study.pulses import PulsedTarget
+from charact.study.edge.scene import TrueBlur, distance_across, edge_spread, level_crossing
+from charact.study.photoelectron_targets import PhotoelectronTarget
 
 Array = NDArray[np.floating]
 
@@ -16,7 +16,7 @@ Array = NDArray[np.floating]
 class _BeforePixel:
     """A blur without the pixel, usable where an edge's spread is asked for."""
 
-    blur: Blur
+    blur: TrueBlur
 
     def mtf(self, frequency_cy_per_px: Array, angle_deg: float) -> Array:
         """MTF at frequencies, the same in any direction."""
@@ -24,7 +24,7 @@ class _BeforePixel:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PulseEdge(PulsedTarget):
+class PulseEdge(PhotoelectronTarget):
     """A blurred step before an intensified camera.
 
     Parameters
@@ -43,7 +43,7 @@ class PulseEdge(PulsedTarget):
         """MTF50 along the edge's normal of the camera at rest, cycles per pixel."""
         return level_crossing(self.mtf, 0.5)
 
-    def _lit(self, row: Array, col: Array, moved_px: float) -> Array:
+    def _illumination(self, row: Array, col: Array, moved_px: float) -> Array:
         distance = distance_across(
             row, col, (self.rows, self.cols), angle_deg=self.angle_deg, moved_px=moved_px, sagitta_px=self.sagitta_px
         )

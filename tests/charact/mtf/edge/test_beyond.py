@@ -9,47 +9,49 @@ from scipy.special import ndtri
 from scipy.stats import lognorm
 
 from charact.method import Context
+from charact.mtf.blur_models.one_dimensional import BlurModel, DiscComponent, ScatterComponent, UnresolvedGlareComponent
 from charact.mtf.edge import result as edge_result
-from charact.mtf.edge.fit import beyond as edge_beyond
-from charact.mtf.edge.fit import forms as edge_forms
-from charact.mtf.edge.fit.family_fit import FamilyFitter
+from charact.mtf.edge.fit import extended_component_score as edge_beyond
+from charact.mtf.edge.fit import model_selection as edge_forms
+from charact.mtf.edge.fit.model_fit import BlurModelFitter
 from charact.mtf.edge.parametric import edge_parametric
-from charact.mtf.edge.pixels.find import find_edge
-from charact.mtf.edge.pixels.uneven_light import EVEN_PER_PX, UNEVEN_PER_PX
-from charact.mtf.forms.families import DiscPrior, Family, GlarePrior, VeilPrior
-from charact.mtf.optics import known_of
+from charact.mtf.edge.pixels.illumination_gradient import EVEN_PER_PX, UNEVEN_PER_PX
+from charact.mtf.edge.pixels.prepare_edge import prepare_edge
+from charact.mtf.known_transfer import known_transfer
 from charact.study.edge.map import case_of, cell_of
-from charact.study.edge.scene import Blur, EdgeScene
+from charact.study.edge.scene import EdgeScene, TrueBlur
 
 QUICK = Context(quick=True)
 PLAIN = EdgeScene(
-    blur=Blur(sigma_px=0.9), rows=120, cols=120, angle_deg=8.0, dark_dn=1500.0, bright_dn=3000.0, shot_share=0.0,
+    blur=TrueBlur(sigma_px=0.9), rows=120, cols=120, angle_deg=8.0, dark_dn=1500.0, bright_dn=3000.0, shot_share=0.0,
     black_dn=200.0, full_scale_dn=65535.0,
 )  # fmt: skip
 
 
 def odds_of(scene, seed):
     """Odds of a disc beyond a Gaussian fitted to a frame of a scene."""
-    edge = find_edge(scene.frames_drawn(np.random.default_rng(seed)), None, QUICK)
-    fitter = FamilyFitter(edge.profile, known_of(edge.picture, edge.profile.angle_rad, QUICK))
-    fit = fitter.fit(Family(core="gaussian"), np.array([0.0, np.log(fitter.guess())]), EVEN_PER_PX)
-    (promise,) = edge_beyond.promises(fitter, fit, (DiscPrior(size_px=(6.0, 100.0)),), {EVEN_PER_PX: 0.0})
+    edge = prepare_edge(scene.frames_drawn(np.random.default_rng(seed)), None, QUICK)
+    fitter = BlurModelFitter(edge.profile, known_transfer(edge.picture, edge.profile.angle_rad, QUICK))
+    fit = fitter.fit(BlurModel(core="gaussian"), np.array([0.0, np.log(fitter.guess())]), EVEN_PER_PX)
+    (promise,) = edge_beyond.score_extended_components(
+        fitter, fit, (DiscComponent(size_px=(6.0, 100.0)),), {EVEN_PER_PX: 0.0}
+    )
     return promise.odds
 
 
 @pytest.mark.parametrize(("amplitude", "precision"), [(0.0, 1e-6), (0.0, 4e4), (0.1, 9e3), (-0.05, 2e3), (0.6, 50.0)])
 @pytest.mark.parametrize(
-    "wide", [DiscPrior(size_px=(6.0, 60.0)), VeilPrior(size_px=(30.0, 240.0))], ids=["disc", "veil"]
+    "wide", [DiscComponent(size_px=(6.0, 60.0)), UnresolvedGlareComponent(size_px=(30.0, 240.0))], ids=["disc", "veil"]
 )
 def test_odds_are_the_mean_likelihood_over_shares(wide, amplitude, precision):
     """By quadrature, at one size: the mean of the likelihood ratio over all shares that the light may have."""
     size = np.array([[40.0]])
     unit = float(wide.share_unit(size)[0, 0])
-    light = edge_beyond.Tried(wide=wide, shapes=size, unit=np.array([unit]), change=np.zeros((1, 1)))
+    light = edge_beyond.ComponentFit(wide=wide, shapes=size, unit=np.array([unit]), change=np.zeros((1, 1)))
     ratio = lambda q: np.exp(precision * (amplitude * unit * q - 0.5 * (unit * q) ** 2))  # noqa: E731
     low, high = wide.fraction
     expected = quad(ratio, low, high, points=[np.clip(amplitude / unit, low, high)], limit=200)[0] / (high - low)
-    found = edge_beyond.odds_of(light, np.array([amplitude]), np.array([precision]))
+    found = edge_beyond.ln_bayes_factor_of(light, np.array([amplitude]), np.array([precision]))
     assert found == pytest.approx(expected, rel=0.02)
 
 
@@ -61,7 +63,7 @@ def test_an_edge_in_noise_leaves_the_odds_where_they_were_and_a_clear_one_does_n
 
 
 def test_a_clear_halo_is_beyond_doubt(seed):
-    halo = replace(PLAIN, blur=Blur(sigma_px=0.9, halo_share=0.15, halo_px=25.0), snr=50.0)
+    halo = replace(PLAIN, blur=TrueBlur(sigma_px=0.9, halo_share=0.15, halo_px=25.0), snr=50.0)
     assert odds_of(halo, seed) > 1e6
 
 
@@ -127,9 +129,9 @@ def test_a_halo_and_light_that_slopes_do_not_hide_each_other(monkeypatch):
 def test_what_a_fit_would_be_in_other_light_is_about_what_it_becomes(seed):
     """Slopes are linear in the model: their prior may change with the point as it is, and no fit."""
     stack = replace(PLAIN, snr=40.0, gradient=0.1).frames_drawn(np.random.default_rng(seed))
-    edge = find_edge(stack, None, QUICK)
-    fitter = FamilyFitter(edge.profile, known_of(edge.picture, edge.profile.angle_rad, QUICK))
-    even = fitter.fit(Family(core="gaussian"), np.array([0.0, np.log(fitter.guess())]), EVEN_PER_PX)
+    edge = prepare_edge(stack, None, QUICK)
+    fitter = BlurModelFitter(edge.profile, known_transfer(edge.picture, edge.profile.angle_rad, QUICK))
+    even = fitter.fit(BlurModel(core="gaussian"), np.array([0.0, np.log(fitter.guess())]), EVEN_PER_PX)
     told = fitter.under(even, UNEVEN_PER_PX)
     fitted = fitter.fit(even.family, even.point, UNEVEN_PER_PX)
     assert fitted.log_evidence - even.log_evidence > 10.0
@@ -146,19 +148,19 @@ def test_wings_stay_possible_beside_a_gaussian_that_noise_cannot_tell_from_them(
         forms = edge_parametric(stack, context=QUICK).find("mtf50")[0].provenance.settings["forms"]
         shares.append([forms.get(core, 0.0) for core in ("gaussian", "exponential", "moffat")])
     gaussian, exponential, moffat = np.mean(shares, axis=0)
-    assert gaussian > moffat > 5 * edge_forms.LEAST_SHARE and gaussian > exponential > 5 * edge_forms.LEAST_SHARE
+    assert gaussian > moffat > 5 * edge_forms.MIN_FRACTION and gaussian > exponential > 5 * edge_forms.MIN_FRACTION
     assert np.min(shares, axis=0).max() > 0.0 and np.all(
-        np.sum(np.array(shares)[:, 1:], axis=1) > edge_forms.LEAST_SHARE
+        np.sum(np.array(shares)[:, 1:], axis=1) > edge_forms.MIN_FRACTION
     )
 
 
 def test_forms_are_weighed_by_their_evidence_to_a_power():
     """Odds of e^3 and e in evidence count as those to the power given; what is less than a fiftieth counts nothing."""
-    edge = find_edge(replace(PLAIN, snr=20.0).frames_drawn(np.random.default_rng(1)), None, QUICK)
-    fitter = FamilyFitter(edge.profile, known_of(edge.picture, edge.profile.angle_rad, QUICK))
-    core = fitter.fit(Family(core="gaussian"), np.array([0.0, np.log(fitter.guess())]), EVEN_PER_PX)
+    edge = prepare_edge(replace(PLAIN, snr=20.0).frames_drawn(np.random.default_rng(1)), None, QUICK)
+    fitter = BlurModelFitter(edge.profile, known_transfer(edge.picture, edge.profile.angle_rad, QUICK))
+    core = fitter.fit(BlurModel(core="gaussian"), np.array([0.0, np.log(fitter.guess())]), EVEN_PER_PX)
     fits = [replace(core, log_evidence=core.log_evidence - less) for less in (3.0, 0.0, 1.0, 9.0)]
-    best, second, third = edge_forms._weighed(fits)
+    best, second, third = edge_forms._weight_settings(fits)
     assert best.fit is fits[1]
     assert best.share / second.share == pytest.approx(np.exp(edge_forms.TEMPERED))
     assert best.share / third.share == pytest.approx(np.exp(3.0 * edge_forms.TEMPERED))
@@ -166,19 +168,23 @@ def test_forms_are_weighed_by_their_evidence_to_a_power():
 
 def test_what_stands_for_all_that_cannot_be_told_weighs_as_much_as_all_of_it():
     """The likeliest of three kinds is fitted, with the odds of all three; one that the edge tells is fitted besides."""
-    edge = find_edge(replace(PLAIN, snr=3.0).frames_drawn(np.random.default_rng(1)), None, QUICK)
-    fitter = FamilyFitter(edge.profile, known_of(edge.picture, edge.profile.angle_rad, QUICK))
-    core = fitter.fit(Family(core="gaussian"), np.array([0.0, np.log(fitter.guess())]), EVEN_PER_PX)
-    kinds = (DiscPrior(size_px=(6.0, 60.0)), VeilPrior(size_px=(30.0, 240.0)), GlarePrior(size_px=(2.0, 15.0)))
-    found = edge_beyond.promises(fitter, core, kinds, {EVEN_PER_PX: 0.0})
+    edge = prepare_edge(replace(PLAIN, snr=3.0).frames_drawn(np.random.default_rng(1)), None, QUICK)
+    fitter = BlurModelFitter(edge.profile, known_transfer(edge.picture, edge.profile.angle_rad, QUICK))
+    core = fitter.fit(BlurModel(core="gaussian"), np.array([0.0, np.log(fitter.guess())]), EVEN_PER_PX)
+    kinds = (
+        DiscComponent(size_px=(6.0, 60.0)),
+        UnresolvedGlareComponent(size_px=(30.0, 240.0)),
+        ScatterComponent(size_px=(2.0, 15.0)),
+    )
+    found = edge_beyond.score_extended_components(fitter, core, kinds, {EVEN_PER_PX: 0.0})
     promised = [
         replace(one, odds=odds, gains=np.array([gain]))
         for one, odds, gain in zip(found, (0.6, 0.9, 5.0), (1.0, 2.0, 30.0), strict=True)
     ]
-    worth = edge_forms._worth(promised)
+    worth = edge_forms._components_worth_fitting(promised)
     assert [one.wide for one in worth] == [kinds[2], kinds[1]]
     assert np.exp([one.ln_weight for one in worth]) == pytest.approx([1 / 3, 1.5 / 0.9 / 3])
-    fit = edge_beyond.fit_wide(fitter, worth[1], np.inf)
+    fit = edge_beyond.fit_extended_component(fitter, worth[1], np.inf)
     assert fit.ln_weight == worth[1].ln_weight
     weighed, plain = (fitter.fit(fit.family, fit.point, EVEN_PER_PX, weight) for weight in (fit.ln_weight, 0.0))
     assert weighed.log_evidence - plain.log_evidence == pytest.approx(fit.ln_weight)
@@ -190,7 +196,7 @@ def test_a_95_percent_interval_is_wider_than_its_draws_and_a_68_percent_one_is_n
     column = int(np.argmin(np.abs(curve.value - 0.5)))
     low, half_low, middle, half_high, high = np.quantile(curve.draws[:, column], [0.025, 0.16, 0.5, 0.84, 0.975])
     assert curve.interval68[:, column] == pytest.approx([half_low, half_high])
-    stretch = edge_result.MARGIN + edge_result.MORE_EVENLY[0] * 0.5 * (half_high - half_low) / middle
+    stretch = edge_result.MARGIN + edge_result.MORE_BOTH_SIDES[0] * 0.5 * (half_high - half_low) / middle
     assert 1.05 < stretch < 1.2
     wide = [middle + stretch * (low - middle), middle + stretch * (high - middle)]
     assert curve.interval95[:, column] == pytest.approx(wide)
@@ -200,7 +206,7 @@ def test_a_95_percent_interval_is_wider_than_its_draws_and_a_68_percent_one_is_n
 def test_the_value_is_the_most_probable_frequency(deviation):
     """Reference: where the density of draws that are normal in ln f is highest; the 68 % interval stays theirs."""
     draws = 0.2 * np.exp(deviation * ndtri((np.arange(4001) + 0.5) / 4001))
-    found = edge_result._level("mtf50", 0.5, draws, None, {"method": "edge-parametric"})
+    found = edge_result._crossing_frequency("mtf50", 0.5, draws, None, {"method": "edge-parametric"})
     grid = np.linspace(0.1, 0.3, 20001)
     density = lognorm.pdf(grid, deviation, scale=0.2)
     assert found.value == pytest.approx(grid[np.argmax(density)], rel=0.03 * deviation**2 + 1e-4)
@@ -209,7 +215,7 @@ def test_the_value_is_the_most_probable_frequency(deviation):
 
 def test_a_value_stays_inside_its_68_percent_interval():
     draws = np.random.default_rng(0).uniform(0.01, 0.5, 4000)
-    found = edge_result._level("mtf50", 0.5, draws, None, {"method": "edge-parametric"})
+    found = edge_result._crossing_frequency("mtf50", 0.5, draws, None, {"method": "edge-parametric"})
     assert found.interval68[0] <= found.value <= found.interval68[1]
     assert "low-signal" in found.flags
 
@@ -219,9 +225,9 @@ def test_a_frequency_known_to_a_tenth_may_lie_further_up_than_down_and_a_modulus
     draws = 0.2 * (1.0 + 0.1 * ndtri((np.arange(2001) + 0.5) / 2001))
     common = {"method": "edge-parametric"}
     reach = 1.959964 * 0.02
-    frequency = edge_result._level("mtf50", 0.5, draws, None, common)
+    frequency = edge_result._crossing_frequency("mtf50", 0.5, draws, None, common)
     assert frequency.interval95 == pytest.approx((0.2 - 1.129 * reach, 0.2 + 1.328 * reach), rel=2e-3)
-    modulus = edge_result._pinned(0.1, draws, common)
+    modulus = edge_result._mtf_at(0.1, draws, common)
     assert modulus.interval95 == pytest.approx((0.2 - 1.229 * reach, 0.2 + 1.229 * reach), rel=2e-3)
 
 

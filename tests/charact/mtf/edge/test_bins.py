@@ -8,13 +8,13 @@ import pytest
 from charact.method import Context
 from charact.mtf.edge.parametric import edge_parametric
 from charact.mtf.edge.pixels import profile
-from charact.mtf.edge.pixels.bins import coarser
-from charact.mtf.edge.pixels.find import FoundEdge, find_edge
-from charact.study.edge.scene import Blur, EdgeScene
+from charact.mtf.edge.pixels.bins import coarsen
+from charact.mtf.edge.pixels.prepare_edge import PreparedEdge, prepare_edge
+from charact.study.edge.scene import EdgeScene, TrueBlur
 
 QUICK = Context(quick=True)
 SCENE = EdgeScene(
-    blur=Blur(sigma_px=0.8), rows=120, cols=80, angle_deg=7.0, dark_dn=1000.0, bright_dn=2000.0, shot_share=0.0,
+    blur=TrueBlur(sigma_px=0.8), rows=120, cols=80, angle_deg=7.0, dark_dn=1000.0, bright_dn=2000.0, shot_share=0.0,
     full_scale_dn=65535.0,
 )  # fmt: skip
 
@@ -24,16 +24,16 @@ def drawn(snr: float, seed: int):
     return replace(SCENE, snr=snr, offset_px=float(rng.uniform(-2, 2))).frames_drawn(rng)
 
 
-def found(snr: float, seed: int) -> FoundEdge:
-    edge = find_edge(drawn(snr, seed), None, QUICK)
-    assert isinstance(edge, FoundEdge)
+def found(snr: float, seed: int) -> PreparedEdge:
+    edge = prepare_edge(drawn(snr, seed), None, QUICK)
+    assert isinstance(edge, PreparedEdge)
     return edge
 
 
 def test_wider_bins_hold_the_pixels_of_the_narrow_ones(seed):
     edge = found(20.0, seed)
     narrow = edge.profile.gathered
-    wide = coarser(narrow)
+    wide = coarsen(narrow)
     middle = np.abs(wide.borders[1:] + wide.borders[:-1]) / 2
     assert np.allclose(np.diff(wide.borders)[middle < 4], 0.25)
     assert wide.borders.size < 0.55 * narrow.borders.size
@@ -47,8 +47,8 @@ def test_wider_bins_hold_the_pixels_of_the_narrow_ones(seed):
 
 @pytest.mark.parametrize(("snr", "wide"), [(5.0, True), (30.0, False)])
 def test_bins_are_as_narrow_as_the_noise_lets_them_tell_anything(snr, wide, seed):
-    edge = find_edge(drawn(snr, seed), None, QUICK, quickly=True)
-    assert isinstance(edge, FoundEdge)
+    edge = prepare_edge(drawn(snr, seed), None, QUICK, quickly=True)
+    assert isinstance(edge, PreparedEdge)
     assert (edge.profile.distance.size < 0.6 * found(snr, seed).profile.distance.size) == wide
 
 

@@ -5,9 +5,9 @@ import pytest
 
 from charact import mtf
 from charact.method import Context
-from charact.mtf.curve import falls_to
+from charact.mtf.curve import crossing_frequency
 from charact.mtf.edge import slanted as edge_slanted
-from charact.mtf.edge.pixels.find import FoundEdge, find_edge
+from charact.mtf.edge.pixels.prepare_edge import PreparedEdge, prepare_edge
 from labdata.frames import FrameStack
 from labdata.importers import read_frames
 
@@ -32,9 +32,9 @@ def table(shared_data):
 
 
 def response_of(stack: FrameStack):
-    edge = find_edge(stack, None, CONTEXT)
-    assert isinstance(edge, FoundEdge)
-    return edge_slanted.PLAIN.estimate(edge.picture, edge.rows.line)
+    edge = prepare_edge(stack, None, CONTEXT)
+    assert isinstance(edge, PreparedEdge)
+    return edge_slanted.ESTIMATOR.estimate(edge.picture, edge.rows.line)
 
 
 @pytest.mark.parametrize("name", ["h_edge.tif", "v_edge.tif"])
@@ -45,7 +45,7 @@ def test_the_author_s_whole_table_is_reproduced(frame, table, name, plane):
     reference, theirs = table[:, 0], table[:, CHANNELS[plane]]
     found = mtf.measure("edge", stack, method="edge-slanted", context=CONTEXT).find("mtf50")[0]
     assert found.status == "ok"
-    assert found.value == pytest.approx(falls_to(reference, theirs[None], 0.5)[0], rel=0.01)
+    assert found.value == pytest.approx(crossing_frequency(reference, theirs[None], 0.5)[0], rel=0.01)
     ours = response_of(stack)
     assert ours.frequency[1] == pytest.approx(reference[-1] / (len(reference) - 1), rel=1e-3)
     away = np.interp(reference, ours.frequency, ours.value) - theirs

@@ -9,12 +9,12 @@ from charact.method import Context
 from charact.mtf.edge import checks
 from charact.mtf.edge.gradient import edge_gradient
 from charact.mtf.edge.parametric import edge_parametric
-from charact.mtf.edge.pixels.find import FoundEdge, find_edge
-from charact.study.edge.scene import Blur, EdgeScene
+from charact.mtf.edge.pixels.prepare_edge import PreparedEdge, prepare_edge
+from charact.study.edge.scene import EdgeScene, TrueBlur
 
 INTERLACED = Context(quick=True, interlaced=True)
 SCENE = EdgeScene(
-    blur=Blur(sigma_px=1.0), rows=120, cols=100, dark_dn=1200.0, bright_dn=2700.0, snr=40.0, shot_share=0.0,
+    blur=TrueBlur(sigma_px=1.0), rows=120, cols=100, dark_dn=1200.0, bright_dn=2700.0, snr=40.0, shot_share=0.0,
     black_dn=200.0, full_scale_dn=65535.0,
 )  # fmt: skip
 
@@ -49,8 +49,8 @@ def test_motion_between_fields_moves_no_number(angle_deg, motion_px, seed):
 def test_the_displacement_is_found_either_way(angle_deg, seed):
     for motion in (-1.5, 1.5):
         _, stack = drawn(angle_deg, motion, seed)
-        edge = find_edge(stack, None, INTERLACED, fields_apart=True)
-        assert isinstance(edge, FoundEdge)
+        edge = prepare_edge(stack, None, INTERLACED, fields_apart=True)
+        assert isinstance(edge, PreparedEdge)
         # Along the picture's columns the edge moves by the motion over its direction's cosine there.
         across = motion * np.cos(np.deg2rad(angle_deg)) / np.cos(edge.profile.angle_rad)
         assert abs(edge.rows.line.fields_apart_px) == pytest.approx(abs(across), abs=0.03)
@@ -61,8 +61,8 @@ def test_the_displacement_of_lines_along_the_edge_is_found_wherever_its_bins_lie
     for number in range(10):
         offset_px = float(np.random.default_rng([seed, number]).uniform(-2.0, 2.0))
         _, stack = drawn(251.6, 3.0, 10 * seed + number, snr=20.0, noise_blur_px=0.9, offset_px=offset_px)
-        edge = find_edge(stack, None, INTERLACED, fields_apart=True)
-        assert isinstance(edge, FoundEdge)
+        edge = prepare_edge(stack, None, INTERLACED, fields_apart=True)
+        assert isinstance(edge, PreparedEdge)
         across = 3.0 * np.cos(np.deg2rad(251.6)) / np.cos(edge.profile.angle_rad)
         # At a twentieth of the step the noise leaves 0.03 px.
         assert abs(edge.rows.line.fields_apart_px) == pytest.approx(abs(across), abs=0.15)
@@ -95,9 +95,9 @@ def test_motion_of_lines_along_the_edge_is_told_in_every_drawing(angle_deg, seed
     for number in range(10):
         offset_px = float(np.random.default_rng([seed, number]).uniform(-2.0, 2.0))
         _, stack = drawn(angle_deg, 3.0, 10 * seed + number, snr=20.0, noise_blur_px=0.9, offset_px=offset_px)
-        edge = find_edge(stack, None, Context(quick=True), quickly=True)
-        assert isinstance(edge, FoundEdge)
-        apart_px, error_px = checks._columns_apart(edge.picture, edge.profile)
+        edge = prepare_edge(stack, None, Context(quick=True), quickly=True)
+        assert isinstance(edge, PreparedEdge)
+        apart_px, error_px = checks._column_field_displacement(edge.picture, edge.profile)
         # The mean profile is smeared over both places, and its slope a fifth off.
         assert 0.8 * across - 5.0 * error_px < abs(apart_px) < 1.25 * across + 5.0 * error_px
         assert "interlace-motion" in checks.line_flags(edge.picture, edge.rows, edge.profile)
@@ -109,9 +109,9 @@ def test_lines_along_an_edge_at_rest_scatter_as_noise_lets_them(angle_deg, seed)
     for number in range(60):
         offset_px = float(np.random.default_rng([seed, number]).uniform(-2.0, 2.0))
         _, stack = drawn(angle_deg, 0.0, 100 * seed + number, snr=20.0, offset_px=offset_px)
-        edge = find_edge(stack, None, Context(quick=True), quickly=True)
-        assert isinstance(edge, FoundEdge)
-        apart_px, error_px = checks._columns_apart(edge.picture, edge.profile)
+        edge = prepare_edge(stack, None, Context(quick=True), quickly=True)
+        assert isinstance(edge, PreparedEdge)
+        apart_px, error_px = checks._column_field_displacement(edge.picture, edge.profile)
         away.append(apart_px / error_px)
     # The root mean square of sixty is known to a tenth.
     assert np.sqrt(np.mean(np.square(away))) == pytest.approx(1.0, abs=0.45)

@@ -7,7 +7,7 @@ import pytest
 from charact import mtf
 from charact.method import Context
 from charact.mtf.edge import gradient as edge_gradient
-from charact.study.edge.coverage import covered
+from charact.study.edge.coverage import measure_mixed_scene
 from charact.study.edge.peers import answers
 from labdata.frames import FrameStack
 
@@ -47,7 +47,7 @@ def test_differences_pass_of_a_wave_what_is_divided_out(frequency, pitch_ratio):
     normal = np.cos(angle) * col - np.sin(angle) * row * pitch_ratio
     wave = np.exp(2j * np.pi * frequency * normal)
     slope = [edge_gradient._along_normal(part, angle, pitch_ratio) for part in (wave.real, wave.imag)]
-    passed = edge_gradient._passed(np.array([0.0, frequency]), angle, pitch_ratio)[1]
+    passed = edge_gradient._transfer_of_differences(np.array([0.0, frequency]), angle, pitch_ratio)[1]
     cells = np.sinc(frequency / edge_gradient.OVERSAMPLING)
     assert np.abs(np.hypot(*slope) / (2 * np.pi * frequency) * cells - passed).max() < 1e-12
 
@@ -68,7 +68,7 @@ def test_it_stands_noise_better_than_a_differentiated_profile(seed):
 @pytest.mark.parametrize("method", ["edge-gradient", "edge-slanted"])
 def test_plain_intervals_hold_where_noise_makes_the_response_uneven(method, seed):
     """Mixed blurs, noises and light; three standard errors of a share of about 30 are 12 points at 95 %."""
-    trials = [trial for one in range(50) for trial in covered(seed + one, (method,))]
+    trials = [trial for one in range(50) for trial in measure_mixed_scene(seed + one, (method,))]
     sure = [trial for trial in trials if trial.status == "ok"]
     assert len(sure) > 20
     assert np.mean([trial.covers95 for trial in sure]) > 0.95 - 0.12

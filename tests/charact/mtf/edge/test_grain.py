@@ -5,9 +5,9 @@ import pytest
 from scipy.ndimage import gaussian_filter, uniform_filter
 from scipy.signal import correlate
 
-from charact.mtf import codes
+from charact.mtf import quantisation_checks
 from charact.mtf.edge.pixels.bins import _columns
-from charact.mtf.edge.pixels.grain import REACH, _autocorrelation, _smoothed, _variances, correlation_of
+from charact.mtf.edge.pixels.noise_model import MAX_LAG_PX, _autocorrelation, _running_mean, _variances, correlation_of
 
 
 @pytest.fixture
@@ -24,17 +24,19 @@ def test_sums_of_products_at_all_lags(rng):
 
 def test_a_running_mean_with_nothing_beyond_the_borders(rng):
     field = rng.standard_normal((9, 13))
-    assert _smoothed(field) == pytest.approx(uniform_filter(field, 3, mode="constant"))
+    assert _running_mean(field) == pytest.approx(uniform_filter(field, 3, mode="constant"))
 
 
 @pytest.mark.parametrize("sigma", [0.0, 0.6, 1.2])
 def test_noise_blurred_behind_the_gain_has_the_correlation_of_its_blur(rng, sigma):
     """That of the kernel with itself: within four errors at near lags, its sum within 15 % (mean of 16 fields)."""
-    lag = np.arange(-REACH, REACH + 1)
+    lag = np.arange(-MAX_LAG_PX, MAX_LAG_PX + 1)
     square = np.add.outer(lag**2, lag**2)
     kernel = gaussian_filter((square == 0) * 1.0, sigma)
     truth = correlate(kernel, kernel, "same") / np.sum(kernel**2)
-    fields = [correlate(rng.standard_normal((160 + 2 * REACH, 160 + 2 * REACH)), kernel, "valid") for _ in range(16)]
+    fields = [
+        correlate(rng.standard_normal((160 + 2 * MAX_LAG_PX, 160 + 2 * MAX_LAG_PX)), kernel, "valid") for _ in range(16)
+    ]
     used = np.ones(fields[0].shape, bool)
     found = np.mean([correlation_of(noise / noise.std(), used, (1.0, 0.1)) for noise in fields], axis=0)
     error = np.sqrt(np.sum(truth**2)) / 160.0 / np.sqrt(len(fields))
@@ -112,18 +114,18 @@ def test_the_quick_look_for_a_pile_up_overlooks_none(monkeypatch, rng, kind, cei
     """What is said of frames clipped a little, much and not at all is the same when every value is counted."""
     for full_scale in (None, 110.0, 4095.0):
         data = np.minimum(np.rint(rng.normal(100.0, 12.0, (1, 60, 60))), ceiling).astype(kind)
-        quick = codes.code_flags(data, full_scale)
+        quick = quantisation_checks.clipping_flags(data, full_scale)
         with monkeypatch.context() as patch:
-            patch.setattr(codes, "_piled", lambda _: True)
-            assert quick == codes.code_flags(data, full_scale)
-    assert ("clipped" in codes.code_flags(data, min(ceiling, 4095.0))) == np.isfinite(ceiling)
+            patch.setattr(quantisation_checks, "_has_pile_up", lambda _: True)
+            assert quick == quantisation_checks.clipping_flags(data, full_scale)
+    assert ("clipped" in quantisation_checks.clipping_flags(data, min(ceiling, 4095.0))) == np.isfinite(ceiling)
 
 
 @pytest.mark.parametrize("axis", [0, 1])
 @pytest.mark.parametrize("lag", [0.0, 0.3])
 def test_fields_exposed_apart_share_what_lingers(rng, axis, lag):
     """Two exposures of blurred noise on alternate lines, one with a share of the other: correlations as drawn."""
-    lags, sigma = np.arange(-REACH, REACH + 1), 0.8
+    lags, sigma = np.arange(-MAX_LAG_PX, MAX_LAG_PX + 1), 0.8
     kernel = gaussian_filter((np.add.outer(lags**2, lags**2) == 0) * 1.0, sigma)
     truth = correlate(kernel, kernel, "same") / np.sum(kernel**2)
     one, fresh = (correlate(rng.standard_normal((228, 228)), kernel, "valid") for _ in range(2))

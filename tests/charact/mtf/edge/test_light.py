@@ -6,8 +6,8 @@ import pytest
 
 from charact import mtf
 from charact.method import Context
-from charact.mtf.edge.pixels.find import find_edge
-from charact.mtf.edge.pixels.grain_form import form_of
+from charact.mtf.edge.pixels.noise_correlation_model import fit_correlation_model
+from charact.mtf.edge.pixels.prepare_edge import prepare_edge
 from charact.mtf.edge.pixels.profile import PLATEAU_FROM_PX, SHADING_LENGTH_PX, with_shading
 from labdata.frames import FrameStack
 
@@ -43,7 +43,7 @@ def test_a_ramp_along_a_tilted_edge_does_not_turn_its_line():
     frame = frame_of(96.0)
     ramp = 1.0 + 0.5 * (np.arange(110) / 110 - 0.5)
     plain, sloped = (
-        find_edge(FrameStack(data=each[None]), None, QUICK).profile.angle_rad for each in (frame, frame * ramp)
+        prepare_edge(FrameStack(data=each[None]), None, QUICK).profile.angle_rad for each in (frame, frame * ramp)
     )
     assert abs(plain - sloped) * 110 < 0.02
 
@@ -90,7 +90,7 @@ def test_the_sum_of_the_noise_correlation_is_unbiased(sigma_px, share, seed):
             (110, 110)
         )
         stack = FrameStack(data=(frame + 60.0 * noise)[None])
-        sums.append(find_edge(stack, None, QUICK).profile.grain.covariance_over_variance)
+        sums.append(prepare_edge(stack, None, QUICK).profile.grain.covariance_over_variance)
     f = np.fft.fftfreq(110)
     power = np.mean(np.exp(-4 * (np.pi * sigma_px) ** 2 * (f[:, None] ** 2 + f[None] ** 2)))
     truth = share / power + 1 - share
@@ -104,12 +104,12 @@ def test_the_form_of_a_correlation_is_found_and_none_where_there_is_none(seed):
     noise = np.random.default_rng(seed).standard_normal(truth.shape) / 100.0
     noise = (noise + noise[::-1, ::-1]) / np.sqrt(2.0)
     noise[14, 14] = 0.0
-    form, taken = form_of(truth + noise, pairs, x)
+    form, taken = fit_correlation_model(truth + noise, pairs, x)
     assert form.sum() == pytest.approx(truth.sum(), rel=0.05)
-    white, _ = form_of((truth == 1.0) + noise, pairs, x)
+    white, _ = fit_correlation_model((truth == 1.0) + noise, pairs, x)
     assert white.sum() == 1.0
     lost = 0.02 * np.maximum(1.0 - np.abs(x), 0.0) * (truth != 1.0)
-    _, taken = form_of((truth == 1.0) + noise / 10.0 - lost, 100.0 * pairs, x)
+    _, taken = fit_correlation_model((truth == 1.0) + noise / 10.0 - lost, 100.0 * pairs, x)
     assert taken[:14, 14].mean() == pytest.approx(-0.02, abs=0.003)
 
 
@@ -120,7 +120,7 @@ def test_noise_of_no_smooth_form_keeps_its_own_correlation(seed):
     noise = np.sqrt(0.5) * parts[0] + np.sqrt(0.4) * parts[1] + np.sqrt(0.1) * parts[2]
     truth = lambda x, y: 0.5 * np.exp(-(x**2 + y**2) / 1.44) + 0.4 * np.exp(-(x**2 + y**2) / 36.0)  # noqa: E731
     frame = frame_of(8.0, rows=200, cols=200)
-    correlation = find_edge(FrameStack(data=(frame + 60.0 * noise)[None]), None, QUICK).profile.grain.correlation
+    correlation = prepare_edge(FrameStack(data=(frame + 60.0 * noise)[None]), None, QUICK).profile.grain.correlation
     # Errors of a correlation under this noise, by Bartlett: sqrt(sum rho^2 / pairs), at most 0.04 here.
     for x, y in ((1, 0), (0, 1), (1, 1), (2, 0), (0, 3), (3, 3)):
         assert correlation[14 + y, 14 + x] == pytest.approx(truth(x, y), abs=0.12)
@@ -130,7 +130,7 @@ def test_noise_of_no_smooth_form_keeps_its_own_correlation(seed):
 def test_ripples_are_no_undulations_many_times_their_size(cols, seed):
     """What a bend leaves over of a plateau of 13 px is a fiftieth of an undulation, and not to be blown up to one."""
     frame = frame_of(4.0, rows=110, cols=cols) + 10.0 * np.random.default_rng(seed).standard_normal((110, cols))
-    profile = find_edge(FrameStack(data=frame[None]), None, QUICK).profile
+    profile = prepare_edge(FrameStack(data=frame[None]), None, QUICK).profile
     ripples, waves = (height * np.sin(2 * np.pi * profile.distance / px) for height, px in ((6.0, 5.0), (45.0, 40.0)))
     assert with_shading(profile, ripples).shading_sd < 3 * 6.0
     assert with_shading(profile, waves).shading_sd > 10.0 or cols < 100
@@ -139,7 +139,7 @@ def test_ripples_are_no_undulations_many_times_their_size(cols, seed):
 def test_undulations_are_what_a_bend_and_the_noise_leave_over(seed):
     """Reference: the same by projections, plateau by plateau: squares beyond the trace over what undulations make."""
     frame = frame_of(4.0, rows=110, cols=150) + 10.0 * np.random.default_rng(seed).standard_normal((110, 150))
-    profile = find_edge(FrameStack(data=frame[None]), None, QUICK).profile
+    profile = prepare_edge(FrameStack(data=frame[None]), None, QUICK).profile
     waves = 45.0 * np.sin(2 * np.pi * profile.distance / 40.0)
     excess = weight = 0.0
     for side in (profile.distance < -PLATEAU_FROM_PX, profile.distance > PLATEAU_FROM_PX):

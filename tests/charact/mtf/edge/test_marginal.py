@@ -5,13 +5,13 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from charact.method import Context
-from charact.mtf.edge.fit.family_fit import BLOCK, FamilyFitter
-from charact.mtf.edge.fit.maps import EdgeMaps
+from charact.mtf.blur_models.one_dimensional import BlurModel
 from charact.mtf.edge.fit.marginal import Marginal
-from charact.mtf.edge.fit.phases import turned
-from charact.mtf.edge.pixels.find import FoundEdge, find_edge
-from charact.mtf.forms.families import Family
-from charact.mtf.optics import known_of
+from charact.mtf.edge.fit.model_fit import BLOCK, BlurModelFitter
+from charact.mtf.edge.fit.phases import apply_phases
+from charact.mtf.edge.fit.transfer_to_bins import EdgeMaps
+from charact.mtf.edge.pixels.prepare_edge import PreparedEdge, prepare_edge
+from charact.mtf.known_transfer import known_transfer
 from charact.study.edge.scene import EdgeScene
 
 GRID = np.concatenate([[1e-5, 1e-3], np.linspace(0.01, 4.3, 40)])
@@ -56,14 +56,14 @@ def test_maps_made_elsewhere_tell_the_same(seed):
     modulus = np.exp(-((maps.grid / 0.3) ** 2))[None].repeat(5, axis=0)
     shifts, free = np.linspace(0.1, 0.5, 5), np.array([0.0, 0.01, 0.01])
     here = maps.likelihood(free)(modulus, shifts)
-    maps.made_for(0.4)
+    maps.rebuild_for(0.4)
     assert np.ptp(here) > 100.0
     assert maps.likelihood(free)(modulus, shifts) == pytest.approx(here, abs=1e-3 * np.ptp(here))
 
 
 def test_points_asked_together_are_as_probable_as_each_alone(seed):
     """None, one, and more than stay in the processor's cache."""
-    fitter, family = FamilyFitter(*_profile_and_optics(seed)), Family(core="exponential")
+    fitter, family = BlurModelFitter(*_profile_and_optics(seed)), BlurModel(core="exponential")
     log_probability = fitter.log_probability(family, 1e-4)
     points = np.array([0.0, np.log(0.3), 1.8]) + 0.05 * np.random.default_rng(seed).standard_normal((2 * BLOCK + 3, 3))
     together = log_probability(points)
@@ -73,9 +73,9 @@ def test_points_asked_together_are_as_probable_as_each_alone(seed):
 
 
 def _profile_and_optics(seed):
-    edge = find_edge(EdgeScene(snr=30.0).frames_drawn(np.random.default_rng(seed)), None, Context())
-    assert isinstance(edge, FoundEdge)
-    return edge.profile, known_of(edge.picture, edge.profile.angle_rad, Context())
+    edge = prepare_edge(EdgeScene(snr=30.0).frames_drawn(np.random.default_rng(seed)), None, Context())
+    assert isinstance(edge, PreparedEdge)
+    return edge.profile, known_transfer(edge.picture, edge.profile.angle_rad, Context())
 
 
 def test_phases_of_shifts_near_and_far_are_those_of_numpy(seed):
@@ -85,6 +85,6 @@ def test_phases_of_shifts_near_and_far_are_those_of_numpy(seed):
     modulus, fixed = rng.random((shift.size, GRID.size)), rng.standard_normal((2, GRID.size))
     grid = np.where(GRID > 0.1, GRID, np.round(GRID, 1) + 0.5)
     expected = modulus * (fixed[0] + 1j * fixed[1]) * np.exp(-2j * np.pi * shift[:, None] * grid)
-    found = turned(modulus, shift[:, None] * grid, fixed)
+    found = apply_phases(modulus, shift[:, None] * grid, fixed)
     # Turns by the hundred have lost the last three digits before any sine is taken.
     assert found == pytest.approx(np.concatenate([expected.real, expected.imag], axis=1), abs=1e-11)

@@ -7,8 +7,8 @@ import pytest
 from charact import mtf
 from charact.method import Context
 from charact.mtf.edge import parametric as edge_parametric
-from charact.study.edge.bound import least_relative_sd
-from charact.study.edge.coverage import covered
+from charact.study.edge.coverage import measure_mixed_scene
+from charact.study.edge.cramer_rao import least_relative_sd
 from charact.study.edge.peers import answers, row, scene_of
 from labdata.frames import FrameStack
 
@@ -85,7 +85,7 @@ def test_errors_are_at_the_bound(snr, seed):
 
 def test_intervals_hold_as_often_as_they_say(seed):
     """Mixed blurs, noises and light; 3 standard errors of a share of 40 are 22 points at 68 % and 10.3 at 95 %."""
-    trials = [trial for one in range(40) for trial in covered(seed + one, ("edge-parametric",))]
+    trials = [trial for one in range(40) for trial in measure_mixed_scene(seed + one, ("edge-parametric",))]
     sure = [trial for trial in trials if trial.status == "ok"]
     assert len(sure) > 25
     assert abs(np.mean([trial.covers68 for trial in sure]) - 0.68) < 0.22
@@ -148,7 +148,7 @@ def test_chain_importance_and_curvature_say_the_same(seed, monkeypatch):
     frame = frame + 60.0 * np.random.default_rng(seed).standard_normal(frame.shape)
     quick = measured(frame, "edge-parametric").find("mtf50")[0]
     picked = measured(frame, "edge-parametric", Context(seed=1)).find("mtf50")[0]
-    monkeypatch.setattr("charact.posterior.drawing.ENOUGH", np.inf)
+    monkeypatch.setattr("charact.posterior.sampling.ENOUGH", np.inf)
     chained = measured(frame, "edge-parametric", Context(seed=1)).find("mtf50")[0]
     assert [one.posterior.sampler for one in (quick, picked, chained)] == ["laplace", "importance", "emcee"]
     width = quick.interval68[1] - quick.interval68[0]

@@ -7,13 +7,13 @@ import pytest
 
 from charact import mtf
 from charact.method import Context
-from charact.mtf.edge.checks import _bowed
-from charact.study.edge.scene import Blur, edge_spread
-from charact.study.session.agreement import Chain
+from charact.mtf.edge.checks import _has_bow
+from charact.study.edge.scene import TrueBlur, edge_spread
+from charact.study.session.consistency_scenes import TrueCameraChain
 from tests.charact.mtf.edge.photoelectron_edges import PulseEdge
 
 SCENE = PulseEdge(
-    blur=Blur(form="exponential", frequency_cy_per_px=0.3, exponent=1.3), pulse_px=0.7, photoelectrons=4.0,
+    blur=TrueBlur(form="exponential", frequency_cy_per_px=0.3, exponent=1.3), pulse_px=0.7, photoelectrons=4.0,
     bright_dn=2400.0, dark_share=0.25, read_dn=3.0, frames=60, rows=48, cols=64, black_dn=200.0, full_scale_dn=65535.0,
     angle_deg=8.0,
 )  # fmt: skip
@@ -25,7 +25,7 @@ def test_the_mean_is_the_edge_spread_of_the_whole_blur(seed):
     angle = np.deg2rad(SCENE.angle_deg)
     row, col = (np.arange(size) - (size - 1) / 2 for size in (SCENE.rows, SCENE.cols))
     distance = col[None, :] * np.cos(angle) + row[:, None] * np.sin(angle)
-    spread = edge_spread(Chain(SCENE.blur, SCENE.pulse_px), distance, SCENE.angle_deg)  # pyright: ignore
+    spread = edge_spread(TrueCameraChain(SCENE.blur, SCENE.pulse_px), distance, SCENE.angle_deg)  # pyright: ignore
     mean = SCENE.bright_dn * (SCENE.dark_share + (1.0 - SCENE.dark_share) * spread)
     # Means along the edge, whose noise is tied: pulses are worth some three pixels either way.
     cell = np.floor(distance).astype(int)
@@ -57,7 +57,7 @@ def test_its_step_over_noise_is_that_of_single_pixels(seed):
 def test_noise_of_two_fields_is_not_taken_for_that_of_one(seed_of_scene, seed):
     """Wide pulses before an interlaced camera: chi squared per bin was 2 to 3.4, its noise told too small."""
     scene = PulseEdge(
-        blur=Blur(sigma_px=1.2), pulse_px=0.87, photoelectrons=10.0, bright_dn=150.0, dark_share=0.2, frames=8,
+        blur=TrueBlur(sigma_px=1.2), pulse_px=0.87, photoelectrons=10.0, bright_dn=150.0, dark_share=0.2, frames=8,
         rows=80, cols=80, angle_deg=20.0 + 3.0 * seed_of_scene, interlaced=True,
     )  # fmt: skip
     found = mtf.measure(
@@ -79,22 +79,22 @@ def test_rows_that_share_noise_make_no_bow(tied, seed):
     place = np.linspace(-1.0, 1.0, 96)
     design = np.polynomial.legendre.legvander(place, 1)
     course -= (course @ np.linalg.pinv(design).T) @ design.T
-    assert np.mean([_bowed(one) for one in course]) <= 0.006
+    assert np.mean([_has_bow(one) for one in course]) <= 0.006
     error = course.std() * np.sqrt((3.0 if tied else 1.0) / 96 * 5.0)
     bow = 8.0 * error * np.polynomial.legendre.legval(place, [0.0, 0.0, 1.0])
-    assert np.mean([_bowed(one + bow) for one in course[:200]]) > 0.95
+    assert np.mean([_has_bow(one + bow) for one in course[:200]]) > 0.95
 
 
 @pytest.mark.parametrize(
     "scene",
     [
         PulseEdge(
-            blur=Blur(form="moffat", moffat_px=2.11, moffat_exponent=1.73), pulse_px=0.55, photoelectrons=7.86,
+            blur=TrueBlur(form="moffat", moffat_px=2.11, moffat_exponent=1.73), pulse_px=0.55, photoelectrons=7.86,
             bright_dn=34.5, dark_share=0.396, gain_spread=0.53, read_dn=0.74, row_noise_dn=10.7, rows=119, cols=95,
             frames=16, angle_deg=271.75, interlaced=True,
         ),
         PulseEdge(
-            blur=Blur(form="exponential", frequency_cy_per_px=0.304, exponent=1.95), pulse_px=0.55,
+            blur=TrueBlur(form="exponential", frequency_cy_per_px=0.304, exponent=1.95), pulse_px=0.55,
             photoelectrons=226.0, bright_dn=1226.0, dark_share=0.233, gain_spread=0.68, read_dn=1.9, rows=107, cols=111,
             frames=8, angle_deg=22.4,
         ),

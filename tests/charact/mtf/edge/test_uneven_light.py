@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from charact.method import Context
-from charact.mtf.curvature import believed_black
 from charact.mtf.edge.parametric import edge_parametric
-from charact.mtf.edge.pixels.uneven_light import APART, EVEN_PER_PX, UNEVEN_PER_PX, uneven_light
-from charact.study.edge.scene import Blur, EdgeScene
+from charact.mtf.edge.pixels.illumination_gradient import APART, EVEN_PER_PX, UNEVEN_PER_PX, uneven_light
+from charact.mtf.nonlinearity_prior import usable_black_level
+from charact.study.edge.scene import EdgeScene, TrueBlur
 
 DISTANCE = np.linspace(-30.0, 40.0, 141)
 DARK, BRIGHT, BLACK = 900.0, 2400.0, 200.0
@@ -52,7 +52,7 @@ def test_without_a_black_each_side_slopes_by_itself(black_dn):
 )
 def test_a_black_well_above_the_dark_side_is_none(black_dn, believed):
     """A tenth of the step, 150 DN, is what noise and another day's dark may make of it."""
-    assert believed_black(black_dn, DARK, BRIGHT) == believed
+    assert usable_black_level(black_dn, DARK, BRIGHT) == believed
 
 
 def test_a_dark_side_without_light_hardly_slopes():
@@ -64,7 +64,7 @@ def test_a_dark_side_without_light_hardly_slopes():
 
 def test_known_black_tells_a_halo_from_light_that_slopes(seed):
     """Both raise what is near the edge: errors of the same frames are smaller where black is known."""
-    blur = Blur(form="gaussian", sigma_px=0.94, halo_share=0.16, halo_px=38.0)
+    blur = TrueBlur(form="gaussian", sigma_px=0.94, halo_share=0.16, halo_px=38.0)
     scene = EdgeScene(
         blur=blur, rows=134, cols=73, angle_deg=203.7, dark_dn=2000.0, bright_dn=3500.0, snr=54.0, gradient=0.05,
         noise_blur_px=0.9, black_dn=BLACK, full_scale_dn=65535.0,

@@ -7,13 +7,13 @@ import pytest
 
 from charact import mtf
 from charact.method import Context
-from charact.mtf.curve import falls_to
-from charact.mtf.forms.families import Family
-from charact.mtf.noise_spectrum.data import chosen_of, spectrum_of
-from charact.mtf.noise_spectrum.folding import Known, folding
-from charact.mtf.noise_spectrum.model import Peak, known_of, peak_of
+from charact.mtf.blur_models.one_dimensional import BlurModel
+from charact.mtf.curve import crossing_frequency
+from charact.mtf.noise_spectrum.aliasing import KnownReadout, spectral_replicas
+from charact.mtf.noise_spectrum.model import SpectrumOptimum, optimum_under_model, readout_of
+from charact.mtf.noise_spectrum.pooled_spectrum import select_flats, spectrum_of
 from charact.mtf.noise_spectrum.result import transfer_of
-from charact.mtf.noise_spectrum.unseen import SURE, Veiled, unseen
+from charact.mtf.noise_spectrum.undetected_scatter import SURE, UndetectedComponent, scatter_limits
 from charact.study.flats.noise_spectrum_cases import ScintillatingFlats
 from labdata.errors import BadInput
 
@@ -80,9 +80,9 @@ def test_fields_are_taken_apart_and_light_shared_by_them_is_allowed_for(seed):
 def test_points_seen_by_bare_square_pixels_make_white_noise():
     """All replicas of sinc^2 sum to one at every frequency: sharp pulses fall into one pixel each."""
     column, row = np.array([0.05, 0.3, 0.47]), np.array([0.4, 0.1, 0.47])
-    bare = Known(height_px=1.0, video=None, anisotropy_sd=0.1)
-    sharp = Family(core="gaussian")
-    power = folding(column, row, 1.0, bare, replicas=60).power(sharp, np.array([[0.0, np.log(1e6)]]))[0]
+    bare = KnownReadout(height_px=1.0, video=None, anisotropy_sd=0.1)
+    sharp = BlurModel(core="gaussian")
+    power = spectral_replicas(column, row, 1.0, bare, replicas=60).power(sharp, np.array([[0.0, np.log(1e6)]]))[0]
     # What lies beyond 60 periods is 2/(pi^2 60) at most on each axis.
     assert power == pytest.approx(1.0, abs=0.008)
 
@@ -145,32 +145,34 @@ def test_the_whole_posterior_agrees_with_the_curvature(seed):
     assert abs(errors(quick, whole.value)) < 0.5
 
 
-def peak(scene: ScintillatingFlats, seed: int) -> Peak:
+def peak(scene: ScintillatingFlats, seed: int) -> SpectrumOptimum:
     context = Context(seed=1, quick=True, full_scale_dn=scene.full_scale_dn)
     session = scene.session_drawn(np.random.default_rng(seed))
-    spectrum = spectrum_of(session, chosen_of(session, context), context)
-    return peak_of(spectrum, known_of(context), Family(core="exponential"))
+    spectrum = spectrum_of(session, select_flats(session, context), context)
+    return optimum_under_model(spectrum, readout_of(context), BlurModel(core="exponential"))
 
 
-def likelihood(found: Peak) -> float:
+def likelihood(found: SpectrumOptimum) -> float:
     return float(found.problem.log_likelihood(found.problem.model(found.point[None]))[0])
 
 
 def test_scattered_light_that_is_said_not_to_show_gains_what_is_said(seed):
     """A power with so much light scattered and no noise: the form fits it worse by 12 in ln L, and MTF50 is higher."""
     before = peak(ScintillatingFlats(half_frequency_cy_per_px=0.15, frames=16), seed)
-    near, _ = unseen(before)
-    veiled = Veiled(shape=before.problem.shape, share=near.share, length_px=near.length_px)
+    near, _ = scatter_limits(before)
+    veiled = UndetectedComponent(shape=before.problem.shape, share=near.share, length_px=near.length_px)
     power = replace(before.problem, shape=veiled).model(before.point[None])[0]
-    after = peak_of(replace(before.problem.spectrum, power_dn2=power), before.problem.known, before.problem.shape)
+    after = optimum_under_model(
+        replace(before.problem.spectrum, power_dn2=power), before.problem.known, before.problem.shape
+    )
     assert -likelihood(after) == pytest.approx(SURE, rel=0.25)
     frequency = np.geomspace(0.01, 0.5, 4000)
 
-    def curve(one: Peak):
+    def curve(one: SpectrumOptimum):
         return transfer_of(one, one.point[None], frequency, vertical=False, pitch_ratio=1.0)
 
     veil = 1.0 - near.share + near.share / (1.0 + (2.0 * np.pi * frequency * near.length_px) ** 2)
-    told, true = (float(falls_to(frequency, one, 0.5)[0]) for one in (curve(after), curve(before) * veil))
+    told, true = (float(crossing_frequency(frequency, one, 0.5)[0]) for one in (curve(after), curve(before) * veil))
     assert 100.0 * (1.0 - true / told) == pytest.approx(near.lower_percent, rel=0.25)
 
 

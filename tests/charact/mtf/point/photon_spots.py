@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from charact.study.edge.scene import level_crossing
-from charact.study.noise import correlated
+from charact.study.noise import correlate_noise
 from labdata.frames import FrameStack
 
 Array = NDArray[np.float64]
@@ -137,7 +137,7 @@ class SpotCamera:
 
     def _noise(self, rng: np.random.Generator) -> Array:
         """Noise of unit variance."""
-        return correlated(rng.standard_normal((1, self.size, self.size)), self.noise_blur_px)[0]
+        return correlate_noise(rng.standard_normal((1, self.size, self.size)), self.noise_blur_px)[0]
 
     def _shot(self, sd: Array, rng: np.random.Generator) -> Array:
         return sd * self._noise(rng)

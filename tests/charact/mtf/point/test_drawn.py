@@ -5,11 +5,11 @@ import pytest
 
 from charact import mtf
 from charact.method import Context
-from charact.study.edge.scene import Blur
+from charact.study.edge.scene import TrueBlur
 from charact.study.point.scene import PointScene
 from labdata.sensors import load_sensor
 
-HALO = Blur(form="exponential", frequency_cy_per_px=0.35, exponent=1.15)
+HALO = TrueBlur(form="exponential", frequency_cy_per_px=0.35, exponent=1.15)
 
 
 @pytest.mark.parametrize("method", ["point-parametric", "point-forward"])

@@ -10,13 +10,13 @@ from scipy.special import erf, j1
 
 from charact.method import Context
 from charact.mtf.point import forward
-from charact.mtf.point.data import window_of
 from charact.mtf.point.forward import point_forward
-from charact.mtf.point.forward_model import Optics, PointModel
+from charact.mtf.point.forward_model import KnownPointOptics, PointModel
 from charact.mtf.point.forward_prior import priors_of
-from charact.mtf.point.spread import point_spread
-from charact.posterior import drawing
-from charact.study.edge.scene import Blur
+from charact.mtf.point.source_window import window_of
+from charact.mtf.point.spot_transform import point_spread
+from charact.posterior import sampling
+from charact.study.edge.scene import TrueBlur
 from charact.study.point.cases import chart_cases
 from charact.study.point.scene import PointScene
 from charact.video_filter import VideoFilter
@@ -167,7 +167,7 @@ def test_draws_by_importance_say_the_same_as_a_markov_chain(number, monkeypatch)
     picked, quick = measured(), measured(quick=True)
     assert picked.posterior.sampler == quick.posterior.sampler == "importance"
     assert picked.posterior.effective_sample_size.min() >= 2000
-    monkeypatch.setattr(drawing, "ENOUGH", np.inf)
+    monkeypatch.setattr(sampling, "ENOUGH", np.inf)
     monkeypatch.setattr(forward, "MAX_STEPS", 16000)
     chained = measured()
     assert chained.posterior.sampler == "emcee"
@@ -181,18 +181,18 @@ def test_draws_by_importance_say_the_same_as_a_markov_chain(number, monkeypatch)
 def test_frequencies_that_reach_no_pixel_are_left_out_within_a_hundred_thousandth_of_the_peak(blur_px, seed):
     """At the peak and at draws about it; a picture sharper than its pixels keeps every frequency."""
     _, prior = priors_of(Context(), halo_seen=False)
-    optics = Optics(width_px=1.0, height_px=1.0, video=None, pinhole_px=0.0, top=2.0)
+    optics = KnownPointOptics(width_px=1.0, height_px=1.0, video=None, pinhole_px=0.0, top=2.0)
     x, y = np.arange(-7.0, 8.0), np.arange(-6.0, 7.0)
     model = PointModel(optics=optics, prior=prior, x=x, y=y, ring_px=np.empty((0, 1)))
     point = np.array([0.2, -0.3, np.log(0.3), 1.2, blur_px, 0.02])
     covariance = np.diag([0.01, 0.01, 0.1, 0.1, 0.05, 0.02]) ** 2
-    narrow = model.narrowed(point, covariance)
+    narrow = model.restrict_frequencies(point, covariance)
     draws = np.concatenate([point[None], np.random.default_rng(seed).multivariate_normal(point, covariance, 50)])
     full = model.core(draws)
     assert np.abs(narrow.core(draws) - full).max() < 1e-5 * full.max()
     assert narrow.optics.top < 1.9
     sharp = np.array([0.0, 0.0, np.log(2.5), 1.2, 0.0, 0.0])
-    assert model.narrowed(sharp, covariance).optics.top == model.optics.top
+    assert model.restrict_frequencies(sharp, covariance).optics.top == model.optics.top
 
 
 def test_the_same_seed_gives_the_same_numbers(seed):
@@ -204,7 +204,7 @@ def test_the_same_seed_gives_the_same_numbers(seed):
 def test_light_of_the_model_is_one_however_it_is_blurred():
     context = Context(sensor=load_sensor("pulnix-ag5745ef3"), interlaced=True)
     (prior,) = priors_of(context, halo_seen=True)
-    optics = Optics(
+    optics = KnownPointOptics(
         width_px=1.0,
         height_px=2 * context.pitch_ratio,
         video=VideoFilter(bandwidth_mhz=6.5, clock_mhz=14.318, order=3),
@@ -278,7 +278,7 @@ def test_a_tube_with_a_narrow_pulse_is_fitted_with_both(seed):
     errors = []
     for trial in range(8):
         rng = np.random.default_rng([seed, trial])
-        blur = Blur(form="exponential", frequency_cy_per_px=float(rng.uniform(0.2, 0.35)))
+        blur = TrueBlur(form="exponential", frequency_cy_per_px=float(rng.uniform(0.2, 0.35)))
         scene = PointScene(blur=blur, pulse_px=0.6, col_px=rng.uniform(-0.5, 0.5))
         found = level(point_forward(scene.frames_drawn(rng), context=QUICK), "mtf50", 0.0)
         errors.append(standard_errors(found, scene.truth_mtf50))
@@ -287,7 +287,7 @@ def test_a_tube_with_a_narrow_pulse_is_fitted_with_both(seed):
 
 
 def test_the_plain_transform_tells_tails_that_its_disc_cuts_off(seed):
-    blur = Blur(form="exponential", frequency_cy_per_px=0.1)
+    blur = TrueBlur(form="exponential", frequency_cy_per_px=0.1)
     stack = PointScene(blur=blur).frames_drawn(np.random.default_rng(seed))
     assert "window-too-small" in point_spread(stack, context=QUICK).measurements[0].flags
 
@@ -298,14 +298,14 @@ def test_the_plain_transform_tells_two_sources_from_one(seed):
 
 
 def test_a_pinhole_that_passes_nothing_at_the_crossing_is_refused(seed):
-    scene = PointScene(blur=Blur(sigma_px=0.5), pulse_px=0.3, pinhole_px=5.0)
+    scene = PointScene(blur=TrueBlur(sigma_px=0.5), pulse_px=0.3, pinhole_px=5.0)
     found = point_spread(scene.frames_drawn(np.random.default_rng(seed)), pinhole_px=5.0, context=QUICK)
     assert found.measurements[0].status != "ok"
 
 
 def test_light_missing_about_a_spot_is_told_as_light_too_much_is(seed):
     """A camera that sharpens takes off what a halo adds: of 21 such spots 9 were silently wrong."""
-    scene = PointScene(blur=Blur(sigma_px=0.8), photoelectrons=10000.0, black_dn=40.0)
+    scene = PointScene(blur=TrueBlur(sigma_px=0.8), photoelectrons=10000.0, black_dn=40.0)
     plain, sharp = (
         point_forward(replace(scene, sharpening=amount).frames_drawn(np.random.default_rng(seed)), context=QUICK)
         for amount in (0.0, 0.4)
@@ -317,7 +317,7 @@ def test_light_missing_about_a_spot_is_told_as_light_too_much_is(seed):
 def test_a_spot_of_many_codes_in_two_frames_is_measured(seed):
     # Its model rings below no light, which is no variance.
     scene = PointScene(
-        blur=Blur(sigma_px=0.68), photoelectrons=1300.0, peak_dn=2200.0, frames=2, read_dn=2.2, black_dn=190.0,
+        blur=TrueBlur(sigma_px=0.68), photoelectrons=1300.0, peak_dn=2200.0, frames=2, read_dn=2.2, black_dn=190.0,
         full_scale_dn=4095.0,
     )  # fmt: skip
     for one in range(3):

@@ -8,16 +8,16 @@ from scipy.special import erf, log_ndtr
 
 from charact.method import Context
 from charact.mtf.point import parametric
+from charact.mtf.point.blur_models_2d import BlurModel2D
 from charact.mtf.point.censored import Censored
-from charact.mtf.point.choice import fitted
-from charact.mtf.point.forms import PointForm
 from charact.mtf.point.forward import point_forward
+from charact.mtf.point.model_selection import fit_sources
 from charact.mtf.point.parametric import point_parametric
-from charact.mtf.point.pixels import covariance
-from charact.mtf.point.pulses import dark_of, pulse_covariances
-from charact.mtf.point.table import Aperture, cosines, pixel_matrix, radial
-from charact.posterior import draw, drawing
-from charact.study.edge.scene import Blur
+from charact.mtf.point.parametric_noise import measure_surroundings_noise, pulse_covariances
+from charact.mtf.point.source_pixels import covariance
+from charact.mtf.point.spot_image_matrix import Aperture, cosines, pixel_matrix, radial
+from charact.posterior import sample_posterior, sampling
+from charact.study.edge.scene import TrueBlur
 from charact.study.point.scene import PointScene
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
@@ -39,7 +39,7 @@ def standard_errors(measurement, truth):
 def test_matrix_of_pixels_is_that_of_integrated_gaussians(sigma):
     x, y = np.linspace(-7.3, 6.7, 15), np.linspace(-5.8, 6.2, 13)
     half = np.sqrt(np.log(2) / 2) / np.pi / sigma
-    transfer = PointForm(core="gaussian").transfer(np.array([[np.log(half), 0.2]]), radial(2.0)[1], cosines())
+    transfer = BlurModel2D(core="gaussian").transfer(np.array([[np.log(half), 0.2]]), radial(2.0)[1], cosines())
     pixels = pixel_matrix(Aperture(), x, y) @ transfer.ravel()
     narrow, high = sigma * np.exp(-0.1), sigma * np.exp(0.1)
     lines = [
@@ -134,7 +134,7 @@ def test_draws_by_importance_say_the_same_as_a_markov_chain(seed, monkeypatch):
     picked, quick = drawn(), drawn(quick=True)
     assert picked.sampler == quick.sampler == "importance"
     assert picked.effective_sample_size.min() >= 2000
-    monkeypatch.setattr(drawing, "ENOUGH", np.inf)
+    monkeypatch.setattr(sampling, "ENOUGH", np.inf)
     chained = drawn()
     assert chained.sampler == "emcee"
     spread = chained.draws.std(axis=0)
@@ -152,17 +152,17 @@ def test_a_chain_that_did_not_converge_is_told_of_any_form_that_counts(seed, mon
     stack = SpotCamera(snr=100.0).taken(Spot(), np.random.default_rng(seed))
 
     def doubtful_but_the_first(log_probability, **asked):
-        found = draw(log_probability, **asked)
+        found = sample_posterior(log_probability, **asked)
         return found if asked["seed"] == 1 else replace(found, flags=("not-converged",))
 
-    monkeypatch.setattr(parametric, "draw", doubtful_but_the_first)
+    monkeypatch.setattr(parametric, "sample_posterior", doubtful_but_the_first)
     found = level(point_parametric(stack, context=Context(seed=1)))
     assert found.notes[0].count("%") > 1 and "not-converged" not in found.posterior.flags
     assert "not-converged" in found.flags and found.status == "suspect"
 
 
 HALO = PointScene(
-    blur=Blur(sigma_px=0.8, halo_share=0.1, halo_px=22.0), pulse_px=0.0, gain_spread=0.0, photoelectrons=15000.0,
+    blur=TrueBlur(sigma_px=0.8, halo_share=0.1, halo_px=22.0), pulse_px=0.0, gain_spread=0.0, photoelectrons=15000.0,
     peak_dn=105.0, background=0.006, frames=4, read_dn=0.6,
 )  # fmt: skip
 
@@ -186,7 +186,7 @@ def test_the_forward_fit_of_any_camera_knows_no_halo_and_says_where_one_stands_o
 
 @pytest.mark.parametrize("method", [point_parametric, point_forward])
 def test_a_spot_smaller_than_a_pixel_is_not_told_from_its_place(method, seed):
-    scene = replace(HALO, blur=Blur(sigma_px=0.12), read_dn=1.0)
+    scene = replace(HALO, blur=TrueBlur(sigma_px=0.12), read_dn=1.0)
     stack = scene.frames_drawn(np.random.default_rng(seed))
     assert "aliased" in level(method(stack, context=replace(QUICK, full_scale_dn=255.0))).flags
 
@@ -209,7 +209,7 @@ def test_noise_of_the_surroundings_is_known_with_its_correlation(seed, blur_px):
     stack = SpotCamera(snr=30.0, shot_share=0.0, noise_blur_px=blur_px, frames=8).taken(
         Spot(), np.random.default_rng(seed)
     )
-    dark = dark_of(stack.data, 36, 36)
+    dark = measure_surroundings_noise(stack.data, 36, 36)
     assert dark.variance == pytest.approx(25.0, rel=0.06)
     neighbour = dark.covariance(np.arange(2.0), np.arange(1.0))[0, 1] / dark.variance
     assert neighbour == pytest.approx(np.exp(-0.25 / blur_px**2) if blur_px else 0.0, abs=0.05)
@@ -272,9 +272,11 @@ def test_the_same_seed_gives_the_same_numbers(seed):
 
 def test_the_noise_of_all_pixels_together_is_told_of_pulses_that_rows_share(seed, monkeypatch):
     """Variance of the sum of the core of a frame, over that of the pixels alone: pulses several pixels wide."""
-    scene = PointScene(blur=Blur(sigma_px=0.7), pulse_px=0.8, peak_dn=2500.0, full_scale_dn=4095.0)
+    scene = PointScene(blur=TrueBlur(sigma_px=0.7), pulse_px=0.8, peak_dn=2500.0, full_scale_dn=4095.0)
     sites = []
-    monkeypatch.setattr(parametric, "fitted", lambda *asked: sites.append(fitted(*asked)[0][0]) or fitted(*asked))
+    monkeypatch.setattr(
+        parametric, "fit_sources", lambda *asked: sites.append(fit_sources(*asked)[0][0]) or fit_sources(*asked)
+    )
     point_parametric(scene.frames_drawn(np.random.default_rng(seed)), context=QUICK)
     site = sites[-1]
     core = site.window.core

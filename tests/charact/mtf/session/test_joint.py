@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from charact.fit.sharp import transfers
+from charact.fit.mtf_observations import mtf_observations
 from charact.method import Context
-from charact.mtf.bars.joint import of_session
-from charact.mtf.curve import FINE, REPORTED, curve_of, falls_to
-from charact.mtf.session.agreement import agreement
-from charact.mtf.session.constancy import constancy
-from charact.mtf.session.joint import joint
-from charact.mtf.session.joint_fit import Problem
-from charact.mtf.session.joint_model import JointForm, Known
-from charact.mtf.session.joint_told import told
+from charact.mtf.bars.group_curve import session_curves
+from charact.mtf.curve import FINE, REPORTED, crossing_frequency, curve_of
+from charact.mtf.session.consistency import mtf_consistency
+from charact.mtf.session.constraints import constraints_from
+from charact.mtf.session.joint import fit_joint_mtf
+from charact.mtf.session.joint_fit import JointLikelihood
+from charact.mtf.session.joint_model import JointBlurModel, KnownCameraTransfer
+from charact.mtf.session.uniformity import mtf_uniformity
 from labdata.conditions import Conditions
-from labdata.measurement import Curve, Result, from_draws, from_sd
+from labdata.measurement import Curve, Result, measurement_from_draws, measurement_from_sd
 from labdata.sensor import Sensor
 from labdata.sensors import load_sensor
 from labdata.session import Session, StackEntry
@@ -39,10 +39,10 @@ def target(rng, label, *, half=0.22, exponent=1.4, half_sd=0.003, exponent_sd=0.
     centre = np.array([half, exponent]) + rng.standard_normal(2) * [half_sd, exponent_sd]
     drawn = centre + rng.standard_normal((400, 2)) * [half_sd, exponent_sd]
     curve = curve_of(REPORTED, mtf(REPORTED, drawn[:, :1], drawn[:, 1:]))
-    level = from_draws(
+    level = measurement_from_draws(
         "mtf50",
         "cy/px",
-        falls_to(FINE, mtf(FINE, drawn[:, :1], drawn[:, 1:]), 0.5),
+        crossing_frequency(FINE, mtf(FINE, drawn[:, :1], drawn[:, 1:]), 0.5),
         method="fake",
         stack=label,
         orientation_deg=angle,
@@ -52,7 +52,7 @@ def target(rng, label, *, half=0.22, exponent=1.4, half_sd=0.003, exponent_sd=0.
 
 def bars(rng, *, half=0.22, sd=0.008) -> Result:
     return Result(measurements=tuple(
-        from_sd("mtf", "1", float(mtf(f, half)) + sd * rng.standard_normal(), sd, method="fake", stack=label,
+        measurement_from_sd("mtf", "1", float(mtf(f, half)) + sd * rng.standard_normal(), sd, method="fake", stack=label,
                 frequency_cy_per_px=f, orientation_deg=3.0)
         for label, f in BARS.items()
     ))  # fmt: skip
@@ -63,7 +63,7 @@ def session(rng, **edge) -> Result:
 
 
 def evidence(result: Result, kinds=KINDS, context: Context = QUICK) -> dict:
-    return joint(result, kinds, context=context).evidence["joint MTF"]
+    return fit_joint_mtf(result, kinds, context=context).evidence["joint MTF"]
 
 
 def test_probabilities_of_one_camera_are_uniform_and_its_interval_holds_the_truth(seed: int) -> None:
@@ -73,7 +73,7 @@ def test_probabilities_of_one_camera_are_uniform_and_its_interval_holds_the_trut
     frequency = np.linspace(0.01, 0.6, 20000)
     truth = float(frequency[np.argmax(mtf(frequency) < 0.5)])
     for _ in range(30):
-        found = joint(session(rng), KINDS, context=QUICK)
+        found = fit_joint_mtf(session(rng), KINDS, context=QUICK)
         chances.append(found.evidence["joint MTF"]["probability"])
         low, high = found.find("mtf50")[0].interval95
         held += low <= truth <= high
@@ -83,15 +83,15 @@ def test_probabilities_of_one_camera_are_uniform_and_its_interval_holds_the_trut
 
 def test_all_targets_together_know_the_mtf_better_than_the_best_of_them(seed: int) -> None:
     result = session(np.random.default_rng(seed))
-    together = joint(result, KINDS, context=QUICK).find("mtf50")[0]
+    together = fit_joint_mtf(result, KINDS, context=QUICK).find("mtf50")[0]
     alone = result.find("mtf50", stack="e")[0]
     assert np.ptp(together.interval68) < 0.85 * np.ptp(alone.interval68)
 
 
 @pytest.mark.parametrize("half", [0.19, 0.25])
 def test_an_edge_out_of_focus_is_found_and_named_and_the_joint_number_is_suspect(half: float, seed: int) -> None:
-    found = joint(session(np.random.default_rng(seed), half=half), KINDS, context=QUICK)
-    test = found.evidence["joint MTF"]
+    found = fit_joint_mtf(session(np.random.default_rng(seed), half=half), KINDS, context=QUICK)
+    test = found.evidence["fit_joint_mtf MTF"]
     assert not test["inside_joint_95_percent_region"]
     assert test["differs_most"] == "e"
     assert all("model-misfit" in m.flags for m in found.measurements)
@@ -106,13 +106,13 @@ def test_what_a_target_does_not_vouch_for_takes_no_part(seed: int) -> None:
         curves=result.curves,
     )
     assert "e" not in evidence(doubted)["target"]
-    assert joint(target(rng, "e"), KINDS, context=QUICK) == Result()
+    assert fit_joint_mtf(target(rng, "e"), KINDS, context=QUICK) == Result()
 
 
 def test_rows_and_columns_have_cores_of_their_own(seed: int) -> None:
     rng = np.random.default_rng(seed)
     result = session(rng) + target(rng, "v", half=0.15, angle=88.0)
-    found = joint(result, {**KINDS, "v": "edge"}, context=QUICK)
+    found = fit_joint_mtf(result, {**KINDS, "v": "edge"}, context=QUICK)
     across, down = (found.find("mtf50", orientation_deg=angle)[0] for angle in (0.0, 90.0))
     assert found.evidence["joint MTF"]["probability"] > 1e-3
     assert down.value < 0.8 * across.value
@@ -137,16 +137,18 @@ def test_a_video_s_bandwidth_that_is_not_the_described_one_is_found(bandwidth_mh
         curve, fine = (
             mtf(at, drawn[:, :1], drawn[:, 1:]) * filtered(at, bandwidth_mhz) for at in (REPORTED, FINE)
         )  # fmt: skip
-        level = from_draws("mtf50", "cy/px", falls_to(FINE, fine, 0.5), method="fake", stack=label, orientation_deg=0.0)
+        level = measurement_from_draws(
+            "mtf50", "cy/px", crossing_frequency(FINE, fine, 0.5), method="fake", stack=label, orientation_deg=0.0
+        )
         narrow = level.with_(region=(0, 0, 60, 40))
         return Result(measurements=(narrow,), curves={f"mtf:{label}": curve_of(REPORTED, curve)})
 
     told_of = seen("e1") + seen("e2")
-    truth = falls_to(FINE, (mtf(FINE, *form) * filtered(FINE, bandwidth_mhz))[None], 0.1)[0]
+    truth = crossing_frequency(FINE, (mtf(FINE, *form) * filtered(FINE, bandwidth_mhz))[None], 0.1)[0]
 
     def standard_errors_off(of: Sensor) -> float:
         context = Context(seed=1, quick=True, sensor=of)
-        found = joint(told_of, {"e1": "edge", "e2": "edge"}, context=context).find("mtf10")[0]
+        found = fit_joint_mtf(told_of, {"e1": "edge", "e2": "edge"}, context=context).find("mtf10")[0]
         low, high = found.interval68
         return abs(found.value - truth) / (0.5 * (high - low))
 
@@ -159,7 +161,7 @@ def test_an_edge_along_rows_counts_row_pitches_and_a_point_column_pitches(seed: 
     context = Context(seed=1, quick=True, sensor=load_sensor("pulnix-ag5745ef3"))
     edge = target(rng, "e", half=0.22 * context.pitch_ratio, angle=90.0)
     point = target(rng, "p", name="mtf_vertical")
-    sound, _ = told(edge + point, KINDS, context)
+    sound, _ = constraints_from(edge + point, KINDS, context)
     along_rows, vertical = sound
     assert along_rows.frequency[0] * context.pitch_ratio == pytest.approx(vertical.frequency[0], rel=1e-12)
     assert np.allclose(vertical.angle_rad, np.pi / 2)
@@ -186,13 +188,13 @@ def test_the_noise_of_flats_bounds_the_whole_mtf_from_above(seed: int) -> None:
 
 def test_draws_are_those_of_the_posterior(seed: int) -> None:
     """Mean and spread of MTF50 agree with a sum over a grid of both parameters of the form that explains most."""
-    posterior = joint(session(np.random.default_rng(seed)), KINDS, context=QUICK).find("mtf50")[0].posterior
-    sound, _ = told(session(np.random.default_rng(seed)), KINDS, QUICK)
-    form = JointForm(core="exponential", blurred=False, wide=None, elliptical=False, known=Known())
+    posterior = fit_joint_mtf(session(np.random.default_rng(seed)), KINDS, context=QUICK).find("mtf50")[0].posterior
+    sound, _ = constraints_from(session(np.random.default_rng(seed)), KINDS, QUICK)
+    form = JointBlurModel(core="exponential", blurred=False, wide=None, elliptical=False, known=KnownCameraTransfer())
     if posterior.names != tuple(form.parameters):
         pytest.skip("another form explains this session better")
     grid = np.stack(np.meshgrid(np.linspace(-1.75, -1.25, 300), np.linspace(1.0, 2.0, 300)), axis=-1).reshape(-1, 2)
-    density = Problem(form=form, told=sound).log_probability(grid)
+    density = JointLikelihood(form=form, told=sound).log_probability(grid)
     weight = np.exp(density - density.max())
     mean = weight @ grid / weight.sum()
     sd = np.sqrt(weight @ (grid - mean) ** 2 / weight.sum())
@@ -222,7 +224,7 @@ def test_an_mtf_that_changes_over_the_field_is_told_from_one_that_does_not(seed:
     name = "MTF50 over the field and settings"
 
     def table(slope: float) -> dict:
-        return constancy(*edges(rng, slope), context=QUICK).evidence[name]
+        return mtf_uniformity(*edges(rng, slope), context=QUICK).evidence[name]
 
     kept = sum(table(0.0)["constant_at_5_percent"] for _ in range(60))
     assert abs(kept - 57) < 4 * np.sqrt(60 * 0.95 * 0.05)
@@ -241,7 +243,7 @@ def test_the_curve_through_the_bars_is_taken_for_no_further_target(seed: int) ->
     read = Result(measurements=tuple(
         replace(m, method="bars-forward" if m.stack in BARS else m.method) for m in plain.measurements
     ), curves=plain.curves)  # fmt: skip
-    own = of_session(read, KINDS, context=QUICK)
+    own = session_curves(read, KINDS, context=QUICK)
     assert [m.method for m in own.measurements] == ["bars-joint"]
     assert set(own.curves) == {"mtf_bars"}
     assert own.find("mtf50")[0].stack is None
@@ -252,13 +254,13 @@ def test_the_curve_through_the_bars_is_taken_for_no_further_target(seed: int) ->
 
     def said(result: Result) -> str:
         told_of = (
-            joint(result, KINDS, context=QUICK).evidence,
-            agreement(result, KINDS).evidence,
-            constancy(result, KINDS, conditions, context=QUICK).evidence,
-            [(one.name, one.value.tolist()) for one in transfers(held, sensor, result)],
+            fit_joint_mtf(result, KINDS, context=QUICK).evidence,
+            mtf_consistency(result, KINDS).evidence,
+            mtf_uniformity(result, KINDS, conditions, context=QUICK).evidence,
+            [(one.name, one.value.tolist()) for one in mtf_observations(held, sensor, result)],
         )
         return json.dumps(told_of)
 
-    with_it = read + own + joint(read, KINDS, context=QUICK)
-    assert said(with_it) == said(read + joint(read, KINDS, context=QUICK))
+    with_it = read + own + fit_joint_mtf(read, KINDS, context=QUICK)
+    assert said(with_it) == said(read + fit_joint_mtf(read, KINDS, context=QUICK))
     assert len(json.loads(said(read))[3]) == 5

@@ -1,0 +1,238 @@
+"""The edge of a lit area: where it runs, and the brightness across it as the mean of strips along it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# Farthest strip on the dark side and on the lit one, px.
+DARK_PX, LIT_PX = 90, 70
+# Rows along the edge that must agree on a straight line, and by how much they may be off it, px.
+LEAST_ROWS, OFF_LINE_PX = 24, 1.0
+# Share of an edge left out at an end that lies in the frame: the halo there has less than half a plane to come from.
+ENDS = 0.25
+# Parts of the edge whose scatter gives the standard error of a strip, and strips apart that share noise.
+PARTS, LAGS = 12, 6
+# Share of full scale over dark from which on a strip counts as cut, and share of the highest code for a single pixel.
+LINEAR_SHARE, PIXEL_SHARE = 0.75, 0.95
+
+
+@dataclass(frozen=True, kw_only=True)
+class LitEdgeLine:
+    """A straight edge: column `at` + `slope` * row of the frame, or of the transposed frame for an edge along a row.
+
+    Parameters
+    ----------
+    upright
+        Whether the edge runs along columns.
+    side
+        1 where the dark side has the higher column, else -1.
+    at, slope
+        Column at row 0, and columns per row.
+    first, last
+        First and last row, ends left out where they lie in the frame.
+    room_px
+        Distance of the border behind the dark side, column pitches.
+    ends_px
+        How much of the edge is left out at the nearer end that lies in the frame, column pitches; inf: none does.
+    width_px
+        Distance of the opposite edge, column pitches; inf where it is not in the frame.
+    """
+
+    upright: bool
+    side: int
+    at: float
+    slope: float
+    first: int
+    last: int
+    room_px: float
+    ends_px: float
+    width_px: float
+
+    def distance(self, shape: tuple[int, int], pitch_ratio: float) -> Array:
+        """Distance of every pixel from the edge, positive on the dark side, column pitches, shape (row, col)."""
+        rows, cols = np.indices(shape if self.upright else shape[::-1], float)
+        across, along = (1.0, pitch_ratio) if self.upright else (pitch_ratio, 1.0)
+        slope = self.slope * across / along
+        out = self.side * across * (cols - self.at - self.slope * rows) / np.hypot(1.0, slope)
+        return out if self.upright else out.T
+
+
+@dataclass(frozen=True, kw_only=True)
+class Strips:
+    """Brightness across an edge.
+
+    Parameters
+    ----------
+    label
+        Its stack.
+    distance_px
+        Mean distance of each strip from the line, positive on the dark side, column pitches, shape (strip,).
+    mean_dn, sd_dn
+        Mean and its standard error, shape (strip,), DN.
+    correlation
+        Correlation of strips 1, 2, ... apart, shape (lag,).
+    used
+        Strips that are not cut by the highest code, shape (strip,).
+    cut
+        Whether the lit side reaches the highest code.
+    least_light_dn
+        Light that the lit side has at least, DN over dark: the highest code where it is cut, else nothing.
+    """
+
+    label: str
+    distance_px: Array
+    mean_dn: Array
+    sd_dn: Array
+    correlation: Array
+    used: NDArray[np.bool_]
+    cut: bool
+    least_light_dn: float = 0.0
+
+    def covariance(self) -> Array:
+        """Covariance of the used strips, shape (used, used), DN^2."""
+        place = np.flatnonzero(self.used)
+        padded = np.concatenate([[1.0], self.correlation, np.zeros(len(self.used))])
+        values, vectors = np.linalg.eigh(padded[np.abs(np.subtract.outer(place, place))])
+        lifted = (vectors * np.maximum(values, 0.05)) @ vectors.T
+        sd = self.sd_dn[self.used]
+        return lifted * np.outer(sd, sd)
+
+
+def edge_line(image: NDArray, level_dn: float, pitch_ratio: float) -> LitEdgeLine | str:
+    """Return the straight edge of the lit area that has most room beside it, or why there is none.
+
+    Parameters
+    ----------
+    image
+        Mean frame, shape (row, col), DN.
+    level_dn
+        Level that the edge crosses, DN.
+    pitch_ratio
+        Row pitch over column pitch.
+    """
+    from scipy import ndimage
+
+    labels = np.asarray(ndimage.label(image >= level_dn)[0])  # pyright: ignore[reportIndexIssue]
+    if not labels.any():
+        return "nothing in the frame is lit"
+    lit = labels == np.bincount(labels[labels > 0]).argmax()
+    found = [
+        _side(frame, mask, level_dn, upright=upright, side=side, pitch_ratio=pitch_ratio)
+        for upright, frame, mask in ((True, image, lit), (False, image.T, lit.T))
+        for side in (1, -1)
+    ]
+    straight = [line for line in found if line is not None]
+    if not straight:
+        return f"the lit area has no straight edge of {LEAST_ROWS} px or more"
+    return max(straight, key=lambda line: min(line.room_px, line.ends_px, 1.0 * (line.last - line.first)))
+
+
+def _side(image: NDArray, lit: NDArray[np.bool_], level: float, *, upright: bool, side: int, pitch_ratio: float
+          ) -> LitEdgeLine | None:  # fmt: skip
+    """The edge on one side of a lit area, whose rows cross the level there."""
+    crossing, opposite = _crossings(image, lit, level, side), _crossings(image, lit, level, -side)
+    rows = np.flatnonzero(np.isfinite(crossing))
+    if len(rows) < LEAST_ROWS:
+        return None
+    slope, at = _line(rows.astype(float), crossing[rows])
+    good = rows[np.abs(crossing[rows] - at - slope * rows) < OFF_LINE_PX]
+    if len(good) < max(LEAST_ROWS, 0.6 * len(rows)):
+        return None
+    slope, at = np.polyfit(good.astype(float), crossing[good], 1)
+    across, along = (1.0, pitch_ratio) if upright else (pitch_ratio, 1.0)
+    height, width = image.shape
+    inside = [good[0] > 2, good[-1] < height - 3]
+    left_out = int(ENDS * (good[-1] - good[0]))
+    first, last = good[0] + inside[0] * left_out, good[-1] - inside[1] * left_out
+    places = at + slope * np.array([first, last])
+    room = float((width - 1 - places.max()) if side > 0 else places.min())
+    wide = side * (crossing[good] - opposite[good])
+    cosine = 1.0 / np.hypot(1.0, slope * across / along)
+    return LitEdgeLine(
+        upright=upright,
+        side=side,
+        at=float(at),
+        slope=float(slope),
+        first=int(first),
+        last=int(last),
+        room_px=room * across * cosine,
+        ends_px=left_out * along if any(inside) else float("inf"),
+        width_px=float(np.median(wide)) * across * cosine if np.isfinite(wide).mean() > 0.5 else float("inf"),
+    )
+
+
+def _crossings(image: NDArray, lit: NDArray[np.bool_], level: float, side: int) -> Array:
+    """Column at which each row leaves the lit area on one side, NaN where it does not inside the frame."""
+    values, mask = (image, lit) if side > 0 else (image[:, ::-1], lit[:, ::-1])
+    width = values.shape[1]
+    last = width - 1 - np.argmax(mask[:, ::-1], axis=1)
+    ok = mask.any(axis=1) & (last < width - 3)
+    at = np.where(ok, last, 0)
+    rows = np.arange(len(at))
+    inner, outer = values[rows, at].astype(float), values[rows, np.minimum(at + 1, width - 1)].astype(float)
+    out = np.where(ok, at + (inner - level) / np.maximum(inner - outer, 1e-9), np.nan)
+    return out if side > 0 else width - 1 - out
+
+
+def _line(x: Array, y: Array) -> tuple[float, float]:
+    """Slope and intercept from medians: of all pairs half the data apart."""
+    half = len(x) // 2
+    slope = float(np.median((y[half:] - y[: len(y) - half]) / (x[half:] - x[: len(x) - half])))
+    return slope, float(np.median(y - slope * x))
+
+
+def strips_of(
+    image: NDArray, line: LitEdgeLine, *, label: str, dark_dn: float, full_dn: float, pitch_ratio: float
+) -> Strips:
+    """Average a frame over strips one column pitch wide along an edge.
+
+    Standard errors come from the scatter of parts of the edge, so that noise shared by neighbours is in them.
+    """
+    distance = line.distance((image.shape[0], image.shape[1]), pitch_ratio)
+    along = np.indices(image.shape)[0 if line.upright else 1]
+    lit = min(LIT_PX, 0.5 * line.width_px)
+    inside = (along >= line.first) & (along <= line.last) & (distance > -lit) & (distance < min(DARK_PX, line.room_px))
+    strip = np.floor(distance[inside]).astype(int)
+    strip, first = strip - strip.min(), int(strip.min())
+    part = np.minimum((along[inside] - line.first) * PARTS // (line.last - line.first + 1), PARTS - 1)
+    value, place = image[inside].astype(float), distance[inside]
+    count = strip.max() + 1
+    cell = strip * PARTS + part
+    cells = np.bincount(cell, minlength=count * PARTS).reshape(count, PARTS)
+    sums = np.bincount(cell, value, minlength=count * PARTS).reshape(count, PARTS)
+    whole = cells.min(axis=1) >= 1
+    first += int(np.argmax(whole))
+    span = slice(int(np.argmax(whole)), count - int(np.argmax(whole[::-1])))
+    cells, sums = np.maximum(cells[span], 1), sums[span]
+    total = cells.sum(axis=1)
+    mean = sums.sum(axis=1) / total
+    where = np.bincount(strip, place, minlength=count)[span] / total
+    rest = sums / cells - mean[:, None]
+    variance = (rest**2).sum(axis=1) / (PARTS - 1) / PARTS
+    top = np.zeros(count)
+    np.maximum.at(top, strip, value)
+    over = (mean > dark_dn + LINEAR_SHARE * (full_dn - dark_dn)) | (top[span] > PIXEL_SHARE * full_dn)
+    used = np.ones(len(mean), bool)
+    if over.any():
+        used[: int(np.flatnonzero(over)[-1]) + 1] = False
+    return Strips(label=label, distance_px=where, mean_dn=mean, sd_dn=np.maximum(np.sqrt(_geometric_mean(variance)), 1e-3),
+                  correlation=_correlation(rest, where), used=used, cut=bool(over.any()),
+                  least_light_dn=full_dn - dark_dn if over.any() else 0.0)  # fmt: skip
+
+
+def _geometric_mean(variance: Array) -> Array:
+    """Geometric mean over five strips, for parts are few."""
+    padded = np.pad(np.log(np.maximum(variance, 1e-8)), 2, mode="edge")
+    return np.exp(np.convolve(padded, np.full(5, 0.2), mode="valid") + 0.08)
+
+
+def _correlation(rest: Array, distance: Array) -> Array:
+    """Correlation of the parts' residuals between strips on the dark side."""
+    outer = rest[distance > 4.0]
+    outer = outer / np.maximum(np.sqrt((outer**2).mean(axis=1, keepdims=True)), 1e-12)
+    if len(outer) <= LAGS + 4:
+        return np.zeros(LAGS)
+    return np.array([float(np.clip((outer[lag:] * outer[:-lag]).mean(), 0.0, 0.95)) for lag in range(1, LAGS + 1)])

@@ -1,0 +1,167 @@
+"""Extents read from the frames beside those of the fitted light: two ways to one number that must agree.
+
+Where they do, their mean is told: the frame's contour knows nothing of forms, the fitted light sees all levels and both
+sides of a border that codes cut.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.bloom.extent import Extent
+from charact.bloom.point_stack import HALF_STEP_DN, PointStack
+from charact.bloom.series.model_selection import FittedHaloModel
+from labdata.measurement import Measurement
+
+Array = NDArray[np.float64]
+
+MISFIT = ("model-misfit",)
+# What the two may differ by: px or a share, whichever is more, and the light that the fitted one may be off by.
+WITHIN_PX, WITHIN_SHARE, LIGHT_SHARE = 1.0, 0.05, 0.03
+# Levels that the fitted light tells, and those whose extents it may contradict.
+LEVELS: dict[str, Callable[[PointStack], float]] = {
+    "bloom_diameter": lambda spot: spot.half_dn,
+    "bloom_diameter_clip": lambda spot: spot.full_scale_dn - HALF_STEP_DN,
+    "bloom_diameter_background": lambda spot: spot.dark_dn + 2.0 * spot.light.level_dn,
+}
+READ: dict[str, Callable[[PointStack], Extent | None]] = {
+    "bloom_diameter": lambda spot: spot.half,
+    "bloom_diameter_clip": lambda spot: spot.clip,
+    "bloom_diameter_background": lambda spot: spot.background,
+}
+CONTRADICTED = ("bloom_diameter", "bloom_diameter_clip")
+# The extents by which both are compared over all levels.
+JUDGED = "bloom_diameter"
+# Times the contour's own error that the mean of both keeps, by the quantity where the contour is long, and where it is
+# short, up to about a diameter in px: what some hundred series in closed form show, of 4 to 16 frames. A contour of few
+# pixels is told by the same few to both. What the highest code hides from one next to it the fitted light knows.
+LONG = {"bloom_diameter": 0.44, "bloom_diameter_clip": 0.5, "bloom_diameter_background": 0.6}
+SHORT, SHORT_PX = {"bloom_diameter": 1.1, "bloom_diameter_clip": 1.5, "bloom_diameter_background": 1.5}, 6.0
+# Where the light falls slowly both err alike: what the mean keeps besides of a contour much less sure than this, px.
+SLOW, SLOW_PX = {"bloom_diameter": 0.35}, 0.06
+# Few frames tell their own noise badly: by so much over their number the mean keeps more.
+FEW = {"bloom_diameter": 3.0}
+# Share of the difference between both that is charged, as a standard error: to their mean, which thereby holds them
+# both at 95 %, and to a contour that stays alone.
+CHARGED_MEAN, CHARGED_ALONE = 0.3, 0.4
+# What the diameter of a fitted form is off by at its best, px.
+FORM_PX = 0.004
+# Chance below which the two differ over all levels by more than noise: another source, or a form that none of ours is.
+# What they differ by without either, px, is that of the best forms.
+CHANCE, APART_PX = 1e-4, 0.02
+
+
+def compare_extents(
+    best: FittedHaloModel, group: tuple[PointStack, ...], extents: tuple[Measurement, ...]
+) -> tuple[Measurement, ...]:
+    """Return the measurements, extents brought together with the fitted light: intervals own to what they differ by.
+
+    Parameters
+    ----------
+    best
+        The form fitted to the stacks.
+    group
+        The stacks, in the order of the series' levels.
+    extents
+        Measurements of the stacks, streaks among them.
+
+    Notes
+    -----
+    A streak belongs to the frame alone: the extent that it pulls stays as read, and is flagged where the streak may
+    have joined it to a rim which the round light leaves apart. So is one that the fitted light contradicts, and so are
+    all whose differences from it over the levels are more than noise makes.
+    """
+    problem = best.problem
+    light = problem.light_at(best.peak.point[None])[..., 0]
+    streaked = {one.stack for one in extents if one.quantity == "streak_level" and one.status != "refused"}
+    spots = {spot.label: spot for spot in group}
+    out, apart = [], []
+    for one in extents:
+        if one.quantity in LEVELS and one.interval95 is not None and one.stack in spots:
+            spot = spots[one.stack]
+            curve, level = light[problem.series.labels.index(spot.label)], LEVELS[one.quantity](spot)
+            joined = spot.label in streaked and _stands_apart(curve, level)
+            off = joined or _is_off(problem.series.node_px, curve, level, one.interval95)
+            read = READ[one.quantity](spot)
+            alone = off or read is None or read.pulled or read.contour is None
+            diameter = _diameter(problem.series.node_px, curve, level)
+            if one.quantity == JUDGED and not alone and np.isfinite(diameter):
+                apart.append((cast(float, one.value) - diameter) / np.hypot(_sd(one), APART_PX))
+            one = _combine_diameters(one, diameter, alone=alone, frames=spot.frames)
+            one = one.with_(flags=MISFIT) if off and one.quantity in CONTRADICTED else one
+        out.append(one)
+    differ = _differ(apart)
+    return tuple(
+        one.with_(flags=MISFIT) if differ and one.quantity == JUDGED and one.status != "refused" else one for one in out
+    )
+
+
+def _differ(apart: list[float]) -> bool:
+    """Whether differences between contours and light, in standard errors, are more than noise makes."""
+    from scipy.stats import chi2
+
+    return bool(chi2.sf(np.sum(np.square(apart)), max(len(apart), 1)) < CHANCE)
+
+
+def _sd(extent: Measurement) -> float:
+    """Standard error of an extent, px."""
+    low, high = cast(tuple[float, float], extent.interval95)
+    return (high - low) / 3.92
+
+
+def _combine_diameters(extent: Measurement, diameter_px: float, *, alone: bool, frames: int) -> Measurement:
+    """The mean of an extent and the fitted light's, or the extent alone; what they differ by is in the intervals."""
+    value, low68, low95 = extent.value, extent.interval68, extent.interval95
+    if value is None or low68 is None or low95 is None or not np.isfinite(diameter_px):
+        return extent
+    mean = value if alone else 0.5 * (value + diameter_px)
+    kept, charged = (1.0, CHARGED_ALONE) if alone else (_error_factor(extent, mean, frames), CHARGED_MEAN)
+    sd = float(np.hypot(charged * (value - diameter_px), 0.0 if alone else FORM_PX))
+    wide = [
+        (
+            mean - float(np.hypot(kept * (value - low), times * sd)),
+            mean + float(np.hypot(kept * (high - value), times * sd)),
+        )
+        for (low, high), times in ((low68, 1.0), (low95, 1.96))
+    ]
+    return replace(extent, value=mean, interval68=wide[0], interval95=wide[1])
+
+
+def _error_factor(extent: Measurement, diameter_px: float, frames: int) -> float:
+    """Times a contour's own error that its mean with the fitted light keeps."""
+    name = extent.quantity
+    long = LONG[name] + SLOW.get(name, 0.0) / (1.0 + (SLOW_PX / max(_sd(extent), 1e-9)) ** 2)
+    kept = long + (SHORT[name] - long) / (1.0 + (diameter_px / SHORT_PX) ** 4)
+    return kept * (1.0 + FEW.get(name, 0.0) / frames)
+
+
+def _is_off(node_px: Array, light_dn: Array, level_dn: float, interval: tuple[float, float]) -> bool:
+    """Whether no light near the fitted one falls through a level inside an interval, allowances made."""
+    floor = float(light_dn[-1])
+    near = [floor + (light_dn - floor) * (1.0 + off) for off in (-LIGHT_SHARE, LIGHT_SHARE)]
+    found = [_diameter(node_px, one, level_dn) for one in near]
+    if not np.isfinite(found).all():
+        return False
+    allowed = max(WITHIN_PX, WITHIN_SHARE * max(found))
+    return interval[1] < min(found) - allowed or interval[0] > max(found) + allowed
+
+
+def _diameter(node_px: Array, light_dn: Array, level_dn: float) -> float:
+    """Where light first falls through a level, twice; NaN where it does not within the rings."""
+    below = np.flatnonzero(light_dn < level_dn)
+    if not len(below):
+        return float("nan")
+    if below[0] == 0:
+        return 0.0
+    one = int(below[0])
+    share = (light_dn[one - 1] - level_dn) / (light_dn[one - 1] - light_dn[one])
+    return 2.0 * float(node_px[one - 1] + share * (node_px[one] - node_px[one - 1]))
+
+
+def _stands_apart(light_dn: Array, level_dn: float) -> bool:
+    """Whether light that has fallen through a level comes back to it farther out."""
+    below = np.flatnonzero(light_dn < level_dn)
+    return bool(len(below)) and bool((light_dn[below[0] :] >= level_dn).any())

@@ -1,0 +1,127 @@
+"""A picture of one's own as light on the cathode: read, checked, scaled to photoelectrons and centred on the frame."""
+
+import math
+import zipfile
+import zlib
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labdata.errors import BadInput
+from labdata.importers.decompression_limit import require_room
+from labdata.regular_file import require_regular
+
+if TYPE_CHECKING:
+    from simulate.radiance.cube import RadianceCube
+
+
+def photoelectrons_of(
+    path: Path, *, photoelectrons_per_dn: float | None, black_dn: float, shape: tuple[int, int]
+) -> tuple[NDArray[np.float32], tuple[str, ...]]:
+    """Read the first frame of a picture as mean photoelectrons on a frame of a camera.
+
+    Parameters
+    ----------
+    path
+        Any file that `labdata.importers` reads.
+    photoelectrons_per_dn
+        Mean photoelectrons at the cathode per pixel as read and exposure, for each DN of the picture above black.
+    black_dn
+        Level of the picture that stands for no light, DN.
+    shape
+        Rows and columns of the camera's frame; the picture is centred, cropped or surrounded by darkness.
+
+    Returns
+    -------
+    image, notes
+        Photoelectrons, shape `shape`, and what a reader of the session should know of how they came about.
+
+    Raises
+    ------
+    BadInput
+        If the file cannot be read, a pixel is negative or not finite, or the scale is missing or not positive.
+    """
+    from labdata.importers import read_frames
+
+    scale = _scale(photoelectrons_per_dn)
+    if not math.isfinite(black_dn):
+        raise BadInput(f"--black-dn must be a number, got {black_dn:g}")
+    stack = read_frames(path)
+    picture = stack.data[0].astype(np.float64)
+    if picture.min() < 0.0:
+        raise BadInput(f"a picture must have no negative pixel, got {picture.min():g} in {path.name}")
+    above = picture - black_dn
+    below = int(np.count_nonzero(above < 0.0))
+    placed, how = centre_on_frame(np.maximum(above, 0.0) * scale, shape)
+    notes = [f"{path.name}: {scale:g} photoelectrons per DN above {black_dn:g} DN, per pixel and exposure", *how]
+    notes += [f"the first of {len(stack)} frames of {path.name}"] if len(stack) > 1 else []
+    notes += [f"{below} pixels below {black_dn:g} DN count as dark"] if below else []
+    return placed.astype(np.float32), (*notes, *stack.notes)
+
+
+def _scale(photoelectrons_per_dn: float | None) -> float:
+    if photoelectrons_per_dn is None:
+        raise BadInput(
+            "a picture needs --photoelectrons-per-dn, mean photoelectrons per pixel and exposure for each DN, got none"
+        )
+    if not (math.isfinite(photoelectrons_per_dn) and photoelectrons_per_dn > 0.0):
+        raise BadInput(f"--photoelectrons-per-dn must be positive, got {photoelectrons_per_dn:g}")
+    return photoelectrons_per_dn
+
+
+def centre_on_frame(
+    picture: NDArray[np.floating], shape: tuple[int, int]
+) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+    """Return a picture centred on a frame, cropped or surrounded by zeros, and what was done in words."""
+    frame = np.zeros(shape)
+    there, here = zip(*(_overlap(size, room) for size, room in zip(picture.shape, shape, strict=True)), strict=True)
+    frame[there] = picture[here]
+    done = [
+        *(["cropped"] if any(size > room for size, room in zip(picture.shape, shape, strict=True)) else []),
+        *(
+            ["surrounded by darkness"]
+            if any(size < room for size, room in zip(picture.shape, shape, strict=True))
+            else []
+        ),
+    ]
+    if not done:
+        return frame, ()
+    rows, cols = picture.shape
+    return frame, (
+        f"the picture of {rows} x {cols} pixels stands centred on the {shape[0]} x {shape[1]} of the frame, "
+        f"{' and '.join(done)}",
+    )
+
+
+def _overlap(size: int, room: int) -> tuple[slice, slice]:
+    """Return where so many pixels, centred, fall on a side of the frame, and which of them do."""
+    shift, kept = (room - size) // 2, min(size, room)
+    start = max(shift, 0)
+    first = max(-shift, 0)
+    return slice(start, start + kept), slice(first, first + kept)
+
+
+def cube_of(path: Path) -> "RadianceCube":
+    """Read a radiance cube, an .npz of `wavelength_nm` (band,) and `radiance` (band, row, col), W m-2 sr-1 nm-1."""
+    from simulate.radiance.cube import RadianceCube
+
+    require_regular(path, "a radiance cube")
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as packed:
+            unpacked_bytes = sum(part.file_size for part in packed.zip.infolist())
+            require_room(path, pixels=unpacked_bytes // 8, pixel_bytes=8)
+            missing = sorted({"wavelength_nm", "radiance"} - set(packed.files))
+            arrays = {} if missing else {name: packed[name] for name in ("wavelength_nm", "radiance")}
+    except BadInput:
+        raise
+    except (ValueError, TypeError, AttributeError, EOFError, MemoryError, zlib.error, zipfile.BadZipFile):
+        raise BadInput(f"a radiance cube must be a whole .npz file, got {path.name}") from None
+    if missing:
+        raise BadInput(f"a radiance cube must hold wavelength_nm and radiance, got no {' and no '.join(missing)}")
+    if any(array.dtype.kind not in "uif" for array in arrays.values()):
+        raise BadInput(f"wavelength_nm and radiance must be numbers, got {[str(a.dtype) for a in arrays.values()]}")
+    if not all(np.isfinite(array).all() for array in arrays.values()) or arrays["radiance"].min(initial=0.0) < 0.0:
+        raise BadInput(f"radiance must be finite and nowhere negative, got another value in {path.name}")
+    return RadianceCube(**arrays)

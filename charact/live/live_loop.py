@@ -1,0 +1,131 @@
+"""The bench at work: frames are taken in as they come, measured, and put where onlookers find them."""
+
+import threading
+import time
+from dataclasses import replace
+from types import TracebackType
+from typing import Self
+
+from numpy.typing import NDArray
+
+from charact.live.focus import BestFocus
+from charact.live.focus_reader import FocusReader
+from charact.live.frame_rate import FrameRate
+from charact.live.frame_source import FrameSource, SourceFrame
+from charact.live.frame_statistics import measure_frame
+from charact.live.latest_view import LatestView
+from charact.live.live_view import LiveView
+from charact.live.preview_image import render_preview
+from charact.mtf.region import Region
+from drivers.errors import BenchError
+from labdata.errors import BadInput
+
+# More often nobody sees a difference; frames in between are taken off the camera and left unmeasured.
+LEAST_PERIOD_S = 1.0 / 30.0
+LEAVE_S = 20.0
+
+
+class LiveLoop:
+    """A source's frames measured in a thread of their own, within a `with` block.
+
+    Parameters
+    ----------
+    source
+        Where frames come from.
+    focus
+        Reads the focus; None: it is not read.
+    region
+        ROW, COL, HEIGHT, WIDTH of mean and noise; None: the whole frame.
+    """
+
+    def __init__(self, source: FrameSource, *, focus: FocusReader | None = None, region: Region | None = None) -> None:
+        self._source, self._focus, self._region = source, focus, region
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="bench", daemon=True)
+        self._rate, self._before = FrameRate(), _PreviousFrame()
+        self._number, self._due_s = 0, 0.0
+        self.newest = LatestView()
+        """The newest view."""
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stop.set()
+        self._thread.join(LEAVE_S)
+
+    @property
+    def source(self) -> FrameSource:
+        """Where frames come from."""
+        return self._source
+
+    def forget_best(self) -> None:
+        """Forget the best focus held."""
+        if self._focus is not None:
+            self._focus.forget_best()
+
+    def _run(self) -> None:
+        try:
+            for seen in self._source:
+                if self._stop.is_set():
+                    self.newest.end("it was closed")
+                    return
+                if seen is not None:
+                    self._take_in(seen)
+                else:
+                    self._renew_focus()
+            self.newest.end(f"{self._source.name} has no more frames")
+        except (BadInput, BenchError, OSError) as error:
+            self.newest.end(str(error))
+        except BaseException as error:
+            self.newest.end(f"the program failed: {error!r}")
+            raise
+
+    def _take_in(self, seen: SourceFrame) -> None:
+        rate_hz = self._rate.after(seen.frame)
+        before = self._before.exchange(seen)
+        now_s = time.monotonic()
+        if now_s < self._due_s:
+            return
+        self._due_s = max(self._due_s + LEAST_PERIOD_S, now_s)
+        pixels = seen.frame.pixels
+        if self._focus is not None:
+            self._focus.look_at(pixels)
+        meters = measure_frame(pixels, before, full_scale_dn=seen.full_scale_dn, region=self._region)
+        self._number += 1
+        self.newest.put(
+            LiveView(
+                number=self._number,
+                seen=seen,
+                meters=meters,
+                picture=render_preview(pixels, meters, full_scale_dn=seen.full_scale_dn),
+                frame_rate_hz=rate_hz,
+                focus=self._focus.newest if self._focus else None,
+                best=self._focus.best if self._focus else BestFocus(),
+                region=self._region,
+            )
+        )
+
+    def _renew_focus(self) -> None:
+        """Show a reading of the focus that came after its frame."""
+        view = self.newest.view
+        if view is not None and self._focus is not None and self._focus.take_up():
+            self._number += 1
+            self.newest.put(replace(view, number=self._number, focus=self._focus.newest, best=self._focus.best))
+
+
+class _PreviousFrame:
+    """The frame before, as long as it is of the same thing."""
+
+    def __init__(self) -> None:
+        self._seen: SourceFrame | None = None
+
+    def exchange(self, seen: SourceFrame) -> NDArray | None:
+        """Return the pixels of the frame before this one, None where they show something else."""
+        before, self._seen = self._seen, seen
+        if before is None or before.of != seen.of or before.frame.pixels.shape != seen.frame.pixels.shape:
+            return None
+        return before.frame.pixels

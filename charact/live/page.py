@@ -1,0 +1,103 @@
+"""The page of the bench: three files of our own, and the views as a stream of events."""
+
+import asyncio
+import json
+from collections.abc import AsyncIterator
+from importlib import resources
+
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import JSONResponse, PlainTextResponse, Response, StreamingResponse
+from starlette.routing import Route
+
+from charact.live.live_loop import LiveLoop
+
+LOOK_S = 0.005
+ALIVE_S = 1.0
+FILES = {
+    "/": ("live.html", "text/html"),
+    "/live.js": ("live.js", "text/javascript"),
+    "/live.css": ("live.css", "text/css"),
+}
+
+
+def page(running: LiveLoop, *, title: str, focus_first: bool = False) -> Starlette:
+    """Return the application; put it behind a `charact.live.guard.PageAccess`.
+
+    Parameters
+    ----------
+    running
+        The bench at work.
+    title
+        What the page says it shows.
+    focus_first
+        Whether the focus is the large meter.
+
+    Notes
+    -----
+    No route reaches an instrument: the page can look, and forget the best focus held.
+    """
+    about = {"title": title, "source": running.source.name, "focus_first": focus_first}
+
+    async def events(request: Request) -> Response:
+        return StreamingResponse(_events(running, about), media_type="text/event-stream")
+
+    async def view(request: Request) -> Response:
+        newest = running.newest.view
+        if newest is None:
+            return JSONResponse({"waiting": running.newest.end_reason or "no frame yet"}, status_code=503)
+        return JSONResponse({**about, **newest.as_json()})
+
+    async def picture(request: Request) -> Response:
+        newest = running.newest.view
+        if newest is None:
+            return PlainTextResponse("no frame yet", status_code=503)
+        return Response(newest.picture.jpeg, media_type="image/jpeg")
+
+    async def forget(request: Request) -> Response:
+        running.forget_best()
+        return PlainTextResponse("forgotten")
+
+    files = [Route(path, _file(*named)) for path, named in FILES.items()]
+    return Starlette(
+        routes=[
+            *files,
+            Route("/events", events),
+            Route("/view.json", view),
+            Route("/picture.jpg", picture),
+            Route("/best/forget", forget, methods=["POST"]),
+        ]
+    )
+
+
+def _file(name: str, media_type: str):
+    text = (resources.files("charact.live") / "pages" / name).read_text()
+
+    async def endpoint(request: Request) -> Response:
+        return Response(text, media_type=media_type)
+
+    return endpoint
+
+
+async def _events(running: LiveLoop, about: dict) -> AsyncIterator[str]:
+    """Send what the page is about, then the newest view whenever there is a newer one; a slow reader skips views."""
+    yield _event("about", about)
+    sent, silent_s = 0, 0.0
+    while True:
+        view = running.newest.view
+        if view is not None and view.number > sent:
+            sent, silent_s = view.number, 0.0
+            yield _event("view", view.as_json())
+        elif (why := running.newest.end_reason) is not None:
+            yield _event("ended", {"why": why})
+            return
+        else:
+            await asyncio.sleep(LOOK_S)
+            silent_s += LOOK_S
+            if silent_s >= ALIVE_S:
+                silent_s = 0.0
+                yield ": no frame yet\n\n"
+
+
+def _event(kind: str, data: dict) -> str:
+    return f"event: {kind}\ndata: {json.dumps(data, allow_nan=False)}\n\n"

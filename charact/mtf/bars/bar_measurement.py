@@ -1,0 +1,317 @@
+"""Bars found and measured: those through a region and whole ones fitted, those of a described camera summed."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.method import Context
+from charact.mtf.bars import findings
+from charact.mtf.bars.amplitudes import amplitudes_of, frame_correlation
+from charact.mtf.bars.background_level import second_harmonic, target_background
+from charact.mtf.bars.bar_count_test import likelier_bar_count
+from charact.mtf.bars.bar_image_model import BarLikelihood
+from charact.mtf.bars.bias import mtf_bias
+from charact.mtf.bars.checks import (
+    findings_of_fit,
+    findings_of_sums,
+    fundamental_in_standard_errors,
+    light_in_standard_errors,
+    not_identifiable,
+)
+from charact.mtf.bars.fit import BarFit, fit_all_models, fit_frames
+from charact.mtf.bars.forms import TUBE
+from charact.mtf.bars.nonlinearity import linearise_mtf_draws, response_findings, response_of
+from charact.mtf.bars.posterior import mtf_of, sample_fit, sample_sums
+from charact.mtf.bars.sight import target_in
+from charact.mtf.bars.target import BarTarget, core_margin_px, measure_frequency
+from charact.mtf.bars.thresholds import (
+    FITTED_PERIODS,
+    FITTED_PX,
+    FREQUENCY_TOLERANCE,
+    MIN_FREQUENCY_SIGNAL_SD,
+    MIN_LIGHT_SD,
+    MIN_MARGIN_PX,
+    MIN_SIGNAL_SD,
+    OTHER_OBJECT,
+    OTHER_OBJECT_SD,
+)
+from charact.mtf.bars.window import fitting_margin, lost_fraction, margin_px
+from charact.mtf.image_lag import image_lag_model
+from labdata.flags import Finding
+from labdata.frames import FrameStack
+from labdata.measurement import Posterior
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, kw_only=True)
+class BarMeasurement:
+    """A target measured.
+
+    Parameters
+    ----------
+    target
+        Where it lies.
+    posterior, mtf
+        Draws, and the MTF of each.
+    findings, notes
+        What to distrust, and what to know.
+    margin_px
+        How far the window reaches beyond the bars.
+    """
+
+    target: BarTarget
+    posterior: Posterior
+    mtf: Array
+    findings: tuple[Finding, ...]
+    notes: tuple[str, ...]
+    margin_px: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class BarRefusal:
+    """Why there is no number: the flag of a refusal and its sentence."""
+
+    reason: str
+    flag: str = "no-target"
+
+
+@dataclass(frozen=True, kw_only=True)
+class StatedBars:
+    """What is stated of a target, None where it is not: number of bars and cycles per column pitch."""
+
+    bars: int | None
+    frequency: float | None
+
+    def __str__(self) -> str:
+        bars = "bars" if self.bars is None else f"{self.bars} bars"
+        return bars if self.frequency is None else f"{bars} at {self.frequency:g} cy/px"
+
+    @property
+    def remedy(self) -> str:
+        """The options that are left to state."""
+        options = [name for name, value in (("--bars", self.bars), ("--frequency", self.frequency)) if value is None]
+        return " and ".join([*options, "--roi"]) + " say what to look for, and where"
+
+
+def measure_bars_in(used: FrameStack, asked: StatedBars, context: Context) -> BarMeasurement | BarRefusal:
+    """Find and measure the target of a region."""
+    mean = used.data.mean(axis=0, dtype=np.float64)
+    if asked.frequency and max(mean.shape) < (asked.bars or 2) / asked.frequency:
+        size = f"{mean.shape[0]} x {mean.shape[1]} px"
+        return BarRefusal(reason=f"no target: {asked} need a larger region than {size}")
+    seen = target_in(mean, bars=asked.bars, frequency=asked.frequency, pitch_ratio=context.pitch_ratio)
+    if seen is None:
+        return BarRefusal(reason=f"no target: nothing in the region answers to {asked}; {asked.remedy}")
+    return (_measure_strip if seen.through else _measure_complete_target)(used, mean, seen.target, asked, context)
+
+
+def _measure_strip(
+    used: FrameStack, mean: Array, target: BarTarget, asked: StatedBars, context: Context
+) -> BarMeasurement | BarRefusal:
+    """Measure bars that run through the region."""
+    turned = abs(np.sin(target.angle_rad)) > np.sqrt(0.5)
+    target = replace(target, length_px=mean.shape[1] if turned else mean.shape[0] * target.pitch_ratio)
+    problem = BarLikelihood(
+        image=mean,
+        window=np.ones(mean.shape, bool),
+        variance=np.full(mean.size, float(mean.var()) or 1.0),
+        asked=target.frequency,
+        length_px=target.length_px,
+        strip=True,
+    )
+    why = not_identifiable(target, problem.length_px)
+    if why is not None:
+        return BarRefusal(reason=why, flag="aliased")
+    fit, problem = fit_frames(used.data, problem, target, inflation=frame_correlation(used.data, problem.window))
+    if not light_in_standard_errors(fit) > MIN_LIGHT_SD:
+        return BarRefusal(reason=f"no target: the light of the bars is under {MIN_LIGHT_SD:g} standard errors")
+    margin = _margin_px(fit.target, mean.shape)
+    if not _is_in_region(fit):
+        return _refuse_other_object(target, asked)
+    return _sample_measurement(
+        used, fit, problem, context, asked, margin, findings.margin_findings(margin, MIN_MARGIN_PX)
+    )
+
+
+def _refuse_faint(standard_errors: float) -> BarRefusal:
+    return BarRefusal(
+        reason=f"no target: the fundamental stands {standard_errors:.1f} standard errors out of the noise, "
+        f"fewer than {MIN_SIGNAL_SD:g}"
+    )
+
+
+def _refuse_other_object(target: BarTarget, asked: StatedBars) -> BarRefusal:
+    wanted = StatedBars(bars=target.bars, frequency=asked.frequency or float(f"{target.frequency:.4g}"))
+    return BarRefusal(reason=f"no target: the object's spectrum is not that of {wanted}; {asked.remedy}")
+
+
+def _is_in_region(fit: BarFit) -> bool:
+    """Tell whether the fitted bars are of the sign seen, and lie in the region with their middle and some pixels."""
+    (rows, cols), here = fit.window.shape, fit.target
+    placed = 0 <= here.row < rows and 0 <= here.col < cols
+    return placed and fit["level_dn"] * here.sign > 0 and bool(_illuminated_pixels(fit).any())
+
+
+def _illuminated_pixels(fit: BarFit) -> Mask:
+    """Return the fitted pixels that the bars change, shape (pixel,)."""
+    return (fit.model_dn - fit["pedestal_dn"]) / fit["level_dn"] > 0.02
+
+
+def _margin_px(target: BarTarget, shape: tuple[int, ...]) -> float:
+    """Return how far a region reaches beyond bars that run through it, on the nearer side."""
+    across, _ = target.coordinates((shape[0], shape[1]))
+    return float(min(-across.min(), across.max()) - target.width_px / 2.0)
+
+
+def _sample_measurement(
+    used: FrameStack,
+    fit: BarFit,
+    problem: BarLikelihood,
+    context: Context,
+    asked: StatedBars,
+    margin: float,
+    given: list[Finding],
+) -> BarMeasurement:
+    """Draw the posterior of a fitted picture."""
+    own, notes = fit.target.frequency, []
+    if asked.frequency is None:
+        problem = replace(problem, asked=own)
+    elif abs(np.log(own / problem.asked)) > max(FREQUENCY_TOLERANCE, 3.0 * fit.sd("log_frequency")):
+        notes.append(f"The bars repeat at {own:.4g} cy/px, told is the MTF at {problem.asked:.4g}.")
+    if asked.bars is None:
+        kind = "bright bars on a darker" if fit.target.sign > 0 else "dark bars on a brighter"
+        notes.append(f"The picture shows {fit.target.bars} {kind} ground.")
+    forms = fit_all_models(fit, problem)
+    _, fit, problem = forms[0]
+    # Forms that describe the picture alike bend alike; a full posterior is drawn of the best.
+    bias = mtf_bias(fit, problem)
+    posterior = sample_fit(fit, problem, context, bias)
+    response = response_of(used, fit)
+    mtf = linearise_mtf_draws(
+        _average_models(forms, mtf_of(posterior, fit, context), context, bias), response, context.seed
+    )
+    notes.append(f"Normalised to the light within {margin:.0f} px of the bars.")
+    notes.append("Bars taken to be half a period wide: of bars 1 % of that wider the MTF is told 1 % too low.")
+    if context.sensor is None:
+        notes.append("Pixels taken as square.")
+    near = np.zeros(problem.window.shape, bool)
+    near[problem.window] = _illuminated_pixels(fit)
+    return BarMeasurement(
+        target=replace(fit.target, frequency=problem.asked),
+        posterior=posterior,
+        mtf=mtf,
+        findings=(
+            *given,
+            *findings_of_fit(fit),
+            *findings.bar_count_findings(likelier_bar_count(fit, problem), fit.target.bars),
+            *findings.rounding_findings(fit),
+            *response_findings(response),
+            # White is cut off where there is light, black mostly where there is none.
+            *findings.clipping_findings(used, (near, problem.window), context, fit),
+        ),
+        notes=tuple(notes),
+        margin_px=margin,
+    )
+
+
+def _average_models(
+    forms: list[tuple[float, BarFit, BarLikelihood]], drawn: Array, context: Context, bias: float
+) -> Array:
+    """Return draws over all forms, given those of the first.
+
+    Where the pixels ask for no other form than a tube's, what others would answer is doubt about its answer; where they
+    do, of each form as many draws are taken as its share.
+    """
+    (share, fit, _), others = forms[0], forms[1:]
+    if fit.shape.form is TUBE:
+        doubt = float(np.sqrt(sum(part * (one.shape.mtf - fit.shape.mtf) ** 2 for part, one, _ in others)))
+        return drawn + doubt * np.random.default_rng([context.seed, 43]).standard_normal(drawn.size)
+    quick = replace(context, quick=True)
+    parts = [(share, drawn)]
+    parts += [(part, mtf_of(sample_fit(one, its, quick, bias), one, quick)) for part, one, its in others]
+    taken = [np.linspace(0, own.size - 1, round(part * drawn.size)).astype(np.intp) for part, own in parts]
+    return np.concatenate([own[which] for (_, own), which in zip(parts, taken, strict=True)])
+
+
+def _measure_complete_target(
+    used: FrameStack, mean: Array, target: BarTarget, asked: StatedBars, context: Context
+) -> BarMeasurement | BarRefusal:
+    """Measure a target that lies whole in the region."""
+    wanted = target
+    margin, cut = fitting_margin(target, (mean.shape[0], mean.shape[1]), margin_px(context, target.frequency))
+    window = target.box(mean.shape, margin)
+    if np.count_nonzero(~window) < 50:
+        return BarRefusal(
+            reason="no target: the region ends at the bars, and their pedestal cannot be told; widen --roi"
+        )
+    ground = target_background(mean, target, margin)
+    memory = None if context.sensor is None else image_lag_model(context, len(used.data))
+    amplitudes = amplitudes_of(used.data, target, window, ground.beyond, memory)
+    told = target.frequency
+    if amplitudes.signal_to_noise > MIN_FREQUENCY_SIGNAL_SD:
+        target = replace(target, frequency=measure_frequency(mean, target, margin))
+        # The bars' own frequency is a measurement too: where it is the one stated, that is where the MTF is told.
+        near = asked.frequency is not None and abs(target.frequency / told - 1.0) < FREQUENCY_TOLERANCE
+        told = told if near else target.frequency
+        amplitudes = amplitudes_of(used.data, target, window, ground.beyond, memory)
+    if context.sensor is not None:
+        box = target.box(mean.shape, core_margin_px(wanted.frequency))
+        core = amplitudes_of(used.data, target, box, ground.beyond, memory)
+        if core.signal_to_noise < MIN_SIGNAL_SD:
+            return _refuse_faint(core.signal_to_noise)
+    if not amplitudes.light > 0 or amplitudes.zeros > OTHER_OBJECT + OTHER_OBJECT_SD / amplitudes.signal_to_noise:
+        return _refuse_other_object(target, asked)
+    # Where the alias lies so near, the bars' own frequency is not known either.
+    why = not_identifiable(wanted, wanted.length_px) or not_identifiable(target, target.length_px)
+    if why is not None:
+        return BarRefusal(reason=why, flag="aliased")
+    second = second_harmonic(mean, target, window, float(mean[ground.beyond].mean()), amplitudes)
+    given = findings_of_sums(target, amplitudes, second)
+    given += findings.crowding_findings(ground.crowded)
+    given += findings.margin_findings(margin, MIN_MARGIN_PX if cut else 0.0)
+    if context.sensor is not None:
+        box = target.box(used.shape[1:], 1.0)
+        posterior = sample_sums(amplitudes, lost_fraction(context, margin), context)
+        notes = [f"Normalised to the light within {margin:.0f} px of the bars."] if cut else []
+        return BarMeasurement(
+            target=target,
+            posterior=posterior,
+            mtf=posterior["mtf"],
+            findings=(*given, *findings.clipping_findings(used, (box,), context)),
+            notes=(*findings.sum_notes(target, wanted, amplitudes, stated=asked.frequency is not None), *notes),
+            margin_px=margin,
+        )
+    inflation = amplitudes.frame_correlation
+    return _measure_by_fit(used, mean, target, ground.beyond | window, context, asked, (told, given, margin, inflation))
+
+
+def _measure_by_fit(
+    used: FrameStack,
+    mean: Array,
+    target: BarTarget,
+    clear: Mask,
+    context: Context,
+    asked: StatedBars,
+    known: tuple[float, list[Finding], float, float],
+) -> BarMeasurement | BarRefusal:
+    """Fit the picture of a whole target to the pixels around it that hold no other light."""
+    told, given, margin, inflation = known
+    window = target.box(mean.shape, max(FITTED_PX, FITTED_PERIODS / target.frequency)) & clear
+    problem = BarLikelihood(
+        image=mean,
+        window=window,
+        variance=np.full(np.count_nonzero(window), float(mean[window].var()) or 1.0),
+        asked=told,
+        length_px=target.length_px,
+        strip=False,
+    )
+    fit, problem = fit_frames(used.data, problem, target, inflation=inflation)
+    standing = fundamental_in_standard_errors(fit)
+    if standing < MIN_SIGNAL_SD:
+        return _refuse_faint(standing)
+    if not _is_in_region(fit):
+        return _refuse_other_object(target, asked)
+    return _sample_measurement(used, fit, problem, context, asked, margin, given)

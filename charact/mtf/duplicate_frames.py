@@ -1,0 +1,42 @@
+"""Frames that a stalled grabber delivers again: they hold no noise of their own and count once."""
+
+from collections import defaultdict
+from dataclasses import replace
+
+import numpy as np
+
+from labdata.frames import FrameStack
+
+# Rows of a frame by which it is looked up among those before it.
+LOOKED_AT = 8
+
+
+def drop_duplicate_frames(stack: FrameStack) -> FrameStack:
+    """Return a stack without frames that repeat an earlier one code for code; a note says how many those were.
+
+    Noise never draws a whole frame twice. A mean over repeats is no surer than that over what is not repeated, and
+    noise taken from their differences would be too small, or none.
+    """
+    first = _distinct_indices(stack)
+    frames = len(stack)
+    if len(first) == frames:
+        return stack
+    if len(first) == 1:
+        note = f"All {frames} frames are the same, code for code: they count as one."
+    else:
+        note = f"{frames - len(first)} of {frames} frames repeat an earlier one code for code and do not count."
+    stamps = {name: getattr(stack, name)[first] for name in ("time_s", "frame_number") if getattr(stack, name).size}
+    return replace(stack, data=stack.data[first], notes=(*stack.notes, note), **stamps)
+
+
+def _distinct_indices(stack: FrameStack) -> list[int]:
+    """Return the numbers of the frames that repeat none before them."""
+    step = max(1, stack.shape[1] // LOOKED_AT)
+    alike: dict[bytes, list[int]] = defaultdict(list)
+    first = []
+    for number, frame in enumerate(stack.data):
+        before = alike[frame[::step].tobytes()]
+        if not any(np.array_equal(frame, stack.data[one]) for one in before):
+            before.append(number)
+            first.append(number)
+    return first

@@ -1,0 +1,131 @@
+"""How sampling folds a transfer's square into the band of the pixels, replica by replica."""
+
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.mtf.blur_models import transfer as forms
+from charact.video_filter import VideoFilter
+
+Array = NDArray[np.float64]
+
+# Replicas of the spectrum that may fold into the band, on each axis, and the part of the power below which one is
+# left out.
+REPLICAS = 2
+MIN_FRACTION = 3e-4
+
+
+class PostGainBlur(Protocol):
+    """A form of the transfer, aperture and video left aside: what `charact.mtf.blur_models.one_dimensional.BlurModel` is."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def bounds(self) -> Array: ...
+    @property
+    def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]: ...
+    def start(self, half_frequency_cy_per_px: float) -> Array: ...
+    def modulus(self, theta: Array, frequency: Array) -> Array: ...
+    def log_prior(self, theta: Array) -> Array: ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class KnownReadout:
+    """The known part of the transfer after the gain.
+
+    Parameters
+    ----------
+    height_px
+        Extent of a pixel as read along columns, column pitches; two rows where fields sum pairs of them.
+    video
+        Filter along rows, or None.
+    fibres
+        Pitch of the taper's fibres, column pitches, and f0 of its interfaces exp(-(f/f0)^2), cycles per column pitch.
+    anisotropy_sd
+        Prior standard deviation of the logarithm of the anisotropy.
+    """
+
+    height_px: float
+    video: VideoFilter | None
+    anisotropy_sd: float
+    fibres: tuple[float, float] | None = None
+
+    def electronics(self, column: Array) -> Array:
+        """Return |V| of the described video at frequencies along rows; it acts on pixels, so it has no replicas."""
+        return np.ones_like(column) if self.video is None else np.abs(self.video(column))
+
+    @property
+    def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]:
+        """Unit and bounds of what is known within a range only, by name."""
+        return self.video.parameters if self.video else {}
+
+    def bend(self, column: Array) -> Array | None:
+        """Return how ln of |V| moves with the video's bandwidth, see `VideoFilter.bend`; None: it does not."""
+        return self.video.bend(column).real if self.video and self.video.parameters else None
+
+    def aperture(self, column: Array, row: Array) -> Array:
+        """Return |sinc sinc| of the pixel, and the taper where it is described."""
+        pixel = np.abs(np.sinc(column) * np.sinc(row * self.height_px))
+        if self.fibres is None:
+            return pixel
+        radius, (pitch, interface) = np.hypot(column, row), self.fibres
+        return pixel * np.abs(forms.disc(radius, pitch)) * np.exp(-((radius / interface) ** 2))
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpectralReplicas:
+    """Which replicas of the spectrum fold into which cells.
+
+    Parameters
+    ----------
+    column, row, cell, known
+        Frequency of each replica, the cell that it folds into, in order, and the known |H|^2 there, shape (replica,).
+    first
+        Index of the first replica of each cell, shape (cell,).
+    within
+        Mean over the modes of a cell of the folded power, over that at its mean frequency, shape (cell,).
+    """
+
+    column: Array
+    row: Array
+    cell: NDArray[np.int64]
+    known: Array
+    first: NDArray[np.int64]
+    within: Array
+
+    def power(self, shape: PostGainBlur, theta: Array) -> Array:
+        """Return the folded |H|^2 of each cell for (ln anisotropy, *shape), shape (n, parameter) -> (n, cell)."""
+        frequency = np.hypot(self.column, self.row * np.exp(-theta[:, :1]))
+        core = shape.modulus(theta[:, 1:], frequency) ** 2 * self.known
+        return np.add.reduceat(core, self.first, axis=1) * self.within
+
+
+def spectral_replicas(
+    column: Array, row: Array, row_pitch: float, known: KnownReadout, replicas: int = REPLICAS
+) -> SpectralReplicas:
+    """Return all replicas up to so many periods away for frequencies inside the band."""
+    steps = np.arange(-replicas, replicas + 1)
+    across, up = (grid.ravel() for grid in np.meshgrid(steps, steps / row_pitch))
+    columns, rows = (column[:, None] + across).ravel(), (row[:, None] + up).ravel()
+    cell = np.repeat(np.arange(len(column)), len(across))
+    return SpectralReplicas(
+        column=columns, row=rows, cell=cell,
+        known=known.aperture(columns, rows) ** 2 * known.electronics(column)[cell] ** 2,
+        first=np.arange(len(column)) * len(across), within=np.ones(len(column)),
+    )  # fmt: skip
+
+
+def without_weak_replicas(whole: SpectralReplicas, shape: PostGainBlur, theta: Array) -> SpectralReplicas:
+    """Return the folding without the replicas that carry next to nothing at one point (parameter,)."""
+    one = replace(whole, within=np.ones(len(whole.first)))
+    core = shape.modulus(theta[None, 1:], np.hypot(whole.column, whole.row * np.exp(-theta[0]))[None])[0] ** 2
+    part, total = core * whole.known, one.power(shape, theta[None])[0]
+    kept = part > MIN_FRACTION * total[whole.cell]
+    kept[whole.first + (whole.first[1] - whole.first[0]) // 2] = True
+    cell = whole.cell[kept]
+    return replace(
+        whole, column=whole.column[kept], row=whole.row[kept], cell=cell, known=whole.known[kept],
+        first=np.searchsorted(cell, np.arange(len(whole.first))),
+    )  # fmt: skip

@@ -1,0 +1,72 @@
+"""How curved a camera's response may be, before a target is looked at and after: y = u + c u (1 - u), u from 0 to 1.
+
+Power laws of exponent g bend the levels between dark and bright by c of about (1 - g) times the contrast.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# Before the data: the probability that a response is curved, and by how much then, as a standard deviation at a
+# contrast of one.
+CURVED, CURVED_SD = 0.25, 0.65
+MIN_CONTRAST = 0.05
+# Share of the step by which a dark side may seem to lie below black: noise, and darks taken at another time.
+BELOW_BLACK = 0.1
+
+
+def usable_black_level(black_dn: float | None, dark_dn: float, bright_dn: float) -> float | None:
+    """Return the code at no light, DN; None where it is not known or the dark side lies well below it."""
+    if black_dn is None or black_dn > dark_dn + BELOW_BLACK * (bright_dn - dark_dn):
+        return None
+    return black_dn
+
+
+def contrast_of(dark_dn: float, bright_dn: float, black_dn: float | None) -> float:
+    """Return the contrast of two levels, (bright - dark) / (bright + dark) over black; where that is not known over 0.
+
+    A code at no light is seldom below 0, and above it the contrast is larger.
+    """
+    black = min(0.0, dark_dn) if black_dn is None else black_dn
+    return float(np.clip((bright_dn - dark_dn) / max(bright_dn + dark_dn - 2.0 * black, 1e-300), MIN_CONTRAST, 1.0))
+
+
+def curvatures(
+    response: tuple[float, float],
+    contrast: float,
+    noise_ln_odds: float,
+    rng: np.random.Generator,
+    count: int,
+    *,
+    curved: float | None = None,
+) -> Array:
+    """Return draws of a response's curvature, 0 where it is straight.
+
+    Parameters
+    ----------
+    response
+        Curvature that a target asks for, and its error, dimensionless; below 0 the response steepens.
+    contrast
+        Of the levels that it bends.
+    noise_ln_odds
+        Ln of how much likelier the noise is under a curved response.
+    rng
+        Draws.
+    count
+        How many.
+    curved
+        Probability that a response is curved, before the data; None: `CURVED`.
+
+    Notes
+    -----
+    A straight response is weighed against one whose curvature is normal about none (Savage-Dickey ratio).
+    """
+    found, error, prior_sd = response[0], max(response[1], 1e-9), CURVED_SD * contrast
+    apart = np.hypot(error, prior_sd)
+    share = CURVED if curved is None else curved
+    ln_odds = np.log(share / (1.0 - share) * error / apart) + 0.5 * ((found / error) ** 2 - (found / apart) ** 2)
+    ln_odds += noise_ln_odds
+    bends = rng.random(count) < 1.0 / (1.0 + np.exp(-np.clip(ln_odds, -50.0, 50.0)))
+    drawn = found * (prior_sd / apart) ** 2 + error * prior_sd / apart * rng.standard_normal(count)
+    return np.where(bends, drawn, 0.0)

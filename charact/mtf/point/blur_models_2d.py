@@ -1,0 +1,258 @@
+"""Forms of a point's picture: transfers in two dimensions, as a core that may be elliptical, and light beyond it.
+
+A transfer is kept at radial frequencies and at a few directions: what lies between directions is a polynomial in the
+cosine of twice the angle, as an ellipse's is nearly.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.mtf.blur_models.diffraction import OBSCURATION, pupil
+from charact.mtf.blur_models.one_dimensional import BlurModel, ExtendedComponent
+from charact.mtf.point.forward_model import pinhole
+
+Array = NDArray[np.float64]
+
+# Ratio of horizontal to vertical half frequency, ln: lenses and tubes are nearly round.
+STRETCH = (-0.6, 0.6)
+STRETCH_SD = 0.15
+# Exponent of a tube's tails beside a Gaussian of lens, fibres and pulse (physics reference 1.12: 1.1 to 2).
+TAIL = (1.0, 2.0)
+TAIL_PRIOR = (1.3, 0.25)
+BLUR_PX = (0.05, 2.0)
+# Most cameras scatter a few per cent of their light: half of a normal distribution of this width.
+WIDE_SHARE_SD = 0.1
+# Exponent of the long exposure through turbulent air (Fried 1966, J. Opt. Soc. Am. 56, 1372): 5/3.
+TURBULENT = 5.0 / 3.0
+# A clear pupil in focus falls to one half at this fraction of its cut-off: acos v - v sqrt(1 - v^2) = pi / 4.
+HALF_OF_CUT_OFF = 0.4039728
+# Square of the defocus, waves^2, to which a transfer is linear where it is small; half of a normal distribution.
+DEFOCUS_SQUARE, DEFOCUS_SQUARE_SD = (0.0, 2.25), 0.5
+# Departures from a form: middles of their bumps in ln of frequency over half frequency, and their width.
+BUMPS, BUMP_WIDTH = (-2.0, -1.0, -0.4, 0.2, 0.7), 0.5
+# Half frequencies of a tube beside which a Gaussian blur can be told, ln of cycles per column pitch.
+TUBE = (float(np.log(0.02)), float(np.log(0.6)))
+
+
+Core = Literal["gaussian", "kolmogorov", "exponential", "moffat", "airy", "hole", "defocus", "pupil"]
+# What each pupil has free besides its cut-off.
+PUPILS: dict[str, tuple[str, ...]] = {
+    "airy": (),
+    "hole": ("obscuration_square",),
+    "defocus": ("defocus_square",),
+    "pupil": ("obscuration_square", "defocus_square"),
+}
+PUPIL_PARAMETERS = {
+    "obscuration_square": ("1", (0.0, OBSCURATION[1] ** 2)),
+    "defocus_square": ("waves^2", DEFOCUS_SQUARE),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class BlurModel2D:
+    """A form of the transfer of blur and source, aperture and video filter left aside.
+
+    Parameters
+    ----------
+    core
+        "gaussian", "exponential" and "moffat" as of `charact.mtf.blur_models.one_dimensional.BlurModel`; "kolmogorov": exponential of
+        exponent 5/3; "airy", "hole", "defocus", "pupil": diffraction, without more, with a central obscuration, with
+        defocus, with both.
+    round
+        Whether rows and columns are blurred alike.
+    lens
+        Whether a Gaussian blur lies beside the core: a tube behind a lens, or before its fibres.
+    separable
+        Whether horizontal and vertical blur act one after the other, T(fx, 0) T(0, fy), instead of being elliptical.
+    wide
+        Light beyond the core, round; None: none.
+    pinhole_px
+        Diameter of the source, column pitches, or the bounds between which it is unknown.
+    departures
+        Standard deviation before the data of smooth departures from the form, fraction of the transfer; 0: none.
+    """
+
+    core: Core
+    round: bool = False
+    lens: bool = False
+    separable: bool = False
+    wide: ExtendedComponent | None = None
+    pinhole_px: float | tuple[float, float] = 0.0
+    departures: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """Name for people."""
+        core = f"separable {self.core}" if self.separable else self.core
+        core = f"{core} x gaussian" if self.lens else core
+        core = f"round {core}" if self.round else core
+        core = core if self.wide is None else f"{core} + {self.wide.name}"
+        return f"{core} and departures" if self.departures else core
+
+    @property
+    def blur_parameters(self) -> int:
+        """Number of parameters before those of the light beyond the core."""
+        return self.core_parameters + int(self.lens) + int(not self.round)
+
+    @property
+    def family(self) -> BlurModel:
+        """The family of a core that has one."""
+        names = {"exponential": "exponential", "kolmogorov": "exponential", "moffat": "moffat"}
+        return BlurModel(core=names.get(self.core, "gaussian"))  # type: ignore[arg-type]
+
+    @property
+    def core_parameters(self) -> int:
+        """Number of the core's parameters."""
+        if self.core in PUPILS:
+            return 1 + len(PUPILS[self.core])
+        return 1 if self.core == "kolmogorov" else self.family.core_parameters
+
+    @property
+    def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]:
+        """Unit and bounds of each parameter by name."""
+        return _parameters(self)
+
+    @property
+    def bounds(self) -> Array:
+        """Bounds of the parameters, shape (parameter, 2)."""
+        return np.array([bound for _, bound in self.parameters.values()])
+
+    def prior(self) -> tuple[Array, Array]:
+        """Return mean and precision of the Gaussian part of each parameter's prior; precision 0: flat in bounds."""
+        return _prior(self)
+
+    def log_prior(self, theta: Array) -> Array:
+        """Return ln of the prior density, -inf outside the bounds, shape (n, parameter) -> (n,)."""
+        bounds, (mean, precision) = self.bounds, self.prior()
+        inside = np.all((theta >= bounds[:, 0]) & (theta <= bounds[:, 1]), axis=1)
+        return np.where(inside, self.log_volume() - 0.5 * (theta - mean) ** 2 @ precision, -np.inf)
+
+    def log_volume(self) -> float:
+        """Return ln of the prior density where its Gaussian part is at its peak."""
+        bounds, (_, precision) = self.bounds, self.prior()
+        known = precision > 0
+        flat = -np.sum(np.log(bounds[~known, 1] - bounds[~known, 0]))
+        half = np.log(2.0) * (int(self.wide is not None) + int("defocus_square" in self.parameters))
+        return float(flat + half + 0.5 * np.sum(np.log(precision[known] / (2.0 * np.pi))))
+
+    def start(self, ln_half_frequency: float) -> Array:
+        """Return a point from which to climb."""
+        begin = {
+            "ln_half_frequency": ln_half_frequency, "exponent": 1.3 if self.lens else 1.5, "moffat_exponent": 2.5,
+            "blur_px": 0.4, "stretch": 0.0, "obscuration_square": 0.08, "defocus_square": 0.05,
+            **{f"departure_{number}": 0.0 for number in range(len(BUMPS))},
+        }  # fmt: skip
+        return np.array([begin.get(name, 0.7 * low + 0.3 * high) for name, (_, (low, high)) in self.parameters.items()])
+
+    def camera(self, theta: Array, frequency: Array, cosine: Array) -> Array:
+        """Return the transfer of the camera's blur, without aperture, shape (n, direction, frequency).
+
+        Parameters
+        ----------
+        theta
+            Parameters, shape (n, parameter).
+        frequency
+            Radial frequency, cycles per column pitch, shape (frequency,).
+        cosine
+            Cosine of twice the angle of each direction to the rows, shape (direction,).
+        """
+        p = {name: theta[:, index] for index, name in enumerate(self.parameters)}
+        lens = self._core(theta, p.get("stretch"), frequency, cosine)
+        if self.lens:
+            lens = lens * np.exp(-2.0 * (np.pi * p["blur_px"][:, None] * frequency) ** 2)[:, None]
+        if self.departures:
+            own = np.stack([p[f"departure_{number}"] for number in range(len(BUMPS))], axis=1)
+            off = np.log(np.maximum(frequency, 1e-12)) - theta[:, :1]
+            bumps = np.exp(-0.5 * ((off[:, None] - np.array(BUMPS)[:, None]) / BUMP_WIDTH) ** 2)
+            lens = lens * (1.0 + np.einsum("nk,nkf->nf", own, bumps))[:, None]
+        if self.wide is None:
+            return lens
+        first, *shape = (p[name] for name in self.wide.parameters)
+        beyond = self.wide.transfer(frequency, np.stack(shape, axis=1))
+        return lens * (1.0 - first[:, None] + first[:, None] * beyond)[:, None]
+
+    def _core(self, theta: Array, stretch: Array | None, frequency: Array, cosine: Array) -> Array:
+        """Return the core along each direction: that of a half frequency which changes with the direction."""
+        shape = theta[:, : self.core_parameters]
+        if stretch is None:
+            one = self._modulus(shape, frequency)[:, None]
+            return np.broadcast_to(one, (len(theta), cosine.size, frequency.size))
+        along, across = 0.5 * (1.0 + cosine), 0.5 * (1.0 - cosine)
+        wider = np.exp(stretch[:, None])
+        if not self.separable:
+            return self._core_by_direction(shape, 0.5 * np.log(along / wider + across * wider), frequency)
+        little = 1e-16
+        horizontal = self._core_by_direction(shape, 0.5 * np.log(along / wider + little), frequency)
+        return horizontal * self._core_by_direction(shape, 0.5 * np.log(across * wider + little), frequency)
+
+    def _core_by_direction(self, shape: Array, ln_narrower: Array, frequency: Array) -> Array:
+        """Return the core with half frequencies lower by factors (n, direction), shape (n, direction, frequency)."""
+        every = np.repeat(shape, ln_narrower.shape[1], axis=0)
+        every[:, 0] -= ln_narrower.ravel()
+        return self._modulus(every, frequency).reshape(*ln_narrower.shape, frequency.size)
+
+    def _modulus(self, shape: Array, frequency: Array) -> Array:
+        """Return the core's transfer along one direction, shape (n, parameter) and (f,) -> (n, f)."""
+        if self.core in PUPILS:
+            free = dict(zip(PUPILS[self.core], np.sqrt(np.maximum(shape[:, 1:], 0.0)).T, strict=True))
+            none = np.zeros(len(shape))
+            cut_off = np.exp(shape[:, 0]) / HALF_OF_CUT_OFF
+            return pupil(frequency, cut_off, free.get("obscuration_square", none), free.get("defocus_square", none))
+        if self.core == "kolmogorov":
+            shape = np.concatenate([shape, np.full((len(shape), 1), TURBULENT)], axis=1)
+        return self.family.modulus(shape, frequency)
+
+    def source(self, theta: Array, frequency: Array) -> Array:
+        """Return the transfer of the pinhole, shape (n, frequency)."""
+        if isinstance(self.pinhole_px, float):
+            return np.tile(pinhole(frequency, self.pinhole_px), (len(theta), 1))
+        from scipy.special import j1
+
+        u = np.maximum(np.pi * theta[:, -1:] * frequency, 1e-9)
+        return np.asarray(2.0 * j1(u) / u, np.float64)
+
+    def transfer(self, theta: Array, frequency: Array, cosine: Array) -> Array:
+        """Return the transfer of blur and source, shape (n, direction, frequency)."""
+        return self.camera(theta, frequency, cosine) * self.source(theta, frequency)[:, None]
+
+
+@lru_cache(maxsize=512)
+def _parameters(form: BlurModel2D) -> dict[str, tuple[str, tuple[float, float]]]:
+    core = dict(list(form.family.parameters.items())[: 1 if form.core in PUPILS else form.core_parameters])
+    core.update({name: PUPIL_PARAMETERS[name] for name in PUPILS.get(form.core, ())})
+    if form.lens:
+        if "exponent" in core:
+            core["ln_half_frequency"], core["exponent"] = ("ln(cy/px)", TUBE), ("1", TAIL)
+        core["blur_px"] = ("px", BLUR_PX)
+    wide = form.wide.parameters if form.wide else {}
+    stretch = {} if form.round else {"stretch": ("1", STRETCH)}
+    out: dict[str, tuple[str, tuple[float, float]]] = {**core, **stretch, **wide}
+    if form.departures:
+        most = 4.0 * form.departures
+        out.update({f"departure_{number}": ("1", (-most, most)) for number in range(len(BUMPS))})
+    if isinstance(form.pinhole_px, tuple):
+        out["pinhole_px"] = ("px", form.pinhole_px)
+    return out
+
+
+@lru_cache(maxsize=512)
+def _prior(form: BlurModel2D) -> tuple[Array, Array]:
+    names = list(form.parameters)
+    mean, precision = np.zeros((2, len(names)))
+    for name, own, inverse in zip(form.family.parameters, *form.family.prior_precision(), strict=True):
+        if name in names:
+            mean[names.index(name)], precision[names.index(name)] = own, inverse
+    if form.lens and "exponent" in names:
+        mean[1], precision[1] = TAIL_PRIOR[0], TAIL_PRIOR[1] ** -2
+    known = {"stretch": STRETCH_SD, "defocus_square": DEFOCUS_SQUARE_SD}
+    known.update({f"departure_{number}": form.departures for number in range(len(BUMPS))})
+    for index, name in enumerate(names):
+        if name in known:
+            precision[index] = known[name] ** -2
+    if form.wide is not None:
+        precision[form.blur_parameters] = WIDE_SHARE_SD**-2
+    return mean, precision

@@ -1,0 +1,274 @@
+"""Fitting forms of the transfer to one or several points: each form by Gauss-Newton, all weighed by their evidence."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.mtf.point.blur_models_2d import BlurModel2D
+from charact.mtf.point.censored import Censored
+from charact.mtf.point.spot_image_matrix import cosines, radial
+
+Array = NDArray[np.float64]
+
+ITERATIONS = 40
+# A parameter's finite difference, share of the width of its bounds.
+DIFFERENCE = 1e-5
+
+
+@dataclass(frozen=True, kw_only=True)
+class WhitenedPixels:
+    """What the pixels of one source say, its place and all that is linear but the light marginalised.
+
+    Parameters
+    ----------
+    data
+        Whitened values, shape (value,).
+    matrix
+        From a transfer at the nodes to them at unit light, shape (value, node).
+    root, basis
+        Inverse root of the covariance, and whitened directions that are marginalised, shape (value, direction).
+    rounding
+        Part of the covariance that rounding to whole codes makes, shape (value, value), DN^2.
+    censored
+        Pixels of which only a least value is known; None: there are none.
+    free
+        Values less linear parameters.
+    """
+
+    data: Array
+    matrix: Array
+    free: int
+    root: Array
+    basis: Array
+    rounding: Array
+    censored: Censored | None = None
+
+    def whitened(self, columns: Array) -> Array:
+        """Return columns (value, column) as data are: whitened, without what is marginalised."""
+        white = self.root @ columns
+        return white - self.basis @ (self.basis.T @ white)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BlurModelFit2D:
+    """A form fitted to points.
+
+    Parameters
+    ----------
+    form
+        The form.
+    point, covariance
+        Peak of the posterior and the inverse of the curvature there, light, place and background marginalised.
+    light
+        Light of each source, DN px^2.
+    log_evidence
+        ln of the evidence by Laplace's approximation, up to what all forms share.
+    cost
+        -2 ln of likelihood and Gaussian priors at the peak.
+    chi2, free
+        Chi squared of the pixels that are not censored, and their number less the parameters.
+    """
+
+    form: BlurModel2D
+    point: Array
+    covariance: Array
+    light: Array
+    log_evidence: float
+    cost: float
+    chi2: float
+    free: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Linearisation:
+    cost: float
+    chi2: float
+    gradient: Array
+    normal: Array
+    light: Array
+    curvature: Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Source:
+    """One source at its most probable light: its pixels, and below them those that were cut, weighed by their share.
+
+    Pixels at unit light, their change with each parameter, and what the data leave; -2 ln of their likelihood.
+    """
+
+    light: float
+    unit: Array
+    slopes: Array
+    residual: Array
+    chi2: float
+    cost: float
+
+    @property
+    def curvature(self) -> float:
+        return max(float(self.unit @ self.unit), 1e-300)
+
+
+class PointFitter:
+    """Fits forms to the pixels of one or several points of one camera."""
+
+    def __init__(self, pixels: list[WhitenedPixels], top: float) -> None:
+        self.pixels = pixels
+        self._frequency, self._cosine = radial(top)[1], cosines()
+
+    def nodes(self, form: BlurModel2D, theta: Array) -> Array:
+        """Return transfers at the nodes, shape (n, node)."""
+        return form.transfer(theta, self._frequency, self._cosine).reshape(len(theta), -1)
+
+    def fit(self, form: BlurModel2D, start: Array, *, iterations: int = ITERATIONS) -> BlurModelFit2D:
+        """Fit a form from a starting point."""
+        bounds = form.bounds
+        point, damping = np.clip(start, bounds[:, 0], bounds[:, 1]), 1e-3
+        here = self._linearise(form, point)
+        for _ in range(iterations):
+            trial = np.clip(point + _step(here, point, bounds, damping), bounds[:, 0], bounds[:, 1])
+            there = self._linearise(form, trial)
+            gain = here.cost - there.cost
+            if gain >= 0:
+                point, here, damping = trial, there, max(damping * 0.1, 1e-9)
+                if gain < 1e-5 * max(1.0, 1e-3 * here.cost):
+                    break
+            else:
+                damping *= 10.0
+                if damping > 1e9:
+                    break
+        return self._fit_at(form, point, here)
+
+    def _linearise(self, form: BlurModel2D, point: Array) -> _Linearisation:
+        """Return cost, gradient and curvature at a point, lights at their best."""
+        bounds = form.bounds
+        width = bounds[:, 1] - bounds[:, 0]
+        # Differences run inwards, so that they stay within the bounds.
+        moves = np.where(point > bounds.mean(axis=1), -1.0, 1.0) * DIFFERENCE * width
+        nodes = self.nodes(form, np.concatenate([point[None], point + np.diag(moves)]))
+        sources = [_source(one, nodes, moves) for one in self.pixels]
+        mean, precision = form.prior()
+        off = point - mean
+        gradient, normal = -off * precision, np.diag(precision)
+        for one in sources:
+            design = one.light * (one.slopes - np.outer(one.unit, one.unit @ one.slopes) / one.curvature)
+            gradient = gradient + design.T @ one.residual
+            normal = normal + design.T @ design
+        return _Linearisation(
+            cost=float(off**2 @ precision) + sum(one.cost for one in sources),
+            chi2=sum(one.chi2 for one in sources),
+            gradient=gradient,
+            normal=normal,
+            light=np.array([one.light for one in sources]),
+            curvature=np.array([one.curvature for one in sources]),
+        )
+
+    def _fit_at(self, form: BlurModel2D, point: Array, here: _Linearisation) -> BlurModelFit2D:
+        bounds = form.bounds
+        scale = np.sqrt(np.maximum(np.diag(here.normal), 1e-300))
+        covariance = np.linalg.pinv(here.normal / np.outer(scale, scale), rcond=1e-12, hermitian=True)
+        covariance = covariance / np.outer(scale, scale)
+        # A parameter that the data do not feel spreads over its bounds.
+        widest = (bounds[:, 1] - bounds[:, 0]) / np.sqrt(12.0)
+        shrink = np.minimum(1.0, widest / np.sqrt(np.maximum(np.diag(covariance), 1e-300)))
+        covariance = covariance * np.outer(shrink, shrink)
+        log_volume = 0.5 * np.linalg.slogdet(2.0 * np.pi * covariance)[1] + _ln_inside(
+            point, covariance, bounds, here.gradient
+        )
+        log_light = -0.5 * float(np.sum(np.log(here.curvature)))
+        return BlurModelFit2D(
+            form=form,
+            point=point,
+            covariance=covariance,
+            light=here.light,
+            log_evidence=float(-0.5 * here.cost + form.log_volume() + log_light + log_volume),
+            cost=here.cost,
+            chi2=here.chi2,
+            free=max(sum(one.free for one in self.pixels) - point.size - len(self.pixels), 1),
+        )
+
+    def log_probability(self, form: BlurModel2D, theta: Array) -> Array:
+        """Return ln of the posterior with lights, places and backgrounds marginalised, shape (n,)."""
+        value = form.log_prior(theta)
+        inside = np.isfinite(value)
+        if inside.any():
+            nodes = self.nodes(form, theta[inside])
+            value[inside] += sum(_log_likelihood(one, nodes) for one in self.pixels)
+        return value
+
+
+def _log_likelihood(one: WhitenedPixels, nodes: Array) -> Array:
+    unit = nodes @ one.matrix.T
+    overlap, curvature = unit @ one.data, np.maximum(np.einsum("nv,nv->n", unit, unit), 1e-300)
+    if one.censored is None:
+        return 0.5 * overlap**2 / curvature - 0.5 * np.log(curvature)
+    hidden = nodes @ one.censored.matrix.T
+    return one.censored.log_likelihood(overlap, curvature, hidden)
+
+
+def _source(pixels: WhitenedPixels, nodes: Array, moves: Array) -> _Source:
+    """Return a source for transfers at the nodes, (1 + parameter, node): at a point, and moved by each parameter."""
+    unit, slopes = _unit_and_slopes(pixels.matrix, nodes, moves)
+    light = float(pixels.data @ unit) / max(float(unit @ unit), 1e-300)
+    source = _source_at_light(light, pixels.data, unit, slopes)
+    if pixels.censored is None:
+        return source
+    hidden, hidden_slopes = _unit_and_slopes(pixels.censored.matrix, nodes, moves)
+    return _add_clipped_pixels(source, pixels.data, pixels.censored, hidden, hidden_slopes)
+
+
+def _source_at_light(light: float, data: Array, unit: Array, slopes: Array) -> _Source:
+    residual = data - light * unit
+    chi2 = float(residual @ residual)
+    return _Source(light=light, unit=unit, slopes=slopes, residual=residual, chi2=chi2, cost=chi2)
+
+
+def _add_clipped_pixels(
+    source: _Source, data: Array, censored: Censored, hidden: Array, hidden_slopes: Array
+) -> _Source:
+    """Return a source with the pixels that were cut, given at unit light: what they pull at is a residual too."""
+    seen = _source_at_light(censored.light(data, source.unit, hidden, source.light), data, source.unit, source.slopes)
+    pull, weight, height = censored.terms(seen.light * hidden)
+    root = np.sqrt(weight)
+    return replace(
+        seen,
+        unit=np.append(seen.unit, root * hidden),
+        slopes=np.concatenate([seen.slopes, root[:, None] * hidden_slopes]),
+        residual=np.append(seen.residual, pull / root),
+        cost=seen.chi2 - 2.0 * height,
+    )
+
+
+def _unit_and_slopes(matrix: Array, nodes: Array, moves: Array) -> tuple[Array, Array]:
+    """Return pixels at unit light and their slope with each parameter, shapes (pixel,) and (pixel, parameter)."""
+    shapes = matrix @ nodes.T
+    return shapes[:, 0], (shapes[:, 1:] - shapes[:, :1]) / moves
+
+
+def _step(here: _Linearisation, point: Array, bounds: Array, damping: float) -> Array:
+    """Return the damped Gauss-Newton step, parameters held by a bound left out."""
+    blocked = ((point <= bounds[:, 0]) & (here.gradient < 0)) | ((point >= bounds[:, 1]) & (here.gradient > 0))
+    free = np.flatnonzero(~blocked)
+    step = np.zeros(point.size)
+    if not free.size:
+        return step
+    normal = here.normal[np.ix_(free, free)]
+    scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    scaled = normal / np.outer(scale, scale) + (damping + 1e-12) * np.eye(free.size)
+    step[free] = np.linalg.solve(scaled, here.gradient[free] / scale) / scale
+    widest = 0.25 * (bounds[:, 1] - bounds[:, 0])
+    return np.clip(step, -widest, widest)
+
+
+def _ln_inside(point: Array, covariance: Array, bounds: Array, gradient: Array) -> float:
+    """Return ln of the Gaussian's volume inside the bounds over that of the whole, about the height at a point.
+
+    At a bound the Gaussian's own peak lies z standard deviations beyond, exp(z^2 / 2) higher.
+    """
+    from scipy.special import log_ndtr, ndtr
+
+    sd = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    low, high = (point - bounds[:, 0]) / sd, (bounds[:, 1] - point) / sd
+    pull = np.where(low < 1e-6, np.maximum(-gradient, 0.0), np.where(high < 1e-6, np.maximum(gradient, 0.0), 0.0)) * sd
+    share = np.maximum(ndtr(high) - ndtr(-low), 1e-3)
+    return float(np.sum(np.where(pull > 0.0, 0.5 * pull**2 + log_ndtr(-pull), np.log(share))))

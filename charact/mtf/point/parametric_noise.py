@@ -1,0 +1,268 @@
+"""Noise around a point by few numbers: what the dark surroundings show, and pulses of light that neighbours share."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.mtf.point.thresholds import BARE, BARE_SD
+
+Array = NDArray[np.float64]
+
+# Surroundings from which noise is taken: beyond this distance, px, and where the region is small beyond this share.
+FAR_PX, FAR_FRACTION = 12.0, 0.6
+MAX_FRAMES = 16
+LAGS = tuple((row, col) for row in range(3) for col in range(-2, 3) if (row, col) > (0, 0))
+WIDTHS_PX = np.array([0.01, *np.geomspace(0.3, 3.0, 24)])
+# Correlations of neighbours that differ from zero by chance no further than this many standard errors.
+BY_CHANCE = 4.0
+# Shares of the blur that may lie behind the gain; 0: every pixel counts its own light.
+FRACTIONS_AFTER_GAIN = (0.0, 0.15, 0.3, 0.45, 0.6, 0.8, 1.0)
+# Widths of pulses over that of all of the blur, where what lies before the gain need not be of its form.
+WIDTHS = np.geomspace(0.2, 1.0, 24)
+GAINS = np.exp(np.linspace(np.log(1e-4), np.log(1e5), 240))
+# Values that a gain is known from, at least: Student's distribution of fewer has hardly a variance.
+MIN_VALUES = 6.0
+# Noise of a dark pixel before the data, ln of photoelectrons and its standard deviation: 0.3 to 30, from intensified
+# cameras to ordinary ones. It matters where a single frame's few lit pixels hardly show the noise of their light.
+DARK_LN = (float(np.log(3.0)), 1.2)
+# Places of the pulses: spacing and reach, px. Pixels whose noise is compared lie this near.
+STEP_PX, REACH_PX, NEAR_PX = 0.6, 10.2, 5.0
+RADII_PX = np.linspace(0.0, 16.0, 80)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurroundingsNoise:
+    """Noise of the surroundings of a source.
+
+    Parameters
+    ----------
+    variance
+        Of one pixel in one frame, DN^2.
+    common, width_px
+        Share of it that neighbours have in common, and how wide along rows and columns, px: the correlation is
+        common exp(-x^2 / 4 w^2) in either direction.
+    """
+
+    variance: float
+    common: float = 0.0
+    width_px: tuple[float, float] = (0.01, 0.01)
+
+    @property
+    def grain(self) -> float:
+        """Sum of a pixel's correlations with all others and itself."""
+        along, down = (np.exp(-0.25 * (np.arange(-12, 13) / w) ** 2).sum() for w in self.width_px)
+        return float(1.0 - self.common + self.common * along * down)
+
+    def covariance(self, x: Array, y: Array) -> Array:
+        """Return the covariance of pixels at columns x and rows y counted in pixels, shape (pixel, pixel), DN^2."""
+        along, down = (
+            np.exp(-0.25 * ((at[:, None] - at) / w) ** 2) for at, w in zip((x, y), self.width_px, strict=True)
+        )
+        shared = np.einsum("ab,cd->acbd", down, along).reshape(x.size * y.size, -1)
+        return self.variance * ((1.0 - self.common) * np.eye(len(shared)) + self.common * shared)
+
+
+def measure_surroundings_noise(
+    data: NDArray, row: int, col: int, beside: NDArray[np.bool_] | bool = False
+) -> SurroundingsNoise:
+    """Return the noise far from a source, from how frames differ, or of one frame from its own unevenness.
+
+    Pixels `beside`, shape (row, col), are those of other sources.
+    """
+    rows, cols = data.shape[1:]
+    distance = np.hypot(*np.ogrid[-row : rows - row, -col : cols - col])
+    far = (
+        (distance > min(FAR_PX, FAR_FRACTION * float(distance.max()))) & (distance < 4.0 * FAR_PX) & ~np.asarray(beside)
+    )
+    frames = data[:MAX_FRAMES].astype(float)
+    if len(frames) > 1:
+        off, freedom = frames - frames.mean(axis=0), 1.0 - 1.0 / len(frames)
+    else:
+        y, x = np.nonzero(far)
+        plane = np.stack([np.ones(y.size), y, x], axis=1)
+        fitted = np.linalg.lstsq(plane, frames[0][far], rcond=None)[0]
+        every = fitted[0] + fitted[1] * np.arange(rows)[:, None] + fitted[2] * np.arange(cols)
+        off, freedom = frames - every, 1.0
+    rounding = 1e-3 if data.dtype.kind in "ui" else 1e-12 * max(float(np.abs(frames).max()), 1e-6) ** 2
+    if len(frames) == 1 and np.any(beside):
+        # Light of neighbours lies above what is bare, and would pass for noise that pixels share.
+        low, high = np.quantile(off[0, far], BARE)
+        return SurroundingsNoise(variance=max(float((high - low) / BARE_SD) ** 2, rounding))
+    # A flash of one ion is no noise of the camera.
+    centre = np.clip(off, *np.quantile(off[:, far], (1e-4, 1.0 - 1e-4)))
+    variance = float((centre[:, far] ** 2).mean()) / freedom
+    if variance <= rounding:
+        return SurroundingsNoise(variance=rounding)
+    return _fit_correlation(np.where(far, centre, 0.0), far, variance * freedom, variance)
+
+
+def _fit_correlation(off: Array, far: NDArray[np.bool_], norm: float, variance: float) -> SurroundingsNoise:
+    """Return the surroundings' noise with the correlation of neighbours, if it is more than chance."""
+    found, count = [], []
+    rows, cols = far.shape
+    for down, along in LAGS:
+        a = (slice(None, rows - down), slice(max(0, -along), cols - max(0, along)))
+        b = (slice(down, None), slice(max(0, along), cols + min(0, along)))
+        pairs = max(int((far[a] & far[b]).sum()), 1)
+        found.append(float(np.einsum("frc,frc->", off[:, *a], off[:, *b])) / (pairs * len(off) * norm))
+        count.append(pairs * max(len(off) - 1, 1))
+    correlation, error = np.array(found), 1.0 / np.sqrt(np.array(count, float))
+    if np.abs(correlation / error).max() < BY_CHANCE:
+        return SurroundingsNoise(variance=variance)
+    down, along = (np.exp(-0.25 * (lag / WIDTHS_PX[:, None]) ** 2) for lag in np.array(LAGS, float).T)
+    shapes = (down[:, None] * along[None]).reshape(-1, len(LAGS))
+    common = np.clip(shapes @ correlation / np.maximum(np.sum(shapes**2, axis=1), 1e-12), 0.0, 1.0)
+    best = int(np.argmin(np.sum((correlation - common[:, None] * shapes) ** 2, axis=1)))
+    high, wide = np.unravel_index(best, (WIDTHS_PX.size, WIDTHS_PX.size))
+    return SurroundingsNoise(
+        variance=variance, common=float(common[best]), width_px=(float(WIDTHS_PX[wide]), float(WIDTHS_PX[high]))
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pulses:
+    """Noise of the light itself.
+
+    Parameters
+    ----------
+    gain
+        Variance over light, DN.
+    unit
+        Covariance of one frame at unit gain, shape (pixel, pixel), DN.
+    """
+
+    gain: float
+    unit: Array
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of one frame, DN^2."""
+        return self.gain * self.unit
+
+
+def pulse_covariances(radial: tuple[Array, Array], mean: Array, x: Array, y: Array) -> list[Array]:
+    """Return covariances at unit gain of light whose pulses spread over neighbours, shape (pixel, pixel) each, DN.
+
+    Parameters
+    ----------
+    radial
+        Frequencies, cycles per column pitch, and the blur's transfer there averaged over directions.
+    mean
+        Light in every pixel, DN.
+    x, y
+        Places of columns and rows from the source, column pitches.
+
+    Notes
+    -----
+    Pulses are Gaussians. They take a share of the blur's logarithm, and what lies before the gain is of the blur's own
+    form; or they have some width, and it is what they leave of the blur: of long tails nearly all.
+    """
+    frequency, transfer = radial
+    log = np.log(np.clip(transfer, 1e-12, 1.0))
+    whole = _width(frequency, log)
+    laws = [((1.0 - share) * log, _width(frequency, share * log)) for share in FRACTIONS_AFTER_GAIN if share > 0.0]
+    laws += [
+        (np.minimum.accumulate(np.minimum(log + 2.0 * (np.pi * frequency * width) ** 2, 0.0)), width)
+        for width in whole * WIDTHS
+    ]
+    return [np.diag(np.maximum(mean, 0.0)), *(_covariance(frequency, *law, mean, x, y) for law in laws)]
+
+
+def _width(frequency: Array, log: Array) -> float:
+    """Return the standard deviation of a Gaussian of the same half frequency, px."""
+    return float(np.sqrt(np.log(2.0) / 2.0) / np.pi / np.interp(np.log(2.0), -log, frequency))
+
+
+def _covariance(frequency: Array, log_before: Array, width_px: float, mean: Array, x: Array, y: Array) -> Array:
+    """Return the covariance at unit gain of pulses of a width, shape (pixel, pixel), DN.
+
+    Parameters
+    ----------
+    log_before
+        ln of the transfer before the gain.
+
+    Notes
+    -----
+    Photoelectrons of density d(u) with pulses p make the covariance sum_u d(u) p(x - u) p(y - u), never negative. It
+    is scaled so that variance over mean is 1 on the whole.
+    """
+    from scipy.special import j0
+
+    step = np.gradient(frequency)
+    landed = (j0(2.0 * np.pi * RADII_PX[:, None] * frequency)) @ (
+        2.0 * np.pi * frequency * step * np.exp(log_before - 0.5 * (np.pi * frequency * STEP_PX) ** 2 / 3.0)
+    )
+    places = np.arange(-REACH_PX, REACH_PX + 1e-9, STEP_PX)
+    density = np.interp(np.hypot(places[:, None], places), RADII_PX, np.maximum(landed, 0.0)) * STEP_PX**2
+    along, down = (_pulse(at, places, width_px) for at in (x, y))
+    columns = (along[:, :, None] * along[:, None, :]).reshape(places.size, -1)
+    rows = (down[:, :, None] * down[:, None, :]).reshape(places.size, -1)
+    both = (rows.T @ density @ columns).reshape(y.size, y.size, x.size, x.size)
+    unit = both.transpose(0, 2, 1, 3).reshape(x.size * y.size, -1)
+    return unit * (float(np.maximum(mean, 0.0).sum()) / max(float(np.trace(unit)), 1e-300))
+
+
+def _pulse(at: Array, places: Array, sigma: float) -> Array:
+    """Return a Gaussian pulse integrated over pixels, shape (place, pixel)."""
+    from scipy.special import ndtr
+
+    half = 0.5 * float(np.diff(at[:2])[0])
+    off = at - places[:, None]
+    return ndtr((off + half) / sigma) - ndtr((off - half) / sigma)
+
+
+def fit_pulses(
+    samples: Array, dark: Array, units: Sequence[Array], factor: Array, near: NDArray[np.int64],
+    fitted: Array | None = None,
+) -> Pulses:  # fmt: skip
+    """Return the pulses that make independent samples of the noise most probable.
+
+    Parameters
+    ----------
+    samples
+        Deviations, each of the noise of one frame, shape (sample, pixel), DN.
+    dark
+        Covariance of the dark noise, shape (pixel, pixel).
+    units
+        Covariances at unit gain among which is chosen.
+    factor
+        What fields and frames share of a pulse, shape (pixel, pixel).
+    near
+        Pixels that are compared.
+    fitted
+        Directions in which a fit took noise out of the samples, shape (pixel, direction); None: none.
+
+    Notes
+    -----
+    Half of the odds before the samples are those of the first unit. The gain is the median of its posterior. One known
+    from few values, n where the variance of its ln is 2 / n, makes Student's distribution of what it weighs, whose
+    variance is n / (n - 2) times as large.
+    """
+    both, quiet_dn = np.ix_(near, near), float(np.sqrt(dark[near[0], near[0]]))
+    root = np.linalg.inv(np.linalg.cholesky(dark[both]))
+    if fitted is not None:
+        # Restricted likelihood: only what lies across the fitted directions has the noise's variance.
+        basis = np.linalg.qr(root @ fitted[near], mode="complete")[0]
+        root = basis[:, fitted.shape[1] :].T @ root
+    white = samples[:, near] @ root.T
+    found = []
+    for number, unit in enumerate(units):
+        values, vectors = np.linalg.eigh(root @ (unit * factor)[both] @ root.T)
+        values = np.maximum(values, 0.0)
+        gains = GAINS / max(float(values.mean()), 1e-300)
+        power = ((white @ vectors) ** 2).sum(axis=0)
+        variance = gains[:, None] * values + 1.0
+        fit = -0.5 * (len(white) * np.log(variance) + power / variance).sum(axis=1)
+        fit = fit - 0.5 * ((np.log(quiet_dn / gains) - DARK_LN[0]) / DARK_LN[1]) ** 2
+        weight = np.exp(fit - fit.max())
+        weight /= weight.sum()
+        ln = np.log(gains)
+        spread = float(weight @ (ln - weight @ ln) ** 2)
+        values_told = max(2.0 / max(spread, 1e-9), MIN_VALUES)
+        median = float(np.exp(np.interp(0.5, np.cumsum(weight), ln)))
+        odds = np.log(len(units) - 1.0) if number and len(units) > 1 else 0.0
+        found.append((float(fit.max()) - odds, median * values_told / (values_told - 2.0)))
+    best = int(np.argmax([fit for fit, _ in found]))
+    return Pulses(gain=found[best][1], unit=units[best])

@@ -1,0 +1,317 @@
+"""The groups of parallel bars in a frame: where they lie, which way they point and how often they repeat."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.mtf.bars.thresholds import SMOOTHED_PERIODS
+from charact.mtf.region import Region
+from charact.mtf.target_detection.bar_profile import BEYOND, matches_bars
+from charact.mtf.target_detection.smoothed_mean_frame import local_maximum, mean_frame_of
+from labdata.errors import BadInput
+from labdata.frames import FrameStack
+
+Array = NDArray[np.float32]
+
+# Frequencies looked at, cycles per pixel: geometric steps that half a group's bandwidth covers.
+LOWEST, HIGHEST, STEP = 0.012, 0.46, 1.12
+# A bar's length over its width, at least: USAF bars have 5, STANAG bars 7; the filter takes in this share of five.
+ASPECT, CENTRAL = 5.0, 0.8
+# A picture is binned as long as a period keeps so many pixels.
+PIXELS_A_PERIOD = 8.0
+# A response over its own robust spread.
+MIN_AMPLITUDE = 7.0
+RAYLEIGH_MEDIAN = 1.1774
+# Modulation over the picture's range below which bars are none, and how many answers are looked at closely.
+MIN_CONTRAST, MAX_DETECTIONS = 0.01, 600
+# Length of the bars over their width from which they are bars.
+MIN_ASPECT = 3.5
+# Fewer bars than these repeat too little to be told from other things.
+MIN_BARS = 3
+MARGIN_PERIODS, MIN_MARGIN_PX = 1.5, 14.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class DetectedBarGroup:
+    """A group of bars found in a frame.
+
+    Parameters
+    ----------
+    region
+        ROW, COL, HEIGHT, WIDTH that holds the group and its surroundings up to the next one, px.
+    frequency_cy_per_px
+        Cycles per pixel across the bars, known to a few per cent.
+    orientation_deg
+        Direction across the bars from the row direction: 0 for bars that lie along columns, 90 along rows.
+    bars
+        How many they are.
+    significance
+        Response of a filter for these bars over its spread.
+    """
+
+    region: Region
+    frequency_cy_per_px: float
+    orientation_deg: float
+    bars: int
+    significance: float
+
+
+def find_bar_groups(pictures: NDArray | FrameStack, bars: int | None = None) -> tuple[DetectedBarGroup, ...]:
+    """Find groups of bars, bright or dark, that lie along columns or rows, up to about 8 degrees off.
+
+    Parameters
+    ----------
+    pictures
+        Picture (row, col), stack (frame, row, col) or frames; a stack is averaged.
+    bars
+        Number of bars of a group: those of fewer are not taken, in those of more some may be taken for a group. None:
+        groups of any number from 3 on.
+
+    Returns
+    -------
+    tuple of FoundBars
+        In the order of their frequencies, low ones first.
+
+    Raises
+    ------
+    BadInput
+        If fewer than 3 bars are asked for: two bars repeat too little to be told from other things.
+
+    Notes
+    -----
+    A filter of `bars` cycles, or of 3, its mean taken off, answers to bars of its frequency wherever they lie. Where it
+    peaks over frequency and place the profile along it must hold just so many equal and even bars with ground on both
+    sides.
+    """
+    if bars is not None and bars < 3:
+        raise BadInput(f"a group of bars that is looked for must have at least 3 bars, got {bars}")
+    picture, _ = mean_frame_of(pictures)
+    found = [
+        group
+        for transposed in (False, True)
+        for group in _find_upright(
+            np.ascontiguousarray(picture.T) if transposed else picture, bars, transposed=transposed
+        )
+    ]
+    apart = _separate(found)
+    boxes = [_box(group) for group in apart]
+    return tuple(
+        DetectedBarGroup(
+            region=_region(group, [box for box in boxes if box != _box(group)], picture.shape),
+            frequency_cy_per_px=group.frequency,
+            orientation_deg=90.0 if group.transposed else 0.0,
+            bars=group.bars,
+            significance=group.significance,
+        )
+        for group in sorted(apart, key=lambda group: group.frequency)
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Group:
+    """A group in the frame: its middle, frequency, number of bars and length of them, px."""
+
+    row: float
+    col: float
+    frequency: float
+    bars: int
+    length_px: float
+    transposed: bool
+    significance: float
+
+
+def _find_upright(picture: Array, bars: int | None, *, transposed: bool) -> list[_Group]:
+    """Return the groups whose bars lie along columns: the strongest answers first, each looked at more closely."""
+    answers = sorted(_detections(picture, bars or MIN_BARS), key=lambda answer: -answer.amplitude)[:MAX_DETECTIONS]
+    found: list[_Group] = []
+    for answer in answers:
+        if not any(_inside(answer, _box(group)) for group in found):
+            group = _verify(picture, answer, bars)
+            if group is not None:
+                found.append(group)
+    return [_transpose(group) for group in found] if transposed else found
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Detection:
+    """A place and frequency at which the filter answers: px, cycles per pixel, DN, and over its spread."""
+
+    row: float
+    col: float
+    frequency: float
+    amplitude: float
+    significance: float
+
+
+def _inside(answer: _Detection, box: tuple[float, float, float, float]) -> bool:
+    return box[0] <= answer.row <= box[2] and box[1] <= answer.col <= box[3]
+
+
+def _detections(picture: Array, bars: int) -> Iterator[_Detection]:
+    """Answers of filters of all frequencies."""
+    low, high = np.quantile(picture[::2, ::2], (0.001, 0.999))
+    floor = MIN_CONTRAST * float(high - low)
+    count = int(np.log(HIGHEST / LOWEST) / np.log(STEP)) + 1
+    for frequency in HIGHEST / STEP ** np.arange(count):
+        factor = max(1, int(1.0 / (frequency * PIXELS_A_PERIOD)))
+        small = _block_means(picture, factor)
+        period = 1.0 / (frequency * factor)
+        if small.shape[1] < (bars + 1) * period or small.shape[0] < 0.5 * ASPECT * period:
+            continue
+        response = _filter_amplitude(small, bars, period)
+        spread = float(np.median(response)) / RAYLEIGH_MEDIAN
+        for row, col in _peaks(response, max(MIN_AMPLITUDE * spread, floor), bars, period):
+            amplitude = float(response[row, col])
+            yield _Detection(
+                row=(row + 0.5) * factor - 0.5, col=(col + 0.5) * factor - 0.5, frequency=float(frequency),
+                amplitude=amplitude, significance=amplitude / max(spread, 1e-12),
+            )  # fmt: skip
+
+
+def _transpose(group: _Group) -> _Group:
+    return replace(group, row=group.col, col=group.row, transposed=True)
+
+
+def _block_means(picture: Array, factor: int) -> Array:
+    rows, cols = (side // factor for side in picture.shape)
+    cut = picture[: rows * factor, : cols * factor]
+    return cut.reshape(rows, factor, cols, factor).mean(axis=(1, 3))
+
+
+def _filter_amplitude(picture: Array, bars: int, period_px: float) -> Array:
+    """Return the amplitude of a cosine of so many cycles around each pixel, averaged along the bars."""
+    import cv2
+
+    half = int(np.ceil(0.5 * bars * period_px))
+    place = np.arange(-half, half + 1)
+    inside = np.clip(0.5 * bars * period_px + 0.5 - np.abs(place), 0.0, 1.0)
+    wave = inside * np.exp(2j * np.pi * place / period_px)
+    wave -= inside * wave.sum() / inside.sum()
+    wave /= 0.5 * np.sum(inside)
+    along = np.full(max(1, round(0.5 * ASPECT * CENTRAL * period_px)), 1.0, np.float32)
+    along /= along.size
+    parts = (
+        cv2.sepFilter2D(picture, cv2.CV_32F, part.astype(np.float32), along, borderType=cv2.BORDER_REFLECT_101)
+        for part in (wave.real, wave.imag)
+    )
+    return np.hypot(*(np.asarray(part, np.float32) for part in parts))
+
+
+def _peaks(response: Array, least: float, bars: int, period_px: float) -> list[tuple[int, int]]:
+    """Return (row, col) of the places that reach a height, each the highest of its surroundings."""
+    size = (2 * round(0.25 * ASPECT * period_px) + 1, 2 * round(0.25 * bars * period_px) + 1)
+    rows, cols = np.nonzero((response >= local_maximum(response, *size)) & (response > least))
+    return list(zip(rows.tolist(), cols.tolist(), strict=True))
+
+
+def _verify(picture: Array, answer: _Detection, bars: int | None) -> _Group | None:
+    """Return the group at a place if the profile there is that of so many bars, or of any number, else None."""
+    looked = []
+    for number, col in [(bars, answer.col)] if bars else _candidate_counts(picture, answer):
+        at = replace(answer, col=col)
+        strip = _strip(picture, at, number)
+        if strip is None:
+            continue
+        for sign in (1.0, -1.0):
+            fitted = matches_bars(strip[0], sign * strip[1], answer.frequency, number)
+            if fitted is not None:
+                looked.append((fitted, number, at))
+    if not looked:
+        return None
+    (_, centre, frequency), number, answer = max(looked, key=lambda one: one[0][0])
+    top, bottom = _bar_extent(picture, answer.row, answer.col + centre, frequency, number)
+    if (bottom - top) * frequency < MIN_ASPECT / 2:
+        return None
+    return _Group(
+        row=0.5 * (top + bottom), col=answer.col + centre, frequency=frequency, bars=number, length_px=bottom - top,
+        transposed=False, significance=answer.significance,
+    )  # fmt: skip
+
+
+def _candidate_counts(picture: Array, answer: _Detection) -> list[tuple[int, float]]:
+    """Return how many bars may lie about a place, and their middle: over as many periods the wave keeps its height."""
+    from scipy.ndimage import gaussian_filter1d
+
+    half = max(1, round(0.25 * CENTRAL * ASPECT / answer.frequency))
+    middle = round(answer.row)
+    rows = picture[max(middle - half, 0) : middle + half + 1]
+    value = rows.mean(axis=0, dtype=np.float64)
+    wave = (value - value.mean()) * np.exp(-2j * np.pi * answer.frequency * np.arange(value.size))
+    height = np.abs(gaussian_filter1d(wave, SMOOTHED_PERIODS / answer.frequency, mode="nearest"))
+    here = min(max(round(answer.col), 0), value.size - 1)
+    low = height < 0.5 * height[here]
+    before, after = np.flatnonzero(low[:here]), np.flatnonzero(low[here:])
+    left = int(before[-1]) + 1 if before.size else 0
+    right = here + int(after[0]) if after.size else value.size
+    guess = round((right - left) * answer.frequency)
+    return [(n, 0.5 * (left + right - 1)) for n in range(guess - 1, guess + 2) if n >= MIN_BARS]
+
+
+def _strip(picture: Array, answer: _Detection, bars: int) -> tuple[NDArray, NDArray] | None:
+    """Return distances from the middle and the rows there, the ground beside the bars included; None off the frame."""
+    half = max(1, round(0.25 * CENTRAL * ASPECT / answer.frequency))
+    top, bottom = round(answer.row) - half, round(answer.row) + half + 1
+    reach = (0.5 * bars + BEYOND) / answer.frequency
+    left, right = int(np.floor(answer.col - reach)), int(np.ceil(answer.col + reach)) + 1
+    if top < 0 or bottom > picture.shape[0] or left < 0 or right > picture.shape[1]:
+        return None
+    factor = max(1, int(1.0 / (answer.frequency * 2.0 * PIXELS_A_PERIOD)))
+    rows = picture[top:bottom, left : left + (right - left) // factor * factor]
+    binned = rows.reshape(len(rows), -1, factor).mean(axis=2, dtype=np.float64)
+    return left + (np.arange(binned.shape[1]) + 0.5) * factor - 0.5 - answer.col, binned
+
+
+def _bar_extent(picture: Array, row: float, col: float, frequency: float, bars: int) -> tuple[float, float]:
+    """Return between which rows the modulation stands at half of what it is in the middle or more."""
+    half = 0.5 * bars / frequency
+    left, right = max(int(np.floor(col - half)), 0), min(int(np.ceil(col + half)) + 1, picture.shape[1])
+    phase = np.exp(-2j * np.pi * frequency * (np.arange(left, right) - col))
+    reach = round(6.0 / frequency)
+    first, last = max(round(row) - reach, 0), min(round(row) + reach + 1, picture.shape[0])
+    part = picture[first:last, left:right]
+    wave = (part - part.mean(axis=1, keepdims=True)) @ phase
+    size = max(1, round(0.5 / frequency))
+    smooth = np.convolve(wave, np.ones(size) / size, "same")
+    here = round(row) - first
+    near = slice(max(here - size, 0), here + size + 1)
+    level = float(np.median(np.abs(smooth[near])))
+    low = np.abs(smooth) < 0.5 * level
+    above, below = np.flatnonzero(low[:here]), np.flatnonzero(low[here:])
+    return (
+        float(first + (above[-1] + 1 if above.size else 0)),
+        float(first + (here + below[0] if below.size else len(low))),
+    )
+
+
+def _separate(groups: list[_Group]) -> list[_Group]:
+    """Return one group for each place, the most significant."""
+    kept: list[_Group] = []
+    for group in sorted(groups, key=lambda group: -group.significance):
+        if not any(_overlap(_box(group), _box(other)) for other in kept):
+            kept.append(group)
+    return kept
+
+
+def _box(group: _Group) -> tuple[float, float, float, float]:
+    """Return top, left, bottom and right of the bars."""
+    across, along = 0.5 * (group.bars - 0.5) / group.frequency, 0.5 * group.length_px
+    down, right = (across, along) if group.transposed else (along, across)
+    return group.row - down, group.col - right, group.row + down, group.col + right
+
+
+def _overlap(one: tuple[float, ...], other: tuple[float, ...]) -> bool:
+    return one[0] < other[2] and other[0] < one[2] and one[1] < other[3] and other[1] < one[3]
+
+
+def _region(group: _Group, others: list[tuple[float, float, float, float]], shape: tuple[int, ...]) -> Region:
+    """Return the group with a margin, cut half way to its neighbours."""
+    box = _box(group)
+    margin = max(MIN_MARGIN_PX, MARGIN_PERIODS / group.frequency) + 4.0
+    gaps = [max(o[0] - box[2], box[0] - o[2], o[1] - box[3], box[1] - o[3]) for o in others]
+    margin = min(margin, max(0.5 * min(gaps, default=np.inf), 2.0))
+    top, left = max(int(np.floor(box[0] - margin)), 0), max(int(np.floor(box[1] - margin)), 0)
+    bottom = min(int(np.ceil(box[2] + margin)) + 1, shape[0])
+    right = min(int(np.ceil(box[3] + margin)) + 1, shape[1])
+    return top, left, bottom - top, right - left

@@ -1,0 +1,240 @@
+"""The law of a filtered dark pixel: pulses of random height at random places, in closed form at any density.
+
+Photoelectrons that the plate detects fall evenly, each gives a pulse of random height, and everything after the gain
+spreads it, over pixels and over the exposures in which the screen glows on. A pixel of the filtered frame is then a
+compound Poisson number, whose characteristic function is exact: overlapping pulses and pulses lost in the noise are in
+it, and no threshold has to be chosen or corrected for.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.noise.events.filters import Filter
+from charact.noise.events.spot import PulseSpread, quantise_amplitudes, responses
+
+Array = NDArray[np.float64]
+
+# The glow of a pulse is followed until less than this share is left, at most so many exposures.
+LEAST_GLOW, MOST_EXPOSURES = 1e-3, 40
+# Moments at which pulses begin, for the mean over them.
+MOMENTS = 8
+
+
+@dataclass(frozen=True, kw_only=True)
+class PulseDecay:
+    """How the screen gives off the light of a pulse: two exponentials.
+
+    Parameters
+    ----------
+    share
+        Share of the light that comes slowly, dimensionless.
+    slow_exposures, fast_exposures
+        Times in which the slow light and the rest fall to 1/e, exposures.
+    open_share
+        Share of the exposure's period, from its start, in which pulses begin.
+    """
+
+    share: float = 0.0
+    slow_exposures: float = 1.0
+    fast_exposures: float = 0.0
+    open_share: float = 1.0
+
+    @property
+    def lasts(self) -> bool:
+        """Whether any light comes after its own exposure."""
+        return self.share > 0.0 or self.fast_exposures > 0.0
+
+    @lru_cache(maxsize=256)  # noqa: B019
+    def by_exposure(self) -> tuple[Array, Array]:
+        """Return the shares of the light in a pulse's own and the following exposures, and the weights of moments.
+
+        Returns
+        -------
+        light
+            Shape (moment, exposure).
+        weight
+            Share of the pulses that begin then, shape (moment,).
+        """
+        if not self.lasts:
+            return np.ones((1, 1)), np.ones(1)
+        start, weight = _moments()
+        start = self.open_share * start
+        share = np.array([self.share, 1.0 - self.share])
+        time = np.maximum([self.slow_exposures, self.fast_exposures], 1e-9)
+        last = float(np.max(time * np.log(np.maximum(share / LEAST_GLOW, 1.0))))
+        end = np.arange(int(np.clip(np.ceil(last), 1, MOST_EXPOSURES)) + 1) + 1.0
+        left = np.exp(-(end[None, :, None] - start[:, None, None]) / time) @ share
+        return -np.diff(left, axis=1, prepend=1.0), weight
+
+
+@lru_cache(maxsize=1)
+def _moments() -> tuple[Array, Array]:
+    """Moments of an exposure of length 1 and their weights, by Gauss and Legendre, closest where light spills over."""
+    node, weight = np.polynomial.legendre.leggauss(MOMENTS)
+    root = 0.5 * (node + 1.0)
+    return 1.0 - root**2, root * weight
+
+
+@dataclass(frozen=True, kw_only=True)
+class PulsePopulation:
+    """Pulses of a dark or dim frame.
+
+    Parameters
+    ----------
+    density
+        Detected events per pixel and exposure.
+    height_dn
+        Mean pulse height, all light of a pulse together, DN.
+    relative_variance
+        Of the pulse heights: those of a Polya (gamma) law of shape 1 over it; 1 is exponential.
+    noise_dn2
+        Variance of the noise that pulses have no part in, DN^2.
+    line_1, line_2
+        Shares of a pixel's signal that the video hands on to the next pixel of the row and to the one after it; noise
+        and light pass the same low pass.
+    column_px, row_px
+        Standard deviation of the Gaussian part of the spot along a row and along a column, px.
+    wings
+        Strength of the other part, exp(-wings (f/f0)^exponent) with f0 of 0.1 cycles per column pitch.
+    exponent
+        Its exponent.
+    glow, glow_exposures, fast_exposures
+        As `share`, `slow_exposures` and `fast_exposures` of `PulseDecay`.
+    row_pitch
+        From row to row of an exposure, in column pitches.
+    open_share
+        As in `PulseDecay`.
+    """
+
+    density: float
+    height_dn: float
+    relative_variance: float
+    noise_dn2: float
+    line_1: float
+    line_2: float
+    column_px: float
+    row_px: float
+    wings: float
+    exponent: float
+    glow: float = 0.0
+    glow_exposures: float = 1.0
+    fast_exposures: float = 0.0
+    row_pitch: float = 1.0
+    open_share: float = 1.0
+
+    def log_characteristic(self, one: Filter, frequency: Array) -> NDArray[np.complex128]:
+        """Return ln E exp(i t y) of filtered pixels y at frequencies t, shape (t,), 1/DN.
+
+        Notes
+        -----
+        rate * integral over places of [E exp(i t h a(x)) - 1] - t^2 var / 2, with a(x) the filter's response to a
+        pulse of unit light at x and E exp(i s h) = (1 - i s G v)^(-1/v) of a gamma law of mean G and relative
+        variance v (Campbell's theorem). A mean over time that was taken away is part of the response.
+        """
+        amplitude, area = pulse_outputs(one, self.spot, self.line, self.screen)
+        pulse = height_transform(np.multiply.outer(frequency * self.height_dn, amplitude), self.relative_variance)
+        return self.density * (pulse @ area) - 0.5 * frequency**2 * one.noise(self.line) * self.noise_dn2
+
+    @property
+    def line(self) -> tuple[float, float, float]:
+        """Response of the video along a line to one pixel."""
+        return 1.0 - self.line_1 - self.line_2, self.line_1, self.line_2
+
+    @property
+    def spot(self) -> PulseSpread:
+        """How a pulse spreads."""
+        return PulseSpread(column_px=self.column_px, row_px=self.row_px, wings=self.wings, exponent=self.exponent,
+                    row_pitch=self.row_pitch)  # fmt: skip
+
+    @property
+    def screen(self) -> PulseDecay:
+        """How its light lasts."""
+        return PulseDecay(share=self.glow, slow_exposures=self.glow_exposures, fast_exposures=self.fast_exposures,
+                    open_share=self.open_share)  # fmt: skip
+
+
+def height_transform(z: Array, relative_variance: float) -> NDArray[np.complex128]:
+    """Return E exp(i z h) - 1 of gamma heights h of mean 1."""
+    shape = 1.0 / relative_variance
+    size = np.exp(-0.5 * shape * np.log1p((z * relative_variance) ** 2))
+    phase = shape * np.arctan(z * relative_variance)
+    return size * np.cos(phase) - 1.0 + 1j * size * np.sin(phase)
+
+
+@lru_cache(maxsize=512)
+def pulse_outputs(one: Filter, spot: PulseSpread, line: tuple[float, ...], screen: PulseDecay) -> tuple[Array, Array]:
+    """Return the output for a pulse of unit light at any place and any age: amplitudes, and px exposures of each."""
+    amplitude, area = responses(one, spot, line)
+    share, number = age_amplitudes(one, screen)
+    value, weight = np.multiply.outer(share, amplitude).ravel(), np.multiply.outer(number, area).ravel()
+    return quantise_amplitudes(value, weight) if screen.lasts else (value, weight)
+
+
+@lru_cache(maxsize=512)
+def age_amplitudes(one: Filter, screen: PulseDecay) -> tuple[Array, Array]:
+    """Return what a filter through time makes of pulses of every age: amplitudes and how many there are.
+
+    A pulse begins in any exposure, at any moment of it; the mean over the run, which holds its light too, is taken
+    away.
+    """
+    light, chance = screen.by_exposure()
+    amplitude = amplitudes_by_age(one, light)
+    taken = sum_by_phase(one, light)
+    rest = np.maximum(one.exposures - np.bincount(np.arange(amplitude.shape[1]) % one.stride, minlength=one.stride), 0)
+    number = np.broadcast_to(chance[:, None], amplitude.shape)
+    value = np.concatenate([amplitude.ravel(), -taken.ravel()])
+    return value, np.concatenate([number.ravel(), np.multiply.outer(chance, rest).ravel()])
+
+
+def amplitudes_by_age(one: Filter, light: Array) -> Array:
+    """Return the amplitude of pulses of every age, shape (moment, age), for their light, shape (moment, exposure)."""
+    moments, count = light.shape
+    width = (len(one.times) - 1) * one.stride
+    out = np.zeros((moments, count + width))
+    for place, weight in enumerate(reversed(one.times)):
+        out[:, place * one.stride : place * one.stride + count] += weight * light
+    return out - sum_by_phase(one, light)[:, np.arange(out.shape[1]) % one.stride]
+
+
+def sum_by_phase(one: Filter, light: Array) -> Array:
+    """Return what the mean over time takes away of a pulse, by the rows it began in, shape (moment, phase)."""
+    total = np.stack([light[:, phase :: one.stride].sum(axis=1) for phase in range(one.stride)], axis=1)
+    return total * sum(one.times) / one.exposures
+
+
+@dataclass(frozen=True, kw_only=True)
+class CharacteristicFunctionData:
+    """What frames show.
+
+    Parameters
+    ----------
+    filters
+        Filters.
+    frequency
+        Frequencies of each, shape (filter, t), 1/DN.
+    value
+        Logarithms of the characteristic functions, real parts, then imaginary ones, shape (2 filter t,).
+    covariance
+        Theirs, from the scatter of blocks, shape (2 filter t, 2 filter t).
+    pixels
+        Pixels it comes from, over all exposures.
+    """
+
+    filters: tuple[Filter, ...]
+    frequency: Array
+    value: Array
+    covariance: Array
+    pixels: float
+
+    def predicted(self, pulses: PulsePopulation) -> Array:
+        """Return what pulses predict, shape (2 filter t,)."""
+        pairs = zip(self.filters, self.frequency, strict=True)
+        return real_and_imaginary(np.stack([pulses.log_characteristic(one, frequency) for one, frequency in pairs]))
+
+
+def real_and_imaginary(values: NDArray[np.complex128]) -> Array:
+    """Return real parts, then imaginary ones, as one vector."""
+    return np.concatenate([values.real.ravel(), values.imag.ravel()])

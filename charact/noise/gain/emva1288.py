@@ -1,0 +1,179 @@
+"""The quantities of EMVA 1288 Release 4 (linear model) of a camera whose noise is white: gain, efficiency, range.
+
+Mean and variance of the grey value are mu = mu_dark + K eta p and s^2 = s_dark^2 + K (mu - mu_dark) for p photons on
+a pixel; K is the slope of the photon transfer curve and R = K eta that of the responsivity, both fitted over 0-70 % of
+saturation, the level where the temporal variance peaks.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.method import Context
+from charact.noise.gain.excess import excess_of
+from charact.noise.gain.series import FlatSeries
+from charact.noise.snr.rounding import QUANTISATION_DN2, rounding_sd
+from charact.posterior import find_maximum, laplace, sample
+from labdata.measurement import Posterior
+
+Array = NDArray[np.float64]
+
+# Stacks whose levels differ by less than this share show the same level.
+SAME_LEVEL = 0.01
+
+
+@dataclass(frozen=True, kw_only=True)
+class GainLine:
+    """A straight line through the origin with its posterior.
+
+    Parameters
+    ----------
+    posterior
+        Draws of the slope and of the departure of the levels from the line beyond their noise.
+    slope
+        Draws of the slope, shape (draw,).
+    residual
+        Departure of each stack from the best line, shape (stack,).
+    """
+
+    posterior: Posterior
+    slope: Array
+    residual: Array
+
+
+def line(x: Array, y: Array, sd: Array, *, names: tuple[str, str], units: tuple[str, str], seed: int,
+         quick: bool, shared_sd: float = 0.0) -> GainLine:  # fmt: skip
+    """Fit y = a x where the levels depart from the line by an unknown amount of equal size besides their noise.
+
+    Parameters
+    ----------
+    x, y, sd
+        Levels and standard errors of y, shape (level,).
+    names, units
+        Of the slope and of the departure.
+    shared_sd
+        Standard error of an offset that all y have in common.
+
+    Notes
+    -----
+    No camera is exactly linear. Where the departure outweighs the noise this is the unweighted fit of the standard,
+    with an interval from the residuals; where it does not, the weighted fit. Prior of the departure: flat in its
+    logarithm over the ten-thousandfold range below the largest y.
+    """
+    given = x, y
+    x, y, sd = pool_equal_levels(x, y, sd)
+    scale = float(np.abs(y).max())
+    first = float((x @ y) / (x @ x))
+    rest = y - first * x
+    floor, ceiling = np.log(1e-5 * scale), np.log(scale)
+    start = np.array([first, np.clip(np.log(max(float(np.sqrt(np.mean(rest**2))), 1e-4 * scale)), floor, ceiling)])
+    bounds = np.array([[-np.inf, np.inf], [floor, ceiling]])
+
+    def log_probability(points: Array) -> Array:
+        variance = sd**2 + np.exp(2.0 * points[:, 1:2])
+        rest = y - points[:, :1] * x
+        value = -0.5 * (rest**2 / variance + np.log(variance)).sum(axis=1)
+        if shared_sd:
+            known = 1.0 / shared_sd**2 + (1.0 / variance).sum(axis=1)
+            value += 0.5 * ((rest / variance).sum(axis=1) ** 2 / known - np.log(known))
+        return np.where((points[:, 1] >= floor) & (points[:, 1] <= ceiling), value, -np.inf)
+
+    point, covariance = find_maximum(log_probability, start, bounds)
+    drawn = (laplace if quick else sample)(
+        log_probability, names=(names[0], f"log_{names[1]}"), units=units, start=point, covariance=covariance,
+        seed=seed, bounds=bounds,
+    )  # fmt: skip
+    # That the departure is too small to be seen leans on its lower bound and harms nothing.
+    kept = tuple(flag for flag in drawn.flags if flag != "prior-bound")
+    posterior = replace(drawn, flags=kept)
+    slope = posterior[names[0]]
+    return GainLine(posterior=posterior, slope=slope, residual=given[1] - float(np.median(slope)) * given[0])
+
+
+def pool_equal_levels(x: Array, y: Array, sd: Array) -> tuple[Array, Array, Array]:
+    """Return the mean of the stacks at each level: those of equal x share what departs from the line there."""
+    order = np.argsort(x)
+    level = np.concatenate([[0], np.cumsum(np.diff(x[order]) > SAME_LEVEL * x[order][1:])])
+    weight = 1.0 / np.maximum(sd[order], 1e-12) ** 2
+    total = np.bincount(level, weight)
+    return (np.bincount(level, weight * x[order]) / total, np.bincount(level, weight * y[order]) / total,
+            1.0 / np.sqrt(total))  # fmt: skip
+
+
+def gain_line(series: FlatSeries, *, context: Context, allowance: float = 0.0) -> GainLine:
+    """Return the photon transfer curve's slope, DN per electron: variance over signal, over F^2 behind a register.
+
+    `allowance` is the relative standard deviation of what may be hidden from the variance.
+    """
+    chosen = series.fitted
+    sd, shared = errors_of(series)
+    found = line(series.signal_dn[chosen], series.variance_dn2[chosen], sd[chosen], names=("system_gain", "departure"),
+                 units=("DN/e-", "log DN2"), seed=context.seed, quick=context.quick, shared_sd=shared)  # fmt: skip
+    excess = excess_of(series.flats[0].conditions, context)
+    if not allowance and excess.note is None:
+        return found
+    posterior = found.posterior
+    if allowance:
+        posterior = with_relative_error(posterior, "system_gain", allowance, np.random.default_rng([context.seed, 5]))
+    draws = posterior.draws.copy()
+    draws[:, 0] = excess.divide(draws[:, 0], context.seed)
+    posterior = replace(posterior, draws=draws)
+    return replace(found, posterior=posterior, slope=posterior["system_gain"])
+
+
+def errors_of(series: FlatSeries) -> tuple[Array, float]:
+    """Return the standard errors of the variances above the dark, shape (flat,), and of what all have in common, DN^2.
+
+    Flats of one dark share its error, and what the steps of the digitiser do to its variance; see
+    `charact.noise.snr.rounding`.
+    """
+    own = np.array([flat.variance_sd_dn2 for flat in series.flats])
+    dark = np.array([np.hypot(dark.variance_sd_dn2, rounding_sd(dark.variance_dn2)[1]) for dark in series.darks])
+    if len({level.label for level in series.darks}) == 1:
+        return own, float(dark[0])
+    return np.hypot(own, dark), 0.0
+
+
+def with_relative_error(posterior: Posterior, name: str, relative_sd: float, rng: np.random.Generator) -> Posterior:
+    """Return the posterior with one more independent error on a parameter, of a relative standard deviation.
+
+    It widens the parameter and leaves its median where it is.
+    """
+    draws, column = posterior.draws.copy(), posterior.names.index(name)
+    wider = draws[:, column] * np.exp(relative_sd * rng.standard_normal(len(draws)))
+    middle = float(np.median(wider))
+    draws[:, column] = wider * (float(np.median(draws[:, column])) / middle if middle else 1.0)
+    return replace(posterior, draws=draws)
+
+
+def photons_of(series: FlatSeries) -> Array | None:
+    """Photons on a pixel of every flat, or None where one is unknown."""
+    photons = [flat.conditions.photons_per_px for flat in series.flats]
+    return None if any(value is None for value in photons) else np.array(photons, float)
+
+
+def responsivity_line(series: FlatSeries, photons: Array, *, context: Context) -> GainLine:
+    """Return the slope of signal over photons on a pixel, DN per photon."""
+    chosen = series.fitted
+    error = [np.sqrt(flat.variance_dn2 / (flat.pixels * flat.frames)) for flat in series.flats]
+    return line(photons[chosen], series.signal_dn[chosen], np.array(error)[chosen],
+                names=("responsivity", "departure"), units=("DN", "log DN"), seed=context.seed + 1,
+                quick=context.quick)  # fmt: skip
+
+
+def dark_noise_dn(series: FlatSeries) -> tuple[float, float]:
+    """Temporal noise of the dark of the shortest exposure and its standard error, DN."""
+    dark = min(series.all_darks, key=lambda level: level.conditions.exposure_s or 0.0)
+    return noise_of(dark.variance_dn2, dark.variance_sd_dn2)
+
+
+def noise_of(variance_dn2: float, sd_dn2: float) -> tuple[float, float]:
+    """Standard deviation and its standard error from a variance and its own."""
+    noise = float(np.sqrt(max(variance_dn2, 0.0)))
+    return noise, sd_dn2 / (2.0 * noise) if noise > 0 else 0.0
+
+
+def sensitivity_photons(efficiency: Array, dark_e2: Array, gain: Array, excess: float = 1.0) -> Array:
+    """Photons at which signal equals noise (EMVA 1288 R4, eq. 26): (sqrt(s_d^2 + s_q^2/K^2 + F^4/4) + F^2/2) / eta."""
+    return (np.sqrt(dark_e2 + QUANTISATION_DN2 / gain**2 + 0.25 * excess**2) + 0.5 * excess) / efficiency

@@ -1,0 +1,268 @@
+"""All flats of one gain brought to one noise spectrum per DN of signal, with its sampling error and its lag."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import stdtrit
+
+from charact.noise.gain.beyond import Beyond, beyond_of
+from charact.noise.gain.image_lag_tail import untruncated_lag_sum
+from charact.noise.gain.pixel_readout_model import PixelReadoutModel
+from charact.noise.gain.series import FlatSeries
+from charact.noise.stack.stack_statistics import StackStatistics, rows_lags
+from charact.noise.stack.temporal import error_correlation, n_effective_samples
+from labdata.sensor import Sensor
+
+Array = NDArray[np.float64]
+
+# Exposures of opposite rows are compared below this frequency only, cycles per row of the exposure: beyond it the
+# rows alias, and the aliases of odd and even rows have opposite signs.
+ODD_LAG_CY_PER_ROW = 0.08
+# Chance that noise alone passes for lag at a lag: four and a half standard errors, where many bins tell them.
+CHANCE = 3e-6
+# Mean correlation at the last lags above which the lag does not end with them.
+OPEN = 0.02
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImageLag:
+    """How much of the light of earlier exposures is in the present one.
+
+    Parameters
+    ----------
+    lag
+        Exposures apart, shape (lag,), from 1.
+    correlation, correlation_sd
+        Correlation of the modes at those lags and standard errors, shape (lag,).
+    seen
+        Whether any is there beyond its noise.
+    factor, factor_sd
+        Sum of the correlation over all lags, earlier and later, and its standard error: 1 without lag.
+    freedom
+        Bins, less one, whose scatter tells that error: with few of them its law is Student's.
+    tested
+        Whether there were frames enough to look for it.
+    open
+        Whether it goes on beyond the last lag, so that its sum is too small.
+    """
+
+    lag: NDArray[np.int64]
+    correlation: Array
+    correlation_sd: Array
+    seen: bool
+    factor: float
+    factor_sd: float
+    freedom: float
+    tested: bool
+    open: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class PooledNoise:
+    """Noise per DN of signal.
+
+    Parameters
+    ----------
+    column_cy_per_px, row_cy_per_px
+        Frequencies of the bins, cycles per column pitch, shape (bin,).
+    reading
+        How the light is read.
+    leak_cy2_per_px2
+        Variance of the frequencies mixed into one mode, along rows and along columns.
+    modes
+        Independent modes behind each bin, exposures counted, shape (bin,).
+    power_dn, power_sd_dn
+        Power of the fluctuations over the signal, both above the dark's, shape (bin,), DN.
+    variance_dn, variance_sd_dn
+        Variance of a pixel over the signal, DN.
+    height_sd
+        Relative standard error that few pulses of unequal heights give to the power of all bins in common.
+    lag
+        Correlation in time.
+    beyond
+        What pixels tell of the light's noise beyond the bins; None where no floor is white.
+    """
+
+    column_cy_per_px: Array
+    row_cy_per_px: Array
+    reading: PixelReadoutModel
+    leak_cy2_per_px2: tuple[float, float]
+    modes: Array
+    power_dn: Array
+    power_sd_dn: Array
+    variance_dn: float
+    variance_sd_dn: float
+    height_sd: float
+    lag: ImageLag
+    beyond: Beyond | None = None
+
+
+def pool_noise(series: FlatSeries, sensor: Sensor | None, *, floor: bool = False) -> PooledNoise:
+    """Pool the fitted flats of a series, each by what it knows.
+
+    Parameters
+    ----------
+    series
+        The flats of one gain with their darks.
+    sensor
+        If described, it says how they are read.
+    floor
+        Whether electrons may make a white floor, for which pixels are looked at beyond the band of the spectrum.
+    """
+    chosen, weight = pooling(series)
+    pairs = [(series.flats[i], series.darks[i]) for i in chosen]
+    exposures = np.array([_exposures(flat) for flat, _ in pairs])
+    bins = pairs[0][0].bins
+    dark = weight @ np.array([d.many.power_dn2[:, 0] for _, d in pairs])
+    share = weight * series.signal_dn[chosen]
+    lag = lag_of(*_power(pairs, weight, "many"), dark, [flat for flat, _ in pairs], share)
+    name = "many" if lag.seen else "few"
+    power, _ = _power(pairs, weight, name)
+    variance = np.array([getattr(f, name).variance_dn2 - getattr(d, name).variance_dn2 for f, d in pairs])
+    by_heights = np.array([_by_heights(flat, count) for (flat, _), count in zip(pairs, exposures, strict=True)])
+    known = np.array([_independent(flat, name, lag) for flat, _ in pairs])
+    return PooledNoise(
+        column_cy_per_px=bins.column_cy_per_px,
+        row_cy_per_px=bins.row_cy_per_px,
+        reading=PixelReadoutModel.of(bins.row_pitch, sensor),
+        leak_cy2_per_px2=bins.leak_cy2_per_px2,
+        modes=bins.modes * bins.efficiency * known[:, 0].sum(),
+        power_dn=power[:, 0],
+        power_sd_dn=_power_sd(pairs, weight, name, known[:, 0], lag),
+        variance_dn=float(weight @ variance),
+        variance_sd_dn=_variance_sd(pairs, weight, exposures / known[:, 1]),
+        height_sd=float(np.sqrt(weight**2 @ by_heights) / max(weight @ variance, 1e-12)),
+        lag=lag,
+        beyond=_beyond(pairs, weight, series.signal_dn[chosen], known[:, 0], name) if floor else None,
+    )
+
+
+def _beyond(pairs, weight: Array, signal: Array, known: Array, name: str) -> Beyond:
+    """What pixels tell beyond the band."""
+    return beyond_of([flat for flat, _ in pairs], [dark for _, dark in pairs], weight, signal, known, name)
+
+
+def pooling(series: FlatSeries) -> tuple[NDArray[np.int64], Array]:
+    """Return the flats to pool and the weight of what each has above its dark, shape (flat,), 1/DN.
+
+    Weighted sums of variances are variances over signal.
+    """
+    chosen = np.flatnonzero(series.fitted)
+    signal, flats = series.signal_dn[chosen], [series.flats[i] for i in chosen]
+    weight = np.array([_exposures(flat) / flat.variance_dn2**2 for flat in flats]) * signal
+    return chosen, weight / (weight @ signal)
+
+
+def _exposures(level: StackStatistics) -> float:
+    """Independent exposures of a level."""
+    return float(level.runs * (len(level.time) - len(np.unique(level.parity))))
+
+
+def _by_heights(flat: StackStatistics, exposures: float) -> float:
+    """Square of the standard error of a level's variance beyond that of normal modes of the same spectrum, DN^4.
+
+    A variance v of N pixels is the mean power of N modes, known to 2 sum P^2 / (N v)^2 from one exposure. Modes beyond
+    the band share what power is left to them.
+    """
+    pixels, power, modes = flat.pixels / len(np.unique(flat.parity)), flat.few.power_dn2[:, 0], 2.0 * flat.bins.modes
+    beyond = max(pixels * flat.variance_dn2 - float(modes @ power), 0.0) ** 2 / (pixels - modes.sum())
+    normal = 2.0 * (float(modes @ power**2) + beyond) / pixels**2 / exposures
+    return max(flat.variance_sd_dn2**2 - normal, 0.0)
+
+
+def _power(pairs, weight: Array, name: str) -> tuple[Array, NDArray[np.int64]]:
+    """Pooled spectrum above the dark's, shape (bin, lag), and its lags."""
+    lags = min((getattr(level, name).lags for pair in pairs for level in pair), key=len)
+    above = [getattr(f, name).power_dn2[:, : len(lags)] - getattr(d, name).power_dn2[:, : len(lags)] for f, d in pairs]
+    return np.tensordot(weight, np.array(above), 1), lags
+
+
+def _independent(level: StackStatistics, name: str, lag: ImageLag) -> tuple[float, float]:
+    """Independent exposures behind the spectrum and behind the variance of a level."""
+    lags = getattr(level, name).lags
+    correlation = lag.correlation if lag.seen else np.empty(0)
+    spectrum = n_effective_samples(level.time, level.parity, lags, correlation)
+    same = rows_lags(lags, level.parity)
+    variance = n_effective_samples(level.time, level.parity, same, correlation, within_parity=True)
+    return level.runs * spectrum, level.runs * variance
+
+
+def _power_sd(pairs, weight: Array, name: str, known: Array, lag: ImageLag) -> Array:
+    """Standard error of the pooled spectrum; stacks that share a dark share its error."""
+    bins = pairs[0][0].bins
+    modes = bins.modes * bins.efficiency
+    square = sum(
+        (w * getattr(f, name).power_dn2[:, 0]) ** 2 / (modes * count)
+        for w, (f, _), count in zip(weight, pairs, known, strict=True)
+    )
+    for dark in {d.label: d for _, d in pairs}.values():
+        shared = sum(w for w, (_, d) in zip(weight, pairs, strict=True) if d.label == dark.label)
+        square = square + (shared * getattr(dark, name).power_dn2[:, 0]) ** 2 / (
+            modes * _independent(dark, name, lag)[0]
+        )
+    return np.sqrt(square)
+
+
+def _variance_sd(pairs, weight: Array, inflation: Array) -> float:
+    """Standard error of the pooled variance over signal; `inflation` is the price of the lags allowed for."""
+    square = sum((w * f.variance_sd_dn2) ** 2 * more for w, (f, _), more in zip(weight, pairs, inflation, strict=True))
+    for dark in {d.label: d for _, d in pairs}.values():
+        shared = sum(w for w, (_, d) in zip(weight, pairs, strict=True) if d.label == dark.label)
+        square += (shared * dark.variance_sd_dn2) ** 2
+    return float(np.sqrt(square))
+
+
+def lag_of(power: Array, lags: NDArray[np.int64], dark: Array, flats: list[StackStatistics], share: Array) -> ImageLag:
+    """Correlation in time, pooled over the bins by what the dark's power lets them know; errors from their scatter.
+
+    Covariances at different lags come of the same frames: their errors go together bin by bin.
+    """
+    if len(lags) < 2:
+        none = np.empty(0)
+        return ImageLag(lag=lags[1:], correlation=none, correlation_sd=none, seen=False, factor=1.0, factor_sd=0.0,
+                   freedom=np.inf, tested=False, open=False)  # fmt: skip
+    bins = flats[0].bins
+    radius = np.hypot(bins.column_cy_per_px, bins.row_cy_per_px)
+    smooth = smooth_power(power[:, 0], radius, bins.modes)
+    known = bins.modes * (smooth / (smooth + 2.0 * np.maximum(dark, 0.0))) ** 2
+    weight = np.repeat(known[:, None], len(lags) - 1, axis=1)
+    if len(np.unique(flats[0].parity)) > 1:
+        weight *= (bins.row_cy_per_px * bins.row_pitch < ODD_LAG_CY_PER_ROW)[:, None] | (lags[1:] % 2 == 0)
+    weight /= weight.sum(axis=0)
+    # Blur is not the same along rows and columns: each lag is compared with lag 0 in its own bins.
+    relative = power / smooth[:, None]
+    height = weight.T @ relative[:, 0]
+    value = (weight * relative[:, 1:]).sum(axis=0) / height
+    square = (weight**2).sum(axis=0)
+    # Residuals about a weighted mean are smaller than their errors, the more so the fewer the bins.
+    rest = weight * (relative[:, 1:] - value * relative[:, :1]) / height / np.sqrt(np.maximum(1.0 - square, 0.1))
+    sd = np.sqrt((rest**2).sum(axis=0))
+    freedom = max(2.0, float(1.0 / square.max() - 1.0))
+    seen = bool((value[:3] > -stdtrit(freedom, CHANCE) * sd[:3]).any())
+    reach = len(value) if seen else min(2, len(value))
+    left = abs(float(value[max(0, reach - 3) : reach].mean())) if seen else 0.0
+    errors = error_correlation(flats[0].time, flats[0].parity, lags)[1:, 1:] * np.outer(sd, sd)
+    errors *= weight.T @ weight / np.sqrt(np.outer(square, square))
+    lacking, change = untruncated_lag_sum(flats, share, lags, value, errors) if seen else (0.0, np.zeros(len(value)))
+    summed = 2.0 * (np.arange(len(value)) < reach)
+    own = float(np.sqrt(np.sum((rest @ (summed + change)) ** 2)))
+    factor = float(1.0 + summed @ value + lacking)
+    return ImageLag(lag=lags[1:], correlation=value, correlation_sd=sd, seen=seen, factor=factor,
+               factor_sd=float(np.hypot(own, 2.0 * left)),
+               freedom=max(2.0, float(1.0 / square[:reach].max() - 1.0)),
+               tested=True, open=seen and left > OPEN)  # fmt: skip
+
+
+def smooth_power(power: Array, radius: Array, modes: Array) -> Array:
+    """Power as a smooth function of radius: a parabola in the logarithm of ring means."""
+    ring = np.round(radius * 100).astype(int)
+    where = np.unique(ring, return_inverse=True)[1]
+    count = np.bincount(where, modes)
+    mean = np.bincount(where, modes * power) / count
+    centre = np.bincount(where, modes * radius) / count
+    good = mean > 0
+    if good.sum() < 4:
+        return np.full_like(power, max(float(np.average(power, weights=modes)), 1e-12))
+    fit = np.polynomial.Polynomial.fit(centre[good], np.log(mean[good]), 3, w=np.sqrt(count[good]))
+    return np.exp(fit(radius))

@@ -1,0 +1,112 @@
+"""A number as a reader should see it: rounded to its uncertainty, never more digits than are known."""
+
+import math
+
+from labdata.measurement import Interval, Measurement
+from labdata.quantity import QUANTITIES
+
+MINUS = "−"
+SUPERSCRIPTS = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
+
+
+def round_to_spread(value: float, spread: float | None = None) -> str:
+    """Return a number with two digits of its spread, or four significant digits where the spread is unknown.
+
+    Parameters
+    ----------
+    value
+        The number.
+    spread
+        A positive uncertainty in the same unit; None, 0 or not finite: unknown.
+    """
+    exponent, digits = _format(value, spread)
+    return _with_power(_mantissa_text(value, exponent, digits), exponent)
+
+
+def _format(value: float, spread: float | None) -> tuple[int, int]:
+    """Power of ten to take out (0: none) and digits after the point, for a value known to within a spread."""
+    if not math.isfinite(value):
+        return 0, 0
+    known = spread if spread is not None and math.isfinite(spread) and spread > 0 else None
+    last = _exponent(value) - 3 if known is None else _exponent(known) - 1
+    first = max(_exponent(value), last)
+    if first < -4 or first > 5 or last > 0:
+        return first, max(first - last, 0)
+    return 0, max(-last, 0)
+
+
+def _exponent(value: float) -> int:
+    """Decimal exponent of a number; 0 of zero."""
+    return math.floor(math.log10(abs(value))) if value else 0
+
+
+def _mantissa_text(value: float, exponent: int, digits: int) -> str:
+    """A number in units of a power of ten."""
+    if math.isnan(value):
+        return "not a number"
+    if math.isinf(value):
+        return "∞" if value > 0 else f"{MINUS}∞"
+    return f"{value / 10.0**exponent:.{digits}f}".replace("-", MINUS)
+
+
+def _with_power(text: str, exponent: int) -> str:
+    """Text times a power of ten."""
+    return text if exponent == 0 else f"{text} × 10{str(exponent).translate(SUPERSCRIPTS)}"
+
+
+def spread_of(measurement: Measurement) -> float | None:
+    """Half the 68 % interval (of the 95 % one where only that is known), in the unit of the value."""
+    for interval, scale in ((measurement.interval68, 2.0), (measurement.interval95, 4.0)):
+        if interval is not None:
+            return (interval[1] - interval[0]) / scale
+    return None
+
+
+def quantity_title(m: Measurement) -> str:
+    """A quantity in words, with its frequency where it has one."""
+    title = QUANTITIES[m.quantity].title
+    return (
+        title if m.frequency_cy_per_px is None else title.replace("one frequency", f"{m.frequency_cy_per_px:.4g} cy/px")
+    )
+
+
+def value_text(measurement: Measurement) -> str:
+    """The value of a measurement; an em dash where it was refused."""
+    return "—" if measurement.value is None else round_to_spread(measurement.value, spread_of(measurement))
+
+
+def interval_text(measurement: Measurement, interval: Interval | None) -> str:
+    """Both ends of an interval with the digits of the value; "unknown" where there is none."""
+    if measurement.value is None:
+        return "—"
+    if interval is None:
+        return "unknown"
+    exponent, digits = _format(measurement.value, spread_of(measurement))
+    ends = f"{_mantissa_text(interval[0], exponent, digits)} … {_mantissa_text(interval[1], exponent, digits)}"
+    return _with_power(f"({ends})" if exponent else ends, exponent)
+
+
+def plus_minus(measurement: Measurement) -> str:
+    """Value with the arms of its 95 % interval."""
+    if measurement.value is None or measurement.interval95 is None:
+        return value_text(measurement)
+    exponent, digits = _format(measurement.value, spread_of(measurement))
+    low, high = measurement.interval95
+    value, up, down = (
+        _mantissa_text(number, exponent, digits)
+        for number in (measurement.value, high - measurement.value, measurement.value - low)
+    )
+    text = f"{value} ± {up}" if up == down else f"{value} +{up} {MINUS}{down}"
+    return _with_power(f"({text})" if exponent else text, exponent)
+
+
+def short_text(value: object) -> str:
+    """Any value of a setting or condition in a few characters."""
+    if isinstance(value, bool) or value is None:
+        return {True: "yes", False: "no", None: "unknown"}[value]
+    if isinstance(value, float):
+        mantissa, _, power = f"{value:.5g}".partition("e")
+        return _with_power(mantissa.replace("-", MINUS), int(power or 0))
+    if isinstance(value, (list, tuple)):
+        return ", ".join(short_text(item) for item in value)
+    return str(value)

@@ -1,0 +1,238 @@
+"""All that a session's stacks allow: each stack goes to the analysis of its kind."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+from charact.method import Context
+from charact.method.cluster import Spread
+from labdata.digest import sha256_of
+from labdata.errors import BadInput
+from labdata.measurement import Measurement, Result
+from labdata.parameter import Parameter
+from labdata.session import MANIFEST, Session, StackEntry, open_session
+
+Progress = Callable[[str, float], None]
+Task = Callable[[Context], Result]
+
+
+def ignore_progress(sentence: str, share: float) -> None:
+    """Progress that nobody listens to."""
+
+
+def measure(
+    session: Session | str | Path,
+    *,
+    quick: bool = False,
+    seed: int = 0,
+    within_percent: float = 2.0,
+    progress: Progress = ignore_progress,
+    spread: Spread = map,
+) -> Result:
+    """Measure all that a session allows: noise and gain, MTF of every target, halo and blooming.
+
+    Parameters
+    ----------
+    session
+        A session, or the folder of one.
+    quick
+        No Markov chain: intervals from the curvature at the maximum.
+    seed
+        Seed of every random step.
+    within_percent
+        Error that the automatic choice of a method must meet, percent.
+    progress
+        Called with a sentence and the share done (0..1).
+    spread
+        Where parts of the noise analysis are computed, see `charact.method.Context`.
+
+    Returns
+    -------
+    Result
+        Measurements (some of them refused, with the reason), curves and evidence; several stacks' curves are told
+        apart by ":label".
+
+    Raises
+    ------
+    BadInput
+        If every stack is of kind scene, of which nothing is measured.
+    """
+    session = session if isinstance(session, Session) else open_session(session)
+    tasks = _tasks(session, within_percent)
+    if not tasks:
+        raise BadInput(
+            "a session must have a stack of kind dark, flat, edge, bars or point to be measured, got only kind "
+            f"'scene': say in {session.folder / MANIFEST} what the frames show"
+        )
+    context, result = method_context(session, quick=quick, seed=seed, spread=spread), Result()
+    for done, (sentence, task) in enumerate(tasks):
+        progress(sentence, done / len(tasks))
+        result += task(replace(context, progress=partial(_within, progress, done, len(tasks))))
+        context = _with_measured_gap(context, result)
+    progress("measured", 1.0)
+    return _combine_targets(session, result, context)
+
+
+def with_inputs(result: Result, session: Session) -> Result:
+    """Return a result of which each number's provenance holds the SHA-256 of its stack's frames, else of all stacks'.
+
+    What is measured of one stack may lean on others, such as its dark: those stand with the numbers of the session.
+    """
+    digests = {entry.label: _digests(entry) for entry in session.stacks if entry.kind != "scene"}
+    everything = {name: digest for one in digests.values() for name, digest in one.items()}
+    measurements = tuple(
+        m
+        if m.provenance is None
+        else m.with_(provenance=replace(m.provenance, inputs=digests.get(m.stack or "", everything)))
+        for m in result.measurements
+    )
+    return replace(result, measurements=measurements)
+
+
+def _digests(entry: StackEntry) -> dict[str, str]:
+    """SHA-256 of the files or arrays of a stack, by the name that the session gives them."""
+    names = (entry.frames,) if isinstance(entry.frames, str) else entry.frames
+    return {name: sha256_of(path) for name, path in zip(names, entry.paths, strict=True)}
+
+
+def _within(progress: Progress, done: int, tasks: int, sentence: str, share: float) -> None:
+    """Tell what one of several analyses says of its own progress."""
+    progress(sentence, (done + share) / tasks)
+
+
+def _combine_targets(session: Session, result: Result, context: Context) -> Result:
+    """Return a session's result with what its targets tell of one MTF and its stages, and whether they agree."""
+    from charact.mtf.bars.group_curve import session_curves
+    from charact.mtf.session.consistency import mtf_consistency
+    from charact.mtf.session.joint import fit_joint_mtf
+    from charact.mtf.session.session_budget import add_mtf_budget
+    from charact.mtf.session.uniformity import mtf_uniformity
+
+    targets = session.of_kind("edge", "bars", "point")
+    kinds = {entry.label: entry.kind for entry in targets}
+    conditions = {entry.label: entry.conditions for entry in targets}
+    whole = (
+        result
+        + session_curves(result, kinds, context=context)
+        + fit_joint_mtf(result, kinds, context=context)
+        + mtf_consistency(result, kinds)
+        + mtf_uniformity(result, kinds, conditions, context=context)
+    )
+    return add_mtf_budget(whole, kinds, context=context)
+
+
+def _with_measured_gap(context: Context, result: Result) -> Context:
+    """Return the context in which the gap before the channel plate is what the session's own halo says.
+
+    The halo's diameter is four gaps; a point series tells it far better than the description does, and an edge that
+    must find it anew finds several.
+    """
+    found = [m for m in result.find("halo_diameter") if m.status == "ok" and m.interval95 is not None]
+    if context.sensor is None or not found or found[0].value is None or found[0].interval95 is None:
+        return context
+    sensor = context.sensor
+    mm_per_px = float(sensor.ccd.pitch_x_um) * float(sensor.taper.demagnification) * 1e-3
+    value, low, high = (x * mm_per_px / 4.0 for x in (found[0].value, *found[0].interval95))
+    gap = Parameter(value=value, low=low, high=high, standing="fitted", source="halo of the session's point sources")
+    return replace(context, sensor=sensor.with_parameters({"photocathode.gap_mm": gap}))
+
+
+def method_context(
+    session: Session, *, quick: bool, seed: int, progress: Progress = ignore_progress, spread: Spread = map
+) -> Context:
+    """What methods are told of a session."""
+    full_scale_dn = None if session.bit_depth is None else float(2**session.bit_depth - 1)
+    return Context(
+        seed=seed,
+        quick=quick,
+        sensor=session.sensor,
+        register=session.register,
+        interlaced=session.is_interlaced,
+        full_scale_dn=full_scale_dn,
+        progress=progress,
+        spread=spread,
+    )
+
+
+def _tasks(session: Session, within_percent: float) -> list[tuple[str, Task]]:
+    """Sentence and function of every analysis the session has stacks for; the halo first, for the others know of it."""
+    tasks: list[tuple[str, Task]] = []
+    if session.of_kind("dark", "flat"):
+        tasks.append(("noise against gain", partial(_noise, session, within_percent)))
+    if session.of_kind("flat"):
+        tasks.append(("MTF after the gain, from the noise of flats", partial(_post_gain, session, within_percent)))
+    if session.of_kind("point"):
+        tasks.append(("halo and blooming", partial(_bloom, session, within_percent)))
+    targets = session.of_kind("edge", "bars")
+    tasks += [(f"MTF of {entry.label}", partial(_target, session, entry, within_percent)) for entry in targets]
+    if session.of_kind("point"):
+        tasks.append(("MTF of a point source", partial(_best_point, session, within_percent)))
+    return tasks
+
+
+def _noise(session: Session, within_percent: float, context: Context) -> Result:
+    from charact import noise
+
+    return noise.measure(session, within_percent=within_percent, context=context)
+
+
+def _post_gain(session: Session, within_percent: float, context: Context) -> Result:
+    from charact import mtf
+
+    return mtf.measure_flats(session, within_percent=within_percent, context=context)
+
+
+def _bloom(session: Session, within_percent: float, context: Context) -> Result:
+    from charact import bloom
+
+    return bloom.measure(session, within_percent=within_percent, context=context)
+
+
+def _target(session: Session, entry: StackEntry, within_percent: float, context: Context) -> Result:
+    from charact import mtf
+
+    target, stack = entry.target, entry.read()
+    if entry.kind == "edge" and stack.black_level_dn is None:
+        stack = replace(stack, black_level_dn=session.black_dn(entry))
+    asked = {"bars": target.bars, "frequency_cy_per_px": target.frequency_cy_per_px} if entry.kind == "bars" else {}
+    found = mtf.measure(
+        entry.kind, stack, region=target.region, within_percent=within_percent, context=context, **asked
+    )
+    return with_stack_label(found, entry.label)
+
+
+def _best_point(session: Session, within_percent: float, context: Context) -> Result:
+    """The MTF of the point source that its method distrusts least, of several the one with most light.
+
+    Not the one with the narrowest interval: that is the one whose halo, by chance, came out small and its MTF high.
+    """
+    from charact import mtf
+    from charact.mtf.point.source import source_signal
+
+    found: list[tuple[tuple[int, int], StackEntry, Result]] = []
+    for entry in session.of_kind("point"):
+        target = entry.target
+        one = mtf.measure(
+            "point", entry.read(), region=target.region, within_percent=within_percent, context=context,
+            pinhole_px=target.pinhole_px,
+        )  # fmt: skip
+        found.append((_count_refusals_and_flags(one.measurements), entry, with_stack_label(one, entry.label)))
+    least = min(distrust for distrust, _, _ in found)
+    trusted = [(entry, result) for distrust, entry, result in found if distrust == least]
+    # Read again rather than kept: a long series does not fit into memory.
+    return max(trusted, key=lambda one: source_signal(one[0].read().data))[1] if len(trusted) > 1 else trusted[0][1]
+
+
+def _count_refusals_and_flags(measurements: tuple[Measurement, ...]) -> tuple[int, int]:
+    refusals = sum(m.status == "refused" for m in measurements)
+    return refusals, sum(len(m.flags) for m in measurements)
+
+
+def with_stack_label(result: Result, label: str) -> Result:
+    """Return the result of one stack with the stack's label on everything in it."""
+    return Result(
+        measurements=tuple(m.with_(stack=label) for m in result.measurements),
+        curves={f"{name}:{label}": curve for name, curve in result.curves.items()},
+        evidence={f"{name}:{label}": data for name, data in result.evidence.items()},
+    )

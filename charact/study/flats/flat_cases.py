@@ -1,0 +1,219 @@
+"""Flat series of exactly known covariance gain: counted pulses through an exact cascade, from no simulator."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.study.harness import Case
+from charact.study.sweep_axes import Axes, AxisPosition, cases_along_axes, cases_in_scope
+from labdata.conditions import Conditions
+from labdata.frames import FrameStack
+from labdata.session import Kind, Session, StackEntry
+
+
+@dataclass(frozen=True, kw_only=True)
+class InMemoryStack(StackEntry):
+    """A stack of a session that lies in memory rather than in a file."""
+
+    held: FrameStack
+
+    def read(self) -> FrameStack:
+        """The frames held."""
+        return self.held
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlatScene:
+    """A flat series of an intensified camera, with one knob for each way in which gain estimators break.
+
+    Parameters
+    ----------
+    photoelectron_gain_dn
+        k, DN per photoelectron.
+    excess_noise_factor
+        F^2 = 1 + relative variance of the pulse heights; every photoelectron is detected. 1: equal pulses. 0: a camera
+        without an intensifier, whose light comes without pulses.
+    electron_gain_dn
+        K, DN per CCD electron.
+    blur_px
+        Standard deviation of the Gaussian blur after the gain, px.
+    wings_cy_per_px
+        Frequency fc of the blur exp(-(f/fc)^1.2) of an image tube that comes on top, cycles per px; infinite: none.
+    photoelectrons
+        Mean photoelectrons per pixel and frame at each level; the first stack is dark.
+    rows, cols, frames
+        Size of each stack.
+    read_noise_dn, black_dn, full_scale_dn
+        White read noise, offset and highest code, DN.
+    lag
+        Share of a frame's light that returns in the next, dimensionless.
+    flicker
+        Relative standard deviation of the light from frame to frame.
+    agc
+        Whether an automatic gain holds the mean of every level at that of the brightest.
+    resampling_px
+        Standard deviation of a Gaussian that smooths the frames as recorded, px: noise of the camera shared afterwards.
+    """
+
+    photoelectron_gain_dn: float = 20.0
+    excess_noise_factor: float = 2.0
+    electron_gain_dn: float = 0.05
+    blur_px: float = 0.6
+    wings_cy_per_px: float = np.inf
+    photoelectrons: tuple[float, ...] = (2.0, 4.0, 8.0, 16.0, 32.0)
+    rows: int = 192
+    cols: int = 256
+    frames: int = 24
+    read_noise_dn: float = 1.5
+    black_dn: float = 60.0
+    full_scale_dn: float = 4095.0
+    lag: float = 0.0
+    flicker: float = 0.0
+    agc: bool = False
+    resampling_px: float = 0.0
+
+    @property
+    def truth_covariance_gain(self) -> float:
+        """K + k F^2, DN (Poisson pulses of random height, each unfolded into Poisson electrons)."""
+        return self.electron_gain_dn + self.photoelectron_gain_dn * self.excess_noise_factor
+
+    def session_drawn(self, rng: np.random.Generator) -> Session:
+        """Draw the dark stack and one flat stack for each level."""
+        levels = (0.0, *self.photoelectrons)
+        stacks = tuple(self._entry(number, level, rng) for number, level in enumerate(levels))
+        return Session(folder=Path("."), name="flats of known gain", stacks=stacks)
+
+    def _entry(self, number: int, level: float, rng: np.random.Generator) -> InMemoryStack:
+        kind: Kind = "flat" if number else "dark"
+        light = self._light(level, rng)
+        if self.agc and number:
+            light = light * max(self.photoelectrons) / level
+        noisy = self.black_dn + light + self.read_noise_dn * rng.standard_normal(light.shape)
+        if self.resampling_px > 0:
+            from scipy.ndimage import gaussian_filter
+
+            noisy = gaussian_filter(noisy, (0, self.resampling_px, self.resampling_px), mode="wrap")
+        codes = np.clip(np.rint(noisy), 0, self.full_scale_dn).astype(np.uint16)
+        stack = FrameStack(
+            data=codes, time_s=np.arange(self.frames) / 30, full_scale_dn=self.full_scale_dn, black_level_dn=None
+        )
+        lux = 1e-6 * level if level else 0.0
+        conditions = Conditions(illuminance_lux=lux, mcp_v=800.0, gate_ns=1.6e7, exposure_s=0.0167)
+        return InMemoryStack(
+            label=f"{kind}-{number}", kind=kind, frames="", conditions=conditions, folder=Path("."), held=stack
+        )
+
+    def _light(self, level: float, rng: np.random.Generator) -> NDArray[np.floating]:
+        """Light signal, DN, shape (frame, row, col): pulses, blur after the gain, then electrons."""
+        from scipy.ndimage import gaussian_filter
+
+        shape = (self.frames + 1, self.rows, self.cols)
+        strength = 1 + self.flicker * rng.standard_normal((self.frames + 1, 1, 1))
+        light = np.broadcast_to(np.maximum(level * strength, 0), shape)
+        counted = light if self.excess_noise_factor == 0 else rng.poisson(light)
+        pulses = _pulse_heights(counted, self.excess_noise_factor, rng) * self.photoelectron_gain_dn
+        if self.blur_px > 0:
+            pulses = gaussian_filter(pulses, (0, self.blur_px, self.blur_px), mode="wrap", truncate=6)
+        if np.isfinite(self.wings_cy_per_px):
+            pulses = _with_wings(pulses, self.wings_cy_per_px)
+        lagged = (1 - self.lag) * pulses[1:] + self.lag * pulses[:-1]
+        return self.electron_gain_dn * rng.poisson(np.maximum(lagged, 0) / self.electron_gain_dn)
+
+
+def _with_wings(pulses: NDArray[np.floating], frequency_cy_per_px: float) -> NDArray[np.floating]:
+    """Blur by exp(-(f/fc)^1.2), as image tubes do."""
+    from scipy.fft import irfft2, rfft2
+
+    rows, cols = pulses.shape[1:]
+    radius = np.hypot(np.fft.fftfreq(rows)[:, None], np.fft.rfftfreq(cols)[None, :])
+    return np.asarray(irfft2(rfft2(pulses) * np.exp(-((radius / frequency_cy_per_px) ** 1.2)), s=(rows, cols)))
+
+
+def _pulse_heights(counts: NDArray, factor: float, rng: np.random.Generator) -> NDArray[np.floating]:
+    """Summed heights of pulses of mean 1: a sum of n gamma heights of shape m is gamma of shape n m."""
+    if factor <= 1:
+        return counts.astype(float)
+    shape = 1 / (factor - 1)
+    return rng.standard_gamma(np.maximum(counts, 1e-12) * shape) / shape * (counts > 0)
+
+
+AXES: Axes = {
+    "blur after the gain": ("px, Gaussian sigma", (0, 0.3, 0.6, 1, 1.5, 2.5), (0, 1)),
+    "frames": ("a stack", (2, 4, 8, 24, 48), (24, 48)),
+    "levels": ("flat stacks", (1, 2, 3, 5), (3, 5)),
+    "brightest level": ("photoelectrons a pixel", (0.05, 0.3, 2, 32, 100), (2, 32)),
+    "saturated": ("% of full scale at the brightest", (70, 100, 130, 300), (70, 70)),
+    "lag": ("share a frame", (0, 0.05, 0.1, 0.2, 0.4), (0, 0)),
+    "flicker": ("% rms", (0, 0.5, 2, 5, 10), (0, 0)),
+    "automatic gain": ("1 = on", (0, 1), (0, 0)),
+    "steps of the digitiser": ("DN a photoelectron", (20, 3, 1, 0.3, 0.1), (3, 20)),
+}
+
+
+def _scene(axis: str, position: float, base: FlatScene) -> FlatScene:
+    """The flat series of an axis at a position."""
+    number = int(position)
+    white = 32 * base.photoelectron_gain_dn
+    knob = {
+        "blur after the gain": lambda: {"blur_px": position},
+        "frames": lambda: {"frames": number},
+        "levels": lambda: {"photoelectrons": base.photoelectrons[-number:]},
+        "brightest level": lambda: {"photoelectrons": tuple(position * np.array([0.1, 0.25, 0.5, 0.75, 1.0]))},
+        "saturated": lambda: {"full_scale_dn": float(round(base.black_dn + white * 100 / position))},
+        "lag": lambda: {"lag": position},
+        "flicker": lambda: {"flicker": position / 100},
+        "automatic gain": lambda: {"agc": bool(position)},
+        "steps of the digitiser": lambda: {
+            "photoelectron_gain_dn": position,
+            "electron_gain_dn": position / 400,
+            "read_noise_dn": position / 13,
+        },
+    }[axis]()
+    return replace(base, **knob)
+
+
+def flat_case(quantity: str, at: AxisPosition, scene: FlatScene, rng: np.random.Generator) -> Case:
+    """Return a case of a flat series whose covariance gain or, without an intensifier, system gain is known."""
+    truth = scene.truth_covariance_gain if quantity == "covariance_gain" else scene.electron_gain_dn
+    return at.case(
+        rng,
+        kind="flats",
+        quantity=quantity,
+        truth=truth,
+        draw=scene.session_drawn,
+        context={"full_scale_dn": scene.full_scale_dn},
+    )
+
+
+def _base(rng: np.random.Generator) -> FlatScene:
+    return FlatScene(
+        photoelectron_gain_dn=float(rng.uniform(15, 30)),
+        excess_noise_factor=float(rng.uniform(1.5, 3.0)),
+        blur_px=float(rng.uniform(0.4, 0.8)),
+    )
+
+
+def stability_cases(seed: int, repeats: int, axes: tuple[str, ...] = tuple(AXES)) -> tuple[Case, ...]:
+    """Every axis at every position, drawn several times with another gain, pulse height and blur."""
+    rng = np.random.default_rng([seed, 3])
+
+    def make_case(at: AxisPosition, _: int) -> Case:
+        return flat_case("covariance_gain", at, _scene(at.axis, at.position, _base(rng)), rng)
+
+    return cases_along_axes(AXES, axes, repeats, make_case)
+
+
+def chart_cases(seed: int, count: int) -> tuple[Case, ...]:
+    """Cases inside the scope, drawn at random: gain, pulse heights, blur, every other with wings, number of frames."""
+    rng = np.random.default_rng([seed, 4])
+    scenes = [
+        replace(
+            _base(rng),
+            frames=int(rng.integers(24, 49)),
+            wings_cy_per_px=float(rng.uniform(0.2, 0.5)) if number % 2 else np.inf,
+        )
+        for number in range(count)
+    ]
+    return cases_in_scope(count, lambda at, number: flat_case("covariance_gain", at, scenes[number], rng))

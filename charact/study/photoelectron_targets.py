@@ -1,0 +1,229 @@
+"""Targets as an intensified camera shows them: photoelectrons where the light falls, each a pulse of light.
+
+Pulses fall on a grid several times finer than the pixels, at random as the light before the gain has it; a Gaussian and
+the square pixel make pixels of them. Nothing is shared with the methods measured.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.study.edge.scene import TrueBlur
+from charact.study.noise import correlate_noise
+from charact.study.sharpening_camera import boost, sharpen_images
+from labdata.errors import BadInput
+from labdata.frames import FrameStack
+
+Array = NDArray[np.floating]
+
+# Places of pulses in a pixel, along each axis, and pixels around the frame whose pulses reach into it.
+FINER, MARGIN_PX = 4, 8
+# Blur of a fixed pattern of gains, px: that of a screen's grain rather than of single pixels.
+PATTERN_PX = 0.7
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhotoelectronTarget(ABC):
+    """A target before an intensified camera, with one knob for each way in which methods break whatever the target.
+
+    Parameters
+    ----------
+    blur
+        The blur before the gain.
+    pulse_px
+        Standard deviation of a photoelectron's Gaussian pulse, the blur behind the gain, px.
+    photoelectrons
+        Mean number on a pixel of the bright side in a frame.
+    bright_dn
+        Level of the bright side over black, DN.
+    dark_share
+        Light of the dark side over that of the bright one.
+    gain_spread
+        Relative variance of the pulses' heights: 1 is exponential, 0 has none.
+    read_dn, row_noise_dn
+        Standard deviations of white read noise and of an offset that each row of each frame has for itself, DN.
+    rows, cols, frames
+        Size of the stack.
+    angle_deg
+        Direction across the target's lines from the row direction, degrees: 0 is a vertical line.
+    gradient
+        Illumination at the right border over that at the left, minus 1.
+    vignetting
+        Share of the light that the corners lose, growing with the square of the distance from the middle.
+    interlaced, motion_px
+        Whether odd rows are exposed in a later field, and the displacement along the rows until then, px.
+    drift_px, jitter_px
+        Displacement along the rows from the first frame to the last, and standard deviation of one that each frame has
+        for itself, px.
+    flicker
+        Relative standard deviation of the light from exposure to exposure.
+    lag
+        Share of an exposure's light that returns in the next.
+    ion_share, ion_photoelectrons
+        Share of the pulses that an ion makes, and how many photoelectrons' light such a one has.
+    pattern
+        Relative standard deviation of a gain that each place keeps in all frames.
+    gamma
+        Exponent of the response, on a scale from black to full scale.
+    hot_share
+        Share of pixels stuck at full scale.
+    sharpening
+        Share by which the camera raises fine detail, see `charact.study.sharpening_camera`.
+    black_dn, full_scale_dn
+        Codes at no light and at the top, DN; what read noise takes below code 0 is lost.
+    """
+
+    blur: TrueBlur = field(default_factory=TrueBlur)
+    pulse_px: float = 0.6
+    photoelectrons: float = 1.0
+    bright_dn: float = 120.0
+    dark_share: float = 0.2
+    gain_spread: float = 0.6
+    read_dn: float = 1.0
+    row_noise_dn: float = 0.0
+    rows: int = 100
+    cols: int = 100
+    frames: int = 16
+    angle_deg: float = 5.0
+    gradient: float = 0.0
+    vignetting: float = 0.0
+    interlaced: bool = False
+    motion_px: float = 0.0
+    drift_px: float = 0.0
+    jitter_px: float = 0.0
+    flicker: float = 0.0
+    lag: float = 0.0
+    ion_share: float = 0.0
+    ion_photoelectrons: float = 20.0
+    pattern: float = 0.0
+    gamma: float = 1.0
+    hot_share: float = 0.0
+    sharpening: float = 0.0
+    black_dn: float = 12.0
+    full_scale_dn: float = 255.0
+
+    def __post_init__(self) -> None:
+        if not (self.photoelectrons > 0 and self.pulse_px > 0):
+            raise BadInput(
+                f"photoelectrons and pulse_px must be positive, got {self.photoelectrons:g} and {self.pulse_px:g}"
+            )
+
+    def mtf(self, frequency_cy_per_px: Array | float) -> Array:
+        """MTF across the lines of the camera at rest, pixel and sharpening included."""
+        pulse = np.exp(-2 * (np.pi * np.asarray(frequency_cy_per_px, float) * self.pulse_px) ** 2)
+        boosted = boost(frequency_cy_per_px, self.sharpening)
+        return self.blur.mtf(frequency_cy_per_px, self.angle_deg) * pulse * boosted
+
+    @property
+    def gain_dn(self) -> float:
+        """Light of a photoelectron's pulse, DN px^2."""
+        return self.bright_dn / self.photoelectrons
+
+    @property
+    def pulse_peak_dn(self) -> float:
+        """Brightest pixel of a mean pulse in the middle of it, DN."""
+        from scipy.special import erf
+
+        return self.gain_dn * float(erf(0.5 / (np.sqrt(2.0) * self.pulse_px))) ** 2
+
+    @property
+    def snr(self) -> float:
+        """Step over the standard deviation of the mean frame half way up, dimensionless."""
+        # Squares of a pixel's shares of a pulse, over all places of it: the integral of the pulse's squared transfer.
+        f = (np.arange(400) - 199.5) / 100
+        line = np.sum((np.exp(-2 * (np.pi * f * self.pulse_px) ** 2) * np.sinc(f)) ** 2) / 100
+        light = self.bright_dn * (1.0 + self.dark_share) / 2.0
+        variance = (1.0 + self.gain_spread) * self.gain_dn * light * line**2 + self.read_dn**2
+        return self.bright_dn * (1.0 - self.dark_share) / float(np.sqrt(variance / self.frames))
+
+    def frames_drawn(self, rng: np.random.Generator) -> FrameStack:
+        """Draw the stack: Poisson pulses of random height, fixed pattern, response, read noise, digitised, clipped."""
+        light = np.stack(self._light(rng))
+        if self.pattern:
+            light = light * (
+                1.0 + self.pattern * correlate_noise(rng.standard_normal((1, *light.shape[1:])), PATTERN_PX)
+            )
+        room = self.full_scale_dn - self.black_dn
+        signal = self.black_dn + room * np.maximum(light / room, 0) ** self.gamma
+        signal += self.read_dn * rng.standard_normal(signal.shape)
+        if self.row_noise_dn:
+            signal += self.row_noise_dn * rng.standard_normal((*signal.shape[:2], 1))
+        stuck = rng.random((self.rows, self.cols)) < self.hot_share
+        digits = np.where(stuck, self.full_scale_dn, sharpen_images(signal, self.sharpening))
+        return FrameStack(
+            data=np.clip(np.rint(digits), 0, self.full_scale_dn).astype(
+                np.uint8 if self.full_scale_dn < 256 else np.uint16
+            ),
+            full_scale_dn=self.full_scale_dn,
+            black_level_dn=self.black_dn,
+        )
+
+    def _light(self, rng: np.random.Generator) -> Sequence[Array]:
+        """Light of each frame over black, DN; of interlaced ones each field has an exposure of its own."""
+        fields = 2 if self.interlaced or self.motion_px else 1
+        moved = self.drift_px * np.linspace(-0.5, 0.5, self.frames) + self.jitter_px * rng.standard_normal(self.frames)
+        places = [frame + number * self.motion_px for frame in [moved[0], *moved] for number in range(fields)]
+        shots = [self._exposure(place, rng) for place in places[fields - 1 :]]
+        lagged = [(1 - self.lag) * new + self.lag * old for old, new in pairwise(shots)]
+        if fields == 1:
+            return lagged
+        odd = (np.arange(self.rows) % 2 == 1)[:, None]
+        return [np.where(odd, later, first) for first, later in zip(lagged[::2], lagged[1::2], strict=True)]
+
+    def _exposure(self, moved_px: float, rng: np.random.Generator) -> Array:
+        """One exposure's light: pulses on the fine grid, their blur and the pixel, sampled once a pixel."""
+        from scipy import fft
+
+        flicker = max(1.0 + self.flicker * float(rng.standard_normal()), 0.0) if self.flicker else 1.0
+        heights = self._heights(flicker * self._mean(moved_px), rng)
+        spread: Any = fft.rfft2(heights, workers=1)
+        fine = np.asarray(fft.irfft2(spread * self._pulse, heights.shape, workers=1))
+        kept = slice(FINER * MARGIN_PX, -FINER * MARGIN_PX, FINER)
+        return self.gain_dn * FINER**2 * fine[kept, kept]
+
+    def _heights(self, mean: Array, rng: np.random.Generator) -> Array:
+        """Heights of the pulses at each place, in means of a photoelectron's: n gamma heights add up to a gamma one."""
+        counts = rng.poisson(mean)
+        heights = counts.astype(float)
+        if self.gain_spread > 0:
+            some = counts > 0
+            heights[some] = rng.standard_gamma(counts[some] / self.gain_spread) * self.gain_spread
+        if self.ion_share:
+            heights += self.ion_photoelectrons * rng.poisson(mean * self.ion_share)
+        return heights
+
+    def _mean(self, moved_px: float) -> Array:
+        """Mean photoelectrons of each place of the fine grid."""
+        row, col = self._places()
+        light = self.dark_share + (1.0 - self.dark_share) * self._illumination(row, col, moved_px)
+        light = light * (1 + self.gradient * (col / self.cols + 0.5))
+        squared = ((2 * row / self.rows) ** 2 + (2 * col / self.cols) ** 2) / 2
+        return np.maximum(light * (1.0 - self.vignetting * squared), 0.0) * self.photoelectrons / FINER**2
+
+    def _places(self) -> tuple[Array, Array]:
+        """Places of the fine grid off the middle of the frame, shapes (row, 1) and (1, col), px."""
+        row, col = (_fine_places(size) for size in (self.rows, self.cols))
+        return row[:, None], col[None, :]
+
+    @abstractmethod
+    def _illumination(self, row: Array, col: Array, moved_px: float) -> Array:
+        """Light before the gain from 0 to 1 at places off the middle of the frame, px, moved along the rows."""
+
+    @cached_property
+    def _pulse(self) -> Array:
+        """Transfer of the pulse and the square pixel on the fine grid."""
+        down, across = (FINER * (size + 2 * MARGIN_PX) for size in (self.rows, self.cols))
+        row, col = np.fft.fftfreq(down)[:, None] * FINER, np.fft.rfftfreq(across)[None, :] * FINER
+        gaussian = np.exp(-2 * (np.pi * np.hypot(row, col) * self.pulse_px) ** 2)
+        return gaussian * np.sinc(row) * np.sinc(col)
+
+
+def _fine_places(size: int) -> Array:
+    """Places along one axis of the fine grid, margins included, px off the middle of the frame."""
+    return np.arange(FINER * (size + 2 * MARGIN_PX)) / FINER - MARGIN_PX - (size - 1) / 2

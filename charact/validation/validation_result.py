@@ -1,0 +1,221 @@
+"""What a validation found: statistics that can fail, two controls, overlays and pictures; kept as JSON and arrays."""
+
+import json
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labdata.errors import BadInput
+from labdata.frames import read_only
+
+NUMBERS = "validation.json"
+PICTURES = "validation.npz"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Statistic:
+    """One comparison of measured with simulated frames.
+
+    Parameters
+    ----------
+    name, title
+        Short name, and in words what is compared.
+    distance
+        How far the measured value is from the simulated ones, in units that 1 is usual.
+    p_value
+        Probability of a distance at least as large if the sensor is right, dimensionless.
+    level
+        p-value below which it fails, several comparisons counted in.
+    labels, measured, low95, high95
+        What was compared: names of the numbers, measured values, and the 95 % interval that the simulation predicts for
+        each.
+    note
+        What a reader should know of it.
+    """
+
+    name: str
+    title: str
+    distance: float
+    p_value: float
+    level: float
+    labels: tuple[str, ...] = ()
+    measured: tuple[float, ...] = ()
+    low95: tuple[float, ...] = ()
+    high95: tuple[float, ...] = ()
+    note: str = ""
+
+    @property
+    def passed(self) -> bool:
+        """Whether the measured frames look like the simulated ones in this respect."""
+        return self.p_value >= self.level
+
+
+@dataclass(frozen=True, kw_only=True)
+class ValidationControl:
+    """The same statistics on frames of which the verdict is known beforehand.
+
+    Parameters
+    ----------
+    name
+        "null": frames of the fitted sensor itself, which must pass. "negative": of the fitted sensor with one stage
+        removed, which must fail.
+    title
+        What was done, in words.
+    statistics
+        The statistics.
+    """
+
+    name: Literal["null", "negative"]
+    title: str
+    statistics: tuple[Statistic, ...]
+
+    @property
+    def held(self) -> bool:
+        """Whether the control came out as it must."""
+        passed = all(statistic.passed for statistic in self.statistics)
+        return passed if self.name == "null" else not passed
+
+
+@dataclass(frozen=True, kw_only=True)
+class FramePair:
+    """A measured frame beside a simulated one under one stretch.
+
+    Parameters
+    ----------
+    kind, label
+        Kind and label of the stack.
+    measured, simulated
+        Pictures, shape (row, col), uint8.
+    low_dn, high_dn
+        Levels shown black and white, DN.
+    """
+
+    kind: str
+    label: str
+    measured: NDArray[np.uint8]
+    simulated: NDArray[np.uint8]
+    low_dn: float
+    high_dn: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Validation:
+    """A session beside its simulation.
+
+    Parameters
+    ----------
+    session, sensor
+        Names of the session and of the sensor that was simulated.
+    seed, draws, seconds
+        Seed, number of posterior draws simulated and time taken, s.
+    statistics
+        Measured against simulated.
+    controls
+        Null and negative controls under the same statistics.
+    overlays
+        What a report draws, by name: JSON-ready mappings; "mtf", "photon-transfer", "autocorrelation", "histogram".
+        Each carries "x" with "x_title", "measured", "simulated", "low95" and "high95" and its "title".
+    pairs
+        Pictures side by side.
+    notes
+        What a reader should know.
+    """
+
+    session: str
+    sensor: str
+    seed: int
+    draws: int
+    seconds: float
+    statistics: tuple[Statistic, ...]
+    controls: tuple[ValidationControl, ...]
+    overlays: dict[str, dict[str, Any]] = field(default_factory=dict)
+    pairs: tuple[FramePair, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for pair in self.pairs:
+            object.__setattr__(pair, "measured", read_only(pair.measured))
+            object.__setattr__(pair, "simulated", read_only(pair.simulated))
+
+    @property
+    def passed(self) -> bool:
+        """Whether every statistic passed and both controls came out as they must."""
+        return all(s.passed for s in self.statistics) and all(c.held for c in self.controls)
+
+
+def as_json(validation: Validation) -> dict[str, Any]:
+    """Return all but the pictures as JSON-ready mappings, verdicts included."""
+    plain = {name: value for name, value in vars(validation).items() if name not in ("pairs", "statistics", "controls")}
+    return {
+        **plain,
+        "passed": validation.passed,
+        "notes": list(validation.notes),
+        "statistics": [_statistic(one) for one in validation.statistics],
+        "controls": [
+            {"name": c.name, "title": c.title, "held": c.held, "statistics": [_statistic(one) for one in c.statistics]}
+            for c in validation.controls
+        ],
+        "pairs": [
+            {"kind": p.kind, "label": p.label, "low_dn": p.low_dn, "high_dn": p.high_dn} for p in validation.pairs
+        ],
+    }
+
+
+def save(validation: Validation, folder: str | Path) -> Path:
+    """Keep a validation in a session's folder; return the file of its numbers."""
+    folder = Path(folder)
+    arrays = {}
+    for index, pair in enumerate(validation.pairs):
+        arrays[f"measured-{index}"], arrays[f"simulated-{index}"] = pair.measured, pair.simulated
+    np.savez_compressed(folder / PICTURES, **arrays)
+    path = folder / NUMBERS
+    path.write_text(json.dumps(as_json(validation), indent=1, allow_nan=False) + "\n")
+    return path
+
+
+def load(folder: str | Path) -> Validation | None:
+    """Return the validation kept in a session's folder, or None where there is none.
+
+    Raises
+    ------
+    BadInput
+        If the file is not what `save` wrote.
+    """
+    folder = Path(folder)
+    if not (folder / NUMBERS).is_file():
+        return None
+    try:
+        told = json.loads((folder / NUMBERS).read_text())
+        with np.load(folder / PICTURES) as arrays:
+            pairs = tuple(
+                FramePair(**pair, measured=arrays[f"measured-{i}"], simulated=arrays[f"simulated-{i}"])
+                for i, pair in enumerate(told["pairs"])
+            )
+        return Validation(
+            session=told["session"], sensor=told["sensor"], seed=told["seed"], draws=told["draws"],
+            seconds=told["seconds"], statistics=_statistics(told["statistics"]),
+            controls=tuple(
+                ValidationControl(name=c["name"], title=c["title"], statistics=_statistics(c["statistics"]))
+                for c in told["controls"]
+            ),
+            overlays=told["overlays"], pairs=pairs, notes=tuple(told["notes"]),
+        )  # fmt: skip
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise BadInput(f"{folder / NUMBERS} must be a validation kept by charact, got {error}") from error
+
+
+def _statistic(one: Statistic) -> dict[str, Any]:
+    return {**asdict(one), "passed": one.passed}
+
+
+def _statistics(told: list[dict[str, Any]]) -> tuple[Statistic, ...]:
+    lists = {"labels", "measured", "low95", "high95"}
+    out = []
+    for one in told:
+        fields: dict[str, Any] = {key: tuple(value) if key in lists else value for key, value in one.items()}
+        fields.pop("passed")
+        out.append(Statistic(**fields))
+    return tuple(out)

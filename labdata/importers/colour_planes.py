@@ -1,0 +1,107 @@
+"""Colour planes of a picture or of a mosaic: one is chosen, or the luminance is taken and a note says so."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labdata.errors import BadInput
+from labdata.frames import FrameStack
+from labdata.importers.thresholds import MOSAIC_LEVEL, MOSAIC_SIGNIFICANCE
+
+# Weights of red, green and blue in luminance, as the reference tables of ISO 12233 edges use them.
+LUMINANCE = (0.2125, 0.7154, 0.0721)
+LUMINANCE_NOTE = "colour picture: the luminance 0.2125 R + 0.7154 G + 0.0721 B was taken"
+SITES = ("r", "g1", "g2", "b")
+
+
+def require_monochrome(data: NDArray, plane: str | None, name: str, pattern: str | None = None) -> FrameStack:
+    """Return frames of one sample a pixel, shape (frame, row, col), or one plane of them if they are a mosaic.
+
+    Parameters
+    ----------
+    pattern
+        Colours of the 2x2 sites in reading order, as the file states them; None: a mosaic must show in the data.
+    """
+    if pattern is not None:
+        return _of_mosaic(data, planes_of(np.arange(4).reshape(2, 2), pattern), plane, name)
+    greens = green_diagonal(data)
+    if plane in SITES:
+        if greens is None:
+            raise BadInput(f"a plane can only be taken of a colour picture or a mosaic, got plane {plane!r} of {name}")
+        stack = _of_mosaic(data, planes_of(np.arange(4).reshape(2, 2), ("grbg", "rggb")[greens]), plane, name)
+        return FrameStack(data=stack.data, plane=stack.plane, notes=(
+            "the greens of the mosaic are those of its alike diagonal; red is taken to lie in its first row, which the "
+            "file does not say",
+        ))  # fmt: skip
+    if plane not in (None, "mono"):
+        raise BadInput(f"a plane can only be taken of a colour picture or a mosaic, got plane {plane!r} of {name}")
+    notes = () if greens is None else (
+        "the pixels alternate in a 2x2 pattern like a colour mosaic that was taken for grey: --plane r, g1, g2 or b "
+        "measures one colour; its frequencies count its own pixels, which are twice as wide",
+    )  # fmt: skip
+    return FrameStack(data=data, notes=notes)
+
+
+def _of_mosaic(data: NDArray, sites: dict[str, tuple[int, int]], plane: str | None, name: str) -> FrameStack:
+    row, col = site_of(sites, plane, name)
+    return FrameStack(data=data[:, row::2, col::2], plane=plane or "mono")
+
+
+def site_of(sites: dict[str, tuple[int, int]], plane: str | None, name: str) -> tuple[int, int]:
+    """Return the row and column of a plane in a mosaic's pattern; a mosaic's plane must be chosen."""
+    if plane not in sites:
+        raise BadInput(f"the plane of this mosaic must be one of {', '.join(sites)}, got {plane} for {name}")
+    return sites[plane]
+
+
+def planes_of(pattern: NDArray, description: str) -> dict[str, tuple[int, int]]:
+    """Return the planes of a mosaic by name with the row and column of each in the pattern."""
+    if pattern.shape != (2, 2):
+        raise BadInput(f"the mosaic of a raw file must repeat every 2x2 pixels, got {pattern.shape}")
+    names = [description[index].lower() for index in pattern.ravel()]
+    sites: dict[str, tuple[int, int]] = {}
+    for place, name in enumerate(names):
+        several = names.count(name) > 1
+        full = f"{name}{names[:place].count(name) + 1}" if several else name
+        sites[full] = divmod(place, 2)
+    return dict(sorted(sites.items()))
+
+
+def green_diagonal(data: NDArray) -> int | None:
+    """Return which diagonal of the 2x2 sites holds the greens of a mosaic: 0 the main one, 1 the other; else None.
+
+    Notes
+    -----
+    Of the brighter half of all 2x2 cells the checkerboard amplitude (p00 + p11 - p01 - p10) / 4 is compared with its
+    standard error over the cells and with the mean level. Gains of rows and of columns, as of two taps or two fields,
+    have none. The greens are the diagonal whose two sites differ less.
+    """
+    if min(data.shape[1:]) < 16:
+        return None
+    picture = data[:: max(1, len(data) // 4)][:4].mean(axis=0, dtype=np.float64)
+    rows, cols = (size // 2 * 2 for size in picture.shape)
+    cells = picture[:rows, :cols].reshape(rows // 2, 2, cols // 2, 2).swapaxes(1, 2).reshape(-1, 4)
+    level = cells.mean(axis=1)
+    bright = cells[level >= np.median(level)]
+    board = bright @ (0.25, -0.25, -0.25, 0.25)
+    if board.size < 64:
+        return None
+    amplitude = abs(float(np.median(board)))
+    spread = 1.4826 * float(np.median(np.abs(board - np.median(board))))
+    significant = amplitude > MOSAIC_SIGNIFICANCE * 1.2533 * spread / np.sqrt(board.size)
+    if not significant or amplitude <= MOSAIC_LEVEL * abs(float(np.median(bright))):
+        return None
+    sites = np.median(bright, axis=0)
+    return 0 if abs(sites[0] - sites[3]) < abs(sites[1] - sites[2]) else 1
+
+
+def select_plane(data: NDArray, plane: str | None, name: str) -> FrameStack:
+    """Return one plane, or the luminance, of colour frames of the shape (frame, row, col, 3 or 4)."""
+    if plane in (None, "luminance"):
+        luminance = data[..., :3].astype(np.float64) @ np.asarray(LUMINANCE)
+        # A mean of 8-bit planes ends where they do; of wider ones nobody knows how many bits are used.
+        full_scale_dn = 255.0 if data.dtype == np.uint8 else None
+        return FrameStack(data=luminance, full_scale_dn=full_scale_dn, plane="luminance", notes=(LUMINANCE_NOTE,))
+    if plane not in ("r", "g", "b", "0", "1", "2"):
+        raise BadInput(f"the plane of an RGB picture must be r, g, b or luminance, got {plane!r} for {name}")
+    at = int(plane) if plane.isdecimal() else "rgb".index(plane)
+    return FrameStack(data=data[..., at], plane="rgb"[at])

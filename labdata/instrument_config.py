@@ -1,0 +1,115 @@
+"""The wires of a bench: which instruments stand at it, of which model, and how each is reached."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from labdata.errors import BadInput
+
+Role = Literal["gate", "supply", "light-source", "filter-wheel", "light-meter", "thermometer"]
+"""What an instrument is for."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class InstrumentConnection:
+    """One serial instrument of the bench and how it is reached.
+
+    Parameters
+    ----------
+    role
+        What it is for.
+    model
+        Name of its model.
+    port
+        Serial port of it or of the adapter before it; None: not known.
+    address
+        GPIB address, where it stands behind an adapter.
+    """
+
+    role: Role
+    model: str
+    port: str | None
+    address: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class InstrumentConfig:
+    """How the instruments are reached.
+
+    Parameters
+    ----------
+    bench
+        "virtual": the virtual bench's own processes on real wires. "in-process": its camera and serial lines inside
+        this process, where Aravis cannot be had. "real": the ports below. On a virtual bench an instrument whose port
+        is named, or a camera that is named, is a real one among virtual ones.
+    gate, supply
+        Models of the gate generator and of the high-voltage supply; other packages may bring further ones.
+    gate_port, supply_port
+        Serial ports of gate and supply, or of the adapters before them.
+    light, wheel, light_meter, thermometer
+        Models of the light source and of the filter wheel before it, of the light meter and of the thermometer; None:
+        there is none, and a person sets the light.
+    light_port, wheel_port, light_meter_port, thermometer_port
+        Their serial ports.
+    gate_address, supply_address
+        GPIB addresses of those behind an adapter.
+    camera
+        Aravis identifier or IP address; "v4l2:/dev/video0" (with "#1": input 1 of a capture card); "replay:FOLDER" or
+        "replay:FOLDER#LABEL": a recorded session or one of its stacks. None: the only camera there is, or the virtual
+        bench's own.
+    """
+
+    bench: Literal["virtual", "in-process", "real"] = "virtual"
+    gate: str = "dg645"
+    supply: str = "ps350"
+    gate_port: str | None = None
+    supply_port: str | None = None
+    gate_address: int = 15
+    supply_address: int = 14
+    light: str | None = None
+    light_port: str | None = None
+    wheel: str | None = None
+    wheel_port: str | None = None
+    light_meter: str | None = None
+    light_meter_port: str | None = None
+    thermometer: str | None = None
+    thermometer_port: str | None = None
+    camera: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.wheel is not None and self.light is None:
+            raise BadInput(f"a filter wheel must stand before a light source, got the wheel {self.wheel!r} alone")
+
+    @property
+    def instruments(self) -> tuple[InstrumentConnection, ...]:
+        """Every serial instrument that stands at the bench; gate and supply always do."""
+        optional: dict[Role, tuple[str | None, str | None]] = {
+            "light-source": (self.light, self.light_port),
+            "filter-wheel": (self.wheel, self.wheel_port),
+            "light-meter": (self.light_meter, self.light_meter_port),
+            "thermometer": (self.thermometer, self.thermometer_port),
+        }
+        return (
+            InstrumentConnection(role="gate", model=self.gate, port=self.gate_port, address=self.gate_address),
+            InstrumentConnection(role="supply", model=self.supply, port=self.supply_port, address=self.supply_address),
+            *(
+                InstrumentConnection(role=role, model=model, port=port)
+                for role, (model, port) in optional.items()
+                if model
+            ),
+        )
+
+    def with_ports(self, ports: Mapping[Role, str | None]) -> "InstrumentConfig":
+        """Return the same wires with instruments at other ports, by their role."""
+        return replace(self, **{PORT_KEYS[role]: port for role, port in ports.items()})
+
+
+PORT_KEYS: dict[Role, str] = {
+    "gate": "gate_port",
+    "supply": "supply_port",
+    "light-source": "light_port",
+    "filter-wheel": "wheel_port",
+    "light-meter": "light_meter_port",
+    "thermometer": "thermometer_port",
+}
+"""Keys of the ports, by role."""

@@ -1,0 +1,158 @@
+"""A stack opened but not read: its frames come a run at a time, so that it may be larger than memory."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labdata.errors import BadInput
+from labdata.regular_file import require_regular, require_regular_parts
+from labdata.session import StackEntry
+from labdata.store import is_ours, read_journal
+from labdata.store.array_reader import open_array, read_frames
+
+
+@dataclass(frozen=True, kw_only=True)
+class LazyStack:
+    """Frames that are read when they are asked for.
+
+    Parameters
+    ----------
+    label
+        As in the session.
+    shape
+        Frames, rows and columns.
+    dtype
+        Type of the pixels.
+    time_s, frame_number
+        As in `labdata.frames.FrameStack`.
+    full_scale_dn
+        Highest code where it is stated, DN; None where only the frames could show it.
+    block
+        Returns the frames first..last-1, shape (frame, row, col).
+    """
+
+    label: str
+    shape: tuple[int, int, int]
+    dtype: np.dtype
+    time_s: NDArray
+    frame_number: NDArray
+    full_scale_dn: float | None
+    block: Callable[[int, int], NDArray]
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    @property
+    def size_bytes(self) -> int:
+        """Bytes that all frames take."""
+        return int(np.prod(self.shape)) * self.dtype.itemsize
+
+    def frames(self, first: int, last: int) -> NDArray:
+        """Read the frames first..last-1.
+
+        Raises
+        ------
+        BadInput
+            If a pixel is not finite or above the highest code of its bit depth, or a frame is not as acknowledged.
+        """
+        return self.block(first, last)
+
+    def in_memory(self) -> "LazyStack":
+        """Return the same with all frames in memory."""
+        data = self.frames(0, len(self))
+        return replace(self, block=lambda first, last: data[first:last])
+
+
+class View(Protocol):
+    """How the frames of a stack are shown: scaled, or with pixels replaced."""
+
+    def through(self, stack: LazyStack) -> LazyStack:
+        """Return the stack as it is shown."""
+        ...
+
+
+def open_lazy_stack(entry: StackEntry) -> LazyStack:
+    """Open a stack: a Zarr array or a .npy file without reading it, anything else read whole; through its view.
+
+    Raises
+    ------
+    BadInput
+        As `StackEntry.read`.
+    """
+    stack = _as_they_are(entry)
+    return stack if entry.view is None else entry.view.through(stack)
+
+
+def _as_they_are(entry: StackEntry) -> LazyStack:
+    """The frames of a stack without its view."""
+    from labdata.importers.axes import FRAME, UNNAMED, names_of_shape
+    from labdata.importers.decompression_limit import require_picture
+
+    path = entry.paths[0] if isinstance(entry.frames, str) else None
+    if path is not None and is_ours(path):
+        return _of_store(entry, path)
+    array = None if path is None or entry.plane or entry.axis not in (None, FRAME) else _map_array(path)
+    if (
+        array is not None
+        and array.ndim == 3
+        and names_of_shape(array.shape)[0] in (FRAME, UNNAMED)
+        and (array.dtype.kind in "uif" and array.size and array.dtype.isnative)
+    ):
+        require_picture(array.shape[1], array.shape[2], entry.label)
+        return _lazy_stack(entry, array, lambda first, last: np.asarray(array[first:last]))
+    stack = entry.read()
+    return LazyStack(label=entry.label, shape=stack.shape, dtype=stack.data.dtype, time_s=stack.time_s,
+                     frame_number=stack.frame_number, full_scale_dn=stack.full_scale_dn,
+                     block=lambda first, last: stack.data[first:last])  # fmt: skip
+
+
+def _of_store(entry: StackEntry, path: Path) -> LazyStack:
+    journal = read_journal(path)
+    journal.require_frames()
+    array, frames = open_array(path), journal.frames
+    stamps = {
+        "time_s": np.array([frame.time_s for frame in frames]),
+        "frame_number": np.array([frame.frame_number for frame in frames], np.int64),
+    }
+    found = _lazy_stack(entry, array, lambda first, last: read_frames(path, array, frames[first:last]), **stamps)
+    return replace(found, shape=(len(frames), *found.shape[1:]))
+
+
+def _lazy_stack(entry: StackEntry, array, block: Callable[[int, int], NDArray], **stamps: NDArray) -> LazyStack:
+    stated = None if entry.bit_depth is None else float(2**entry.bit_depth - 1)
+    return LazyStack(label=entry.label, shape=tuple(array.shape), dtype=np.dtype(array.dtype),
+                     time_s=stamps.get("time_s", np.empty(0)),
+                     frame_number=stamps.get("frame_number", np.empty(0, np.int64)),
+                     full_scale_dn=255.0 if stated is None and array.dtype == np.uint8 else stated,
+                     block=lambda first, last: _require_valid(entry, block(first, last)))  # fmt: skip
+
+
+def _require_valid(entry: StackEntry, data: NDArray) -> NDArray:
+    """Frames whose pixels are what a stack may hold."""
+    if data.dtype.kind == "f" and not np.isfinite(data).all():
+        bad = int(data.size - np.count_nonzero(np.isfinite(data)))
+        raise BadInput(f"every pixel must be finite, got {bad} that are NaN or infinite in stack {entry.label!r}")
+    if entry.bit_depth is not None and data.max() > 2**entry.bit_depth - 1:
+        raise BadInput(
+            f"pixels must not exceed the {2**entry.bit_depth - 1} DN of {entry.bit_depth} bits, "
+            f"got {data.max()} in stack {entry.label!r}"
+        )
+    return data
+
+
+def _map_array(path: Path):
+    """The array of a Zarr folder or of a .npy file, its pixels unread; None for anything else."""
+    try:
+        if (path / "zarr.json").is_file():
+            import zarr
+
+            require_regular_parts(path, "a Zarr array")
+            return zarr.open_array(path, mode="r")
+        require_regular(path)
+        return np.load(path, mmap_mode="r", allow_pickle=False) if path.suffix.lower() == ".npy" else None
+    except (OSError, ValueError, EOFError):  # BadInput too: what cannot be mapped is refused where it is read
+        return None

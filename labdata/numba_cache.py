@@ -1,0 +1,58 @@
+"""Compiled loops are kept on disk until their source, or any source that it imports, changes.
+
+Numba looks at the file of a loop alone. What a loop calls is compiled into it, often from other files: it would go on
+computing what they said before. The locators that can be named to it are those of 0.68.1 and later.
+"""
+
+import os
+import re
+import sys
+from functools import cache
+from hashlib import sha256
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = ("labdata", "drivers", "simulate", "charact")
+IMPORT = re.compile(rf"^\s*from ((?:{'|'.join(PACKAGES)})[\w.]*) import (\([^)]*\)|[^\n]*)", re.MULTILINE)
+LOCATORS = ",".join(f"labdata.numba_cache_locators.{name}" for name in ("Provided", "NextToSources", "OfTheUser"))
+
+
+def keep_loops() -> None:
+    """Have numba keep compiled loops by all sources that may be compiled into them; other packages' as ever."""
+    os.environ.setdefault("NUMBA_CACHE_LOCATOR_CLASSES", f"{LOCATORS},IPythonCacheLocator,ZipCacheLocator")
+    if "numba" in sys.modules:
+        sys.modules["numba"].config.CACHE_LOCATOR_CLASSES = os.environ["NUMBA_CACHE_LOCATOR_CLASSES"]
+
+
+def stamp_of(file: Path) -> str | None:
+    """Return a digest of a file and of all that it imports from these packages; None for files of other packages."""
+    source = file.resolve()
+    inside = source.parts[len(ROOT.parts) :] if source.is_relative_to(ROOT) else ()
+    if len(inside) < 2 or inside[0] not in PACKAGES:
+        return None
+    sources, pending = {source}, [source]
+    while pending:
+        new = _imports_of(pending.pop()) - sources
+        sources |= new
+        pending += new
+    stamp = sha256()
+    for each in sorted(sources):
+        stamp.update(str(each.relative_to(ROOT)).encode() + b"\0" + _digest(each))
+    return stamp.hexdigest()
+
+
+@cache
+def _digest(source: Path) -> bytes:
+    return sha256(source.read_bytes()).digest()
+
+
+@cache
+def _imports_of(source: Path) -> frozenset[Path]:
+    """Return the files of these packages that a file imports, inside functions too."""
+    found = set()
+    for module, names in IMPORT.findall(source.read_text(encoding="utf-8")):
+        place = ROOT.joinpath(*module.split("."))
+        candidates = [place.with_suffix(".py"), place / "__init__.py"]
+        candidates += [place / f"{name}.py" for name in re.findall(r"\w+", names)]
+        found.update(each for each in candidates if each.is_file())
+    return frozenset(found)

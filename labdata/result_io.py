@@ -1,0 +1,192 @@
+"""A result as a document: the JSON of the command line, and the full result kept in its session's folder."""
+
+import hashlib
+import io
+import json
+import math
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labdata.atomic_write import write_atomically
+from labdata.errors import BadInput
+from labdata.measurement import Curve, Measurement, Posterior, Provenance, Result
+
+RESULTS = "results.json"
+DRAWS = "results-{}.npz"
+FORMAT = 1
+
+# Fields of a measurement that stand in the JSON only where they apply.
+WHERE_THEY_APPLY = ("stack", "region", "frequency_cy_per_px", "orientation_deg", "notes", "reason")
+ALWAYS = ("quantity", "unit", "value", "interval68", "interval95", "status", "flags", "method", "seconds")
+
+
+def to_json(result: Result, *, given: str, version: str) -> dict[str, Any]:
+    """Return a result as the JSON object of a measuring verb.
+
+    Parameters
+    ----------
+    result
+        The result.
+    given
+        The input as it was named on the command line.
+    version
+        Version of charact.
+    """
+    return {
+        "charact": version,
+        "input": given,
+        "measurements": [_measurement(measurement) for measurement in result.measurements],
+        "curves": {name: _curve(curve) for name, curve in result.curves.items()},
+    }
+
+
+def save(result: Result, folder: str | Path) -> Path:
+    """Keep a full result, with posterior draws and evidence, in a session's folder.
+
+    Parameters
+    ----------
+    result
+        The result.
+    folder
+        The session's folder. A result that it holds already is replaced, in one step.
+
+    Returns
+    -------
+    Path
+        The document.
+    """
+    folder = Path(folder)
+    arrays: dict[str, NDArray] = {}
+    document = {
+        "format": FORMAT,
+        "measurements": [_full_measurement(m, f"m{i}", arrays) for i, m in enumerate(result.measurements)],
+        "curves": {name: _curve(curve) for name, curve in result.curves.items()},
+        "evidence": _value(result.evidence),
+    }
+    packed = io.BytesIO()
+    np.savez_compressed(packed, allow_pickle=False, **arrays)
+    # The draws carry their digest in the name, so old document and old draws stay a pair until the rename.
+    draws = folder / DRAWS.format(hashlib.sha256(packed.getvalue()).hexdigest()[:16])
+    text = json.dumps({**document, "draws": draws.name}, allow_nan=False)
+    write_atomically(draws, packed.getvalue())
+    write_atomically(folder / RESULTS, text.encode())
+    for old in folder.glob(DRAWS.format("*")):
+        if old != draws:
+            old.unlink()
+    return folder / RESULTS
+
+
+def load(folder: str | Path) -> Result | None:
+    """Return the result kept in a session's folder; None if there is none.
+
+    Raises
+    ------
+    BadInput
+        If what is kept cannot be read.
+    """
+    path = Path(folder) / RESULTS
+    if not path.exists():
+        return None
+    try:
+        document = json.loads(path.read_bytes())
+        with np.load(path.parent / document["draws"], allow_pickle=False) as packed:
+            arrays = {name: packed[name] for name in packed.files}
+        if document["format"] != FORMAT:
+            raise BadInput(f"a kept result must have format {FORMAT}, got {document['format']} in {path}")
+        return Result(
+            measurements=tuple(_read_measurement(one, arrays) for one in document["measurements"]),
+            curves={name: _read_curve(one) for name, one in document["curves"].items()},
+            evidence=document["evidence"],
+        )
+    except BadInput:
+        raise
+    except (OSError, ValueError, KeyError, TypeError):
+        raise BadInput(f"a kept result must be whole and readable, got {path}; measure the session again") from None
+
+
+def _measurement(measurement: Measurement) -> dict[str, Any]:
+    always = {name: _value(getattr(measurement, name)) for name in ALWAYS}
+    applying = {name: _value(getattr(measurement, name)) for name in WHERE_THEY_APPLY}
+    return {**always, **{name: value for name, value in applying.items() if value not in (None, [])}}
+
+
+def _curve(curve: Curve) -> dict[str, Any]:
+    whole = {item.name: _value(getattr(curve, item.name)) for item in fields(curve) if item.name != "draws"}
+    return {name: value for name, value in whole.items() if value is not None or name != "stack"}
+
+
+def _full_measurement(measurement: Measurement, key: str, arrays: dict[str, NDArray]) -> dict[str, Any]:
+    provenance = measurement.provenance
+    whole = _measurement(measurement)
+    if provenance is not None:
+        whole["provenance"] = {item.name: _value(getattr(provenance, item.name)) for item in fields(provenance)}
+    if measurement.posterior is not None:
+        whole["posterior"] = _full_posterior(measurement.posterior, key, arrays)
+    return whole
+
+
+def _full_posterior(posterior: Posterior, key: str, arrays: dict[str, NDArray]) -> dict[str, Any]:
+    """Return a posterior with its arrays put aside; measurements that share one share its arrays."""
+    whole: dict[str, Any] = {}
+    for item in fields(posterior):
+        value = getattr(posterior, item.name)
+        if isinstance(value, np.ndarray):
+            whole[item.name] = {"array": _array_name(value, f"{key}.{item.name}", arrays)}
+        else:
+            whole[item.name] = _value(value)
+    return whole
+
+
+def _array_name(value: NDArray, key: str, arrays: dict[str, NDArray]) -> str:
+    for name, known in arrays.items():
+        if known is value or (known.shape == value.shape and np.array_equal(known, value)):
+            return name
+    arrays[key] = value
+    return key
+
+
+def _read_measurement(document: dict[str, Any], arrays: dict[str, NDArray]) -> Measurement:
+    keys = dict(document)
+    for name in ("interval68", "interval95", "region", "flags", "notes"):
+        if keys.get(name) is not None:
+            keys[name] = tuple(keys[name])
+    if "provenance" in keys:
+        keys["provenance"] = Provenance(**keys["provenance"])
+    if "posterior" in keys:
+        keys["posterior"] = _read_posterior(keys["posterior"], arrays)
+    return Measurement(**keys)
+
+
+def _read_posterior(document: dict[str, Any], arrays: dict[str, NDArray]) -> Posterior:
+    keys: dict[str, Any] = {}
+    for name, value in document.items():
+        if isinstance(value, dict):
+            keys[name] = arrays[value["array"]]
+        else:
+            keys[name] = tuple(value) if isinstance(value, list) else value
+    return Posterior(**keys)
+
+
+def _read_curve(document: dict[str, Any]) -> Curve:
+    keys: dict[str, Any] = dict(document)
+    for name, value in keys.items():
+        if isinstance(value, list):
+            keys[name] = np.array(value, float)
+    return Curve(**keys)
+
+
+def _value(value: Any) -> Any:
+    """Return a value as JSON holds it; a number that is not finite becomes null, a gap in what is drawn."""
+    if isinstance(value, np.ndarray | np.generic):
+        return _value(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, tuple | list):
+        return [_value(item) for item in value]
+    if isinstance(value, dict):
+        return {str(key): _value(item) for key, item in value.items()}
+    return str(value) if isinstance(value, Path) else value

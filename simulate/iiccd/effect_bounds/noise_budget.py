@@ -1,0 +1,338 @@
+"""A picture that a camera is about to take: its expected light, its noise, and what a change of either comes to.
+
+Three statistics of every pixel count, and an effect's influence is the largest change of any of them: the mean, in
+units of the temporal noise; the temporal noise itself, relative; and, where the law of the noise changes its shape, the
+level that one frame in a thousand exceeds, in units of the noise. Each of the three changes by no more than the sum of
+what the effects left out change, so the sum of influences bounds them all.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labdata.conditions import Conditions
+from labdata.errors import BadInput
+from simulate.effect_selection import DEFAULT_TOLERANCE
+from simulate.iiccd import true_quantities
+from simulate.iiccd.automatic_controls import AutomaticState
+from simulate.iiccd.camera import IntensifiedCamera
+from simulate.iiccd.ccd import Ccd
+from simulate.iiccd.chip import DRAW_MARGIN_PX, SCENE_MARGIN_PX
+from simulate.iiccd.fast_sampler.kernel import noise_kernel
+from simulate.iiccd.fast_sampler.prepare import SHORTEST_TAP, SKEWNESS_TOLERANCE, CameraStages
+from simulate.iiccd.microchannel import MicrochannelPlate
+from simulate.iiccd.stage_image import StageImage
+from simulate.iiccd.transfer import StageBlur, product
+from simulate.iiccd.video import Video
+
+# Chance that the largest of a pattern's random numbers lies beyond the one that bounds take.
+MISSED = 0.1
+# Wells are taken to overflow if a pixel's charge lies so many standard deviations below its full well.
+OVERFLOW_SD = 8.0
+# Steepest growth of the variance of rounded numbers with that of what is rounded, times the latter in steps^2: the
+# largest of x phi(x) (1 - 2 Phi(-x)) / 2.
+ROUNDING = 0.09
+
+Map = NDArray[np.floating]
+UNTOUCHED = AutomaticState()
+
+
+@dataclass(frozen=True)
+class NoiseBudget:
+    """The picture that a camera is about to take, as a bound needs it.
+
+    Parameters
+    ----------
+    camera
+        The camera, nothing left out.
+    photoelectrons
+        Photoelectrons that light frees per pixel as read and exposure, in the frame and in the margin around it, see
+        `per_pixel`, shape (row, col).
+    conditions
+        Gate, voltage and temperature.
+    tolerance
+        What may change in all, as a share of the temporal noise. Variances do not add like standard deviations: how
+        much a share of the variance counts depends on how much may be left out.
+    state
+        Where the automatic controls stand.
+    """
+
+    camera: IntensifiedCamera
+    photoelectrons: Map
+    conditions: Conditions
+    tolerance: float = DEFAULT_TOLERANCE
+    state: AutomaticState = UNTOUCHED
+
+    def __post_init__(self) -> None:
+        if self.camera.left_out:
+            raise BadInput(f"a plan must begin with all effects, got a camera without {sorted(self.camera.left_out)}")
+
+    @cached_property
+    def stages(self) -> CameraStages:
+        """The camera's stages."""
+        return CameraStages.of(self.camera.chain(self.conditions), self.camera.fields_per_frame)
+
+    @cached_property
+    def plate(self) -> MicrochannelPlate:
+        """The plate, with the brightness control where it stands."""
+        plate = self.camera.plate(self.conditions)
+        return replace(plate, gain=plate.gain * self.state.brightness)
+
+    @cached_property
+    def ccd(self) -> Ccd:
+        """The CCD."""
+        return self.stages.ccd
+
+    @cached_property
+    def dark_pe(self) -> float:
+        """Dark photoelectrons per pixel and exposure."""
+        cathode = self.camera.photocathode(self.conditions)
+        return cathode.ebi_per_s_cm2 * cathode.open_s * true_quantities.field_pixel_area_cm2(self.camera)
+
+    @cached_property
+    def surroundings(self) -> Map:
+        """Photoelectrons per pixel and exposure, dark ones included, in the frame and in the margin around it."""
+        return np.asarray(self.photoelectrons, np.float64) + self.dark_pe
+
+    def frame_of(self, wide: Map, margin: int = 0) -> Map:
+        """Cut the frame out of a map that has the margin, leaving so many pixels of it on every side."""
+        first, (rows, cols) = SCENE_MARGIN_PX - margin, self.camera.shape
+        return wide[first : first + rows + 2 * margin, first : first + cols + 2 * margin]
+
+    @cached_property
+    def expected(self) -> Map:
+        """Photoelectrons per pixel and exposure, dark ones included, shape (row, col)."""
+        return self.frame_of(self.surroundings)
+
+    @cached_property
+    def gain_at_rest_e(self) -> float:
+        """CCD electrons per photoelectron of a plate at rest."""
+        sensor = self.camera.sensor
+        optical = float(sensor.phosphor.photons_per_electron) * float(sensor.taper.transmission)
+        behind = optical * self.ccd.quantum_efficiency
+        return self.plate.gain * behind
+
+    def load(self, photoelectrons: Map) -> Map:
+        """Output of the plate at rest over its saturating output, of photoelectrons per pixel and exposure."""
+        area = true_quantities.field_pixel_area_cm2(self.camera)
+        per_pe = self.plate.gain / area / self.plate.field_s / self.plate.saturation_e_per_s_cm2
+        return np.asarray(photoelectrons * per_pe)
+
+    @cached_property
+    def mean_load(self) -> float:
+        """Load of the whole plate as far as it is drawn."""
+        return float(self.load(self.frame_of(self.surroundings, DRAW_MARGIN_PX)).mean())
+
+    @cached_property
+    def charge_e(self) -> float:
+        """CCD electrons per photoelectron under the mean load."""
+        return max(self.gain_at_rest_e / (1.0 + self.mean_load), 1e-300)
+
+    @cached_property
+    def impulse(self) -> Map:
+        """Impulse response along a line."""
+        return np.asarray(self.camera.video().low_pass.impulse_response(), float)
+
+    @cached_property
+    def blurs(self) -> tuple[float, float]:
+        """What blur behind the gain leaves of a pulse's second and third moment, dimensionless.
+
+        The kernel is the one that frames of many pulses will be drawn with, so that it is worked out once.
+        """
+        owed = self.stages.behind_plate.mean(StageImage(values=np.zeros((1, 1), np.float32))).pending_blurs
+        taps = self.impulse[: np.flatnonzero(np.abs(self.impulse) > SHORTEST_TAP)[-1] + 1]
+        height, impulse = 2 if self.camera.interlaced else 1, tuple(float(tap) for tap in taps)
+        kernel = noise_kernel(owed, self.camera.cells, height, impulse, SKEWNESS_TOLERANCE)
+        return kernel.blur_factor, kernel.third_factor
+
+    @cached_property
+    def shares(self) -> Map:
+        """Shares of a pulse's light that come out in its own field and in later ones, shape (pulse, field)."""
+        return self.camera.afterglow(self.conditions).pulse_shares
+
+    @cached_property
+    def decay(self) -> tuple[float, float]:
+        """What the screen's decay leaves of a pulse's second and third moment: a field shows earlier ones as well."""
+        return float(np.mean(np.sum(self.shares**2, axis=1))), float(np.mean(np.sum(self.shares**3, axis=1)))
+
+    @cached_property
+    def pulse_e(self) -> float:
+        """CCD electrons of one mean pulse."""
+        return self.charge_e / self.plate.detection_probability
+
+    @cached_property
+    def pulses(self) -> tuple[float, float]:
+        """Second and third moment of one photoelectron's share of a pixel, over the first moment, e- and e-^2."""
+        wider = 1.0 + 1.0 / self.plate.pulse_height_shape
+        second = self.pulse_e * wider * self.blurs[0] * self.decay[0]
+        third = self.pulse_e**2 * wider * (wider + 1.0 / self.plate.pulse_height_shape) * self.blurs[1] * self.decay[1]
+        return second, third
+
+    @cached_property
+    def white(self) -> float:
+        """What the filter along lines leaves of the variance of noise that is independent from pixel to pixel."""
+        return float(np.sum(self.impulse**2))
+
+    @cached_property
+    def step_e(self) -> float:
+        """One step of the digitiser, e-; of a curved characteristic the finest, none."""
+        video = self.camera.sensor.video
+        gain = float(video.conversion_gain_dn_per_e) * self.state.gain
+        return 1.0 / gain if float(video.gamma) == 1.0 else 0.0
+
+    @cached_property
+    def line_noise_e(self) -> float:
+        """Offset common to a line, e-."""
+        video = self.camera.video()
+        return video.line_noise_dn * self.step_e if isinstance(video, Video) else 0.0
+
+    @cached_property
+    def electronics(self) -> float:
+        """Variance of all noise that is there without light, e-^2."""
+        return self.white * (self.ccd.dark_e + self.ccd.read_noise_e**2) + self.line_noise_e**2
+
+    @cached_property
+    def of_pulses(self) -> Map:
+        """Temporal variance that pulses, those of ions among them, bring to every pixel, e-^2, shape (row, col)."""
+        return self.expected * self.charge_e * (self.pulses[0] + self.white) + self.of_ions
+
+    @cached_property
+    def ions(self) -> float:
+        """Ion events per pixel and exposure."""
+        return self.plate.ion_events_per_s_cm2 * self.plate.gate_s * true_quantities.field_pixel_area_cm2(self.camera)
+
+    @cached_property
+    def of_ions(self) -> float:
+        """Temporal variance that ion events bring, e-^2: a Poisson number of pulses each."""
+        size = self.plate.ion_event_size_pe
+        squared = self.pulse_e**2 * (size**2 + size * (1.0 + 1.0 / self.plate.pulse_height_shape))
+        return self.ions * squared * self.blurs[0] * self.decay[0]
+
+    @cached_property
+    def variance(self) -> Map:
+        """Temporal variance of every pixel as read, e-^2, rounding included, shape (row, col)."""
+        return self.of_pulses + self.electronics + self.step_e**2 / 12.0 + 1e-12
+
+    @cached_property
+    def noise(self) -> Map:
+        """Temporal noise of every pixel, in photoelectrons, shape (row, col)."""
+        return np.sqrt(self.variance) / self.charge_e
+
+    @cached_property
+    def smear(self) -> Map:
+        """Photoelectrons' worth of charge that smear adds to every pixel of a column, shape (col,)."""
+        return self.expected.sum(axis=0) * self.ccd.smear_fraction / (self.expected.shape[0] / 10.0)
+
+    @cached_property
+    def brightest_e(self) -> Map:
+        """Charge that hardly any frame exceeds, e-, shape (row, col); the plate is nowhere brighter than at rest."""
+        charge = self.gain_at_rest_e * (self.expected + self.smear) + self.ccd.dark_e + self.hottest_e
+        return charge + OVERFLOW_SD * np.sqrt(self.variance)
+
+    @cached_property
+    def hottest_e(self) -> float:
+        """How far a pixel's dark charge lies off the mean at most, e-: a gamma law's extremes, the hot or the cold."""
+        from scipy.special import gammainccinv, gammaincinv
+
+        missed = MISSED / self.expected.size
+        if self.ccd.dsnu_e == 0.0 or self.ccd.dark_e == 0.0:
+            return 0.0
+        shape = (self.ccd.dark_e / self.ccd.dsnu_e) ** 2
+        hottest, coldest = gammainccinv(shape, missed) / shape, gammaincinv(shape, missed) / shape
+        return self.ccd.dark_e * float(max(hottest - 1.0, 1.0 - coldest))
+
+    @cached_property
+    def running(self) -> NDArray[np.bool_]:
+        """Columns in which charge may run over that no drain carries off, shape (col,)."""
+        limit = self.ccd.full_well_e * max(self.ccd.antibloom_ratio, 1.0)
+        return np.asarray(self.brightest_e.max(axis=0) > limit)
+
+    @cached_property
+    def quiet(self) -> Map:
+        """Variance of every pixel, e-^2, where it may be full that of reading alone: a full well has no noise."""
+        reading = self.white * self.ccd.read_noise_e**2 + self.line_noise_e**2 + self.step_e**2 / 12.0 + 1e-12
+        full = (self.brightest_e > self.ccd.full_well_e) | self.running
+        return np.where(full, reading, self.variance)
+
+    @property
+    def dropped(self) -> float:
+        """Largest share of the variance that the tolerance lets go."""
+        return self.tolerance / (1.0 + self.tolerance)
+
+    def of_mean(self, change: Map | float) -> float:
+        """Influence of a change of the mean that leaves the noise as it is, in photoelectrons.
+
+        Notes
+        -----
+        What wells cannot take and drains do not carry off runs along its column: more charge anywhere in it can then
+        raise any one pixel by as much as all the column gains, and no more (Diaconis and Fulton, Rend. Sem. Mat. Torino
+        49, 95, 1991).
+        """
+        size = np.broadcast_to(np.abs(change), self.noise.shape)
+        together = size.sum(axis=0)[self.running] / self.noise.min(axis=0)[self.running]
+        return float(max(np.max(size / self.noise), np.max(together, initial=0.0)))
+
+    def of_light(self, change: Map | float) -> float:
+        """Influence of more or less light, in photoelectrons per pixel: its mean, and the noise of its pulses.
+
+        Notes
+        -----
+        Where light is sparse the noise tells more of it than the mean: a standard deviation follows half the relative
+        change of the light, whereas the mean changes by a share of the noise that falls with the root of the light.
+        """
+        noise = np.abs(change) * self.charge_e * (self.pulses[0] + self.white)
+        return max(self.of_mean(change), self.of_variance(noise))
+
+    def of_gain(self, relative: Map | float) -> float:
+        """Influence of a relative change of the gain: of the mean and of the noise of the pulses alike."""
+        change = np.abs(relative)
+        return max(self.of_mean(change * self.expected), float(np.max(change * self.of_pulses / self.variance)))
+
+    def of_variance(self, part: Map | float) -> float:
+        """Influence of a part of the variance, e-^2, that has the correlations of the rest.
+
+        Notes
+        -----
+        Without a share s the standard deviation falls by 1 - sqrt(1 - s), which grows faster than s: shares that are
+        left out together count more than each alone. s/(2 - T) adds up, and reaches the tolerance T just where the
+        standard deviation has fallen by T.
+        """
+        return float(np.max(part / self.variance)) / (2.0 - min(self.tolerance, 1.0))
+
+    def of_white(self, part: Map | float) -> float:
+        """Influence of a part of the variance, e-^2, whose correlations differ from those of the rest.
+
+        Notes
+        -----
+        Without a share s of the variance, correlations rise from r to r/(1 - s) at most, or fall as much: s (1 + T)
+        adds up, and reaches T just where s/(1 - s) does. Where noise is smaller than a step of the digitiser, the
+        variance of the codes follows it more steeply, by up to `ROUNDING` over its variance in steps^2 where the mean
+        lies as unluckily as it can.
+        """
+        steeper = ROUNDING * self.step_e**2 / max(self.electronics, 1e-300)
+        return float(np.max(np.minimum(part / self.quiet, 1.0))) * max(1.0, steeper) * (1.0 + self.tolerance)
+
+    def blurred(self, blur: StageBlur) -> Map:
+        """The picture through a blur, its surroundings taking part."""
+        cells, wide = self.camera.cells, self.surroundings
+        fy = np.fft.fftfreq(wide.shape[0], cells.pitch_y_mm)[:, None]
+        fx = np.fft.rfftfreq(wide.shape[1], cells.pitch_x_mm)[None, :]
+        spectrum = np.fft.rfft2(wide) * product((blur,), *np.broadcast_arrays(fx, fy))
+        return np.asarray(self.frame_of(np.fft.irfft2(spectrum, wide.shape)))
+
+
+def per_pixel(camera: IntensifiedCamera, freed: StageImage) -> Map:
+    """Return photoelectrons per pixel as read, of those per cell of `camera.scene_cells`.
+
+    Returns
+    -------
+    NDArray
+        The frame and the margin of `SCENE_MARGIN_PX` or more around it, shape (row, col).
+    """
+    cells = camera.scene_cells
+    rows, cols = cells.shape[0] // cells.per_row, cells.shape[1] // cells.per_column
+    chip = freed.values.reshape(rows, cells.per_row, cols, cells.per_column).sum(axis=(1, 3), dtype=float)
+    # Field integration sums rows; the last row of the margin has none below it.
+    return chip + np.append(chip[1:], chip[-1:], axis=0) if camera.interlaced else chip

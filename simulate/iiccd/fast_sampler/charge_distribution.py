@@ -1,0 +1,173 @@
+"""The charge of a cell as a table: quantiles of a Poisson number of gamma pulses, at any mean, looked up in one step.
+
+A cell that expects N detected photoelectrons holds the sum of Poisson(N) pulses of mean 1 and gamma shape k. The sum is
+zero with probability exp(-N); given that it is not, its standardised law changes slowly with N. That law is kept as
+rows of quantiles, one for every two per cent of N; zero probability, mean and variance are those of the cell's own N.
+Quantiles stand at probabilities that are evenly spaced in each octave towards both ends, so that the exponent and
+leading bits of a single-precision number are the index.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+# Rows of the standardised law: its skewness changes by one per cent from row to row.
+LOWEST_ROW, ROW_STEP, ROWS, EXACT_EVERY = 1e-3, 0.02, 1100, 5
+# Nodes: 16 in each of the octaves 2^-25 .. 2^-1 towards either end, and the last one, 1/2.
+MANTISSA_BITS, OCTAVES = 4, 24
+HALF = (OCTAVES << MANTISSA_BITS) + 2
+NODES = 2 * HALF
+SMALLEST = 2.0 ** -(OCTAVES + 1)
+# Up to this mean the law is summed over the number of pulses; beyond, it is inverted from its characteristic function.
+SUMMED_TO = 32.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class CellLaw:
+    """What looking up the charge of cells takes.
+
+    Parameters
+    ----------
+    inverse
+        Inverse of the probability that a cell holds anything, of the cells' shape.
+    rows
+        Row of each cell's standardised law.
+    quantiles
+        The rows, flat.
+    """
+
+    inverse: NDArray[np.float32]
+    rows: NDArray[np.uint16]
+    quantiles: NDArray[np.float32]
+
+
+def pulse_law(shape: float, mean: NDArray[np.floating]) -> CellLaw:
+    """Return the law of sums of pulses of a gamma shape, for each mean number of pulses."""
+    index = np.rint(np.log(np.maximum(mean, LOWEST_ROW) / LOWEST_ROW) / ROW_STEP)
+    row = np.minimum(index, ROWS - 1).astype(np.uint16)
+    used = np.flatnonzero(np.bincount(row.ravel(), minlength=ROWS))
+    place = np.zeros(ROWS, np.uint16)
+    place[used] = np.arange(len(used))
+    quantiles = np.concatenate([row_quantiles(shape, int(number)) for number in used])
+    something = -np.expm1(-np.asarray(mean, np.float64))
+    # Beyond any use where nothing is expected, so that nothing is drawn there.
+    inverse = np.divide(1.0, something, out=np.full(something.shape, 1e30), where=something > 1e-30)
+    return CellLaw(
+        inverse=inverse.astype(np.float32),
+        rows=place[row],
+        quantiles=quantiles.astype(np.float32),
+    )
+
+
+def normal_law(mean: NDArray[np.floating]) -> CellLaw:
+    """Return a normal law of the same mean and variance, for each mean number of pulses: one row for all."""
+    ones = np.ones(mean.shape, np.float32)
+    return CellLaw(inverse=ones, rows=np.zeros(mean.shape, np.uint16), quantiles=normal_quantiles())
+
+
+def node_probabilities() -> NDArray[np.float64]:
+    """Return the probabilities of one half's nodes, ascending to 1/2, the last one twice, shape (HALF,)."""
+    step = np.arange(OCTAVES << MANTISSA_BITS)
+    octave, part = step >> MANTISSA_BITS, step & ((1 << MANTISSA_BITS) - 1)
+    probability = SMALLEST * 2.0**octave * (1.0 + part / (1 << MANTISSA_BITS))
+    return np.append(probability, (0.5, 0.5))
+
+
+def row_quantiles(shape: float, row: int) -> NDArray[np.float64]:
+    """Return the quantiles of a row, shape (NODES,): every fifth by the law itself, between them by straight lines."""
+    below = row - row % EXACT_EVERY
+    share = (row - below) / EXACT_EVERY
+    exact = unit_variance_quantiles(shape, LOWEST_ROW * float(np.exp(ROW_STEP * below)))
+    if share == 0.0:
+        return exact
+    above = unit_variance_quantiles(shape, LOWEST_ROW * float(np.exp(ROW_STEP * (below + EXACT_EVERY))))
+    return _standard((1.0 - share) * exact + share * above)
+
+
+@lru_cache(maxsize=4096)
+def unit_variance_quantiles(shape: float, mean: float) -> NDArray[np.float64]:
+    """Return the quantiles of a sum that is not zero, brought to mean 0 and variance 1, shape (NODES,).
+
+    Notes
+    -----
+    P(sum > x | sum > 0) = sum_n Poisson(n; N) Q(n k, k x)/(1 - exp(-N)), n from 1, Q the regularised upper gamma
+    function; for many pulses the density is the inverse Fourier transform of exp(N((1 - it/k)^-k - 1)).
+    """
+    amount, below, above = (
+        _distribution_by_sum(shape, mean) if mean <= SUMMED_TO else _distribution_by_transform(shape, mean)
+    )
+    probability = node_probabilities()
+    upper = _invert_distribution(amount, above, probability)
+    lower = _invert_distribution(amount, below, probability)
+    return _standard(np.concatenate([upper, lower]))
+
+
+def _invert_distribution(amount: NDArray, cumulative: NDArray, probability: NDArray) -> NDArray[np.float64]:
+    """Amounts at which a cumulative probability, ascending or descending, has the values given."""
+    kept = cumulative > 0.1 * SMALLEST
+    x, p = np.log(cumulative[kept]), amount[kept]
+    order = np.argsort(x, kind="stable")
+    x, p = x[order], p[order]
+    distinct = np.append(True, np.diff(x) > 0.0)
+    from scipy.interpolate import PchipInterpolator
+
+    # The lowest amounts that were looked at stand for those below.
+    inside = np.maximum(np.log(probability), x[distinct][0])
+    return np.asarray(PchipInterpolator(x[distinct], p[distinct])(inside))
+
+
+def _distribution_by_sum(shape: float, mean: float) -> tuple[NDArray, NDArray, NDArray]:
+    from scipy.special import gammainc, gammaincc, gammaln
+
+    last = int(mean + 10.0 * np.sqrt(mean) + 14)
+    number = np.arange(1, last + 1)
+    weight = np.exp(number * np.log(mean) - mean - gammaln(number + 1.0)) / -np.expm1(-mean)
+    reach = mean + 1.0 + 9.0 * np.sqrt((mean + 1.0) * (1.0 + 1.0 / shape)) + 18.0 / min(shape, 1.0)
+    # Heights of narrow pulses leave peaks, each to be resolved.
+    points = int(min(260.0 * max(1.0, np.sqrt(shape)), 6000.0))
+    fine, coarse = np.geomspace(1e-9, 1e-2, 60, endpoint=False), np.linspace(0.1, np.sqrt(reach), points) ** 2
+    amount = np.concatenate([fine, coarse])
+    argument = shape * amount[:, None], number[None, :] * shape
+    below = gammainc(argument[1], argument[0]) @ weight
+    above = gammaincc(argument[1], argument[0]) @ weight
+    return amount, below, above
+
+
+def _distribution_by_transform(shape: float, mean: float) -> tuple[NDArray, NDArray, NDArray]:
+    count = 4096
+    spread = np.sqrt(mean * (1.0 + 1.0 / shape))
+    step = 24.0 * spread / count
+    frequency = 2.0 * np.pi * np.fft.fftfreq(count, step)
+    start = mean - 11.0 * spread
+    log_transform = mean * ((1.0 - 1j * frequency / shape) ** -shape - 1.0) - 1j * frequency * start
+    density = np.fft.fft(np.exp(log_transform)).real / (count * step)
+    amount = start + step * np.arange(count)
+    density = np.where(density > 1e-13 * density.max(), density, 0.0)
+    parts = 0.5 * step * (density[1:] + density[:-1])
+    below = np.append(0.0, np.cumsum(parts))
+    above = np.append(np.cumsum(parts[::-1])[::-1], 0.0)
+    total = parts.sum()
+    return amount, below / total, above / total
+
+
+def _standard(quantiles: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Bring quantiles to mean 0 and variance 1 as they will be drawn: straight lines between nodes."""
+    first = second = 0.0
+    probability = node_probabilities()
+    for half in (quantiles[:HALF], quantiles[HALF:]):
+        a, b, width = half[:-1], half[1:], np.diff(probability)
+        # What is rarer than the rarest node is drawn as that node.
+        first += probability[0] * half[0] + np.sum(width * 0.5 * (a + b))
+        second += probability[0] * half[0] ** 2 + np.sum(width * (a * a + a * b + b * b) / 3.0)
+    return (quantiles - first) / np.sqrt(second - first**2)
+
+
+@lru_cache(maxsize=1)
+def normal_quantiles() -> NDArray[np.float32]:
+    """Return the quantiles of the normal law at the same nodes, shape (NODES,)."""
+    from scipy.special import ndtri
+
+    upper = -ndtri(node_probabilities())
+    return _standard(np.concatenate([upper, -upper])).astype(np.float32)

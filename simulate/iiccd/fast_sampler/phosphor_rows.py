@@ -1,0 +1,161 @@
+"""The compiled pass over rows of cells: pulses drawn from their law, which the screen stores and gives back."""
+
+import numpy as np
+from numba import njit
+
+from simulate.iiccd.fast_sampler.random_rows import (
+    FAST,
+    HALF_ONE,
+    LEAST,
+    ONE,
+    PART,
+    PER_WORD,
+    TWO,
+    ZERO,
+    f4,
+    fill_random_words,
+    look_up_quantiles,
+    row_key,
+    to_nearer_end,
+    u4,
+)
+
+# A uniform number of variance 1 from 16 bits.
+UNIFORM = f4(np.sqrt(12.0) * 2.0**-16)
+MIDDLE = f4(32767.5)
+# Half the variance of u^2 - 1, and inverse of the third moment that adding a little of it to a uniform u brings.
+TWO_FIFTHS, PER_LEAN = f4(0.4), f4(1.0 / 2.4)
+# More lateness than this the scatter does not carry; screens that have it leave next to nothing to later exposures.
+MOST_LATENESS = f4(2.1)
+
+
+@njit(**PART)
+def _pulse_row(key, row, law, brightness, out, split, high, low, probability, nearer):
+    """One row's charge beyond its mean, and the random part of its division in time, both in electrons."""
+    (expected, inverse, rows, gain), (quantiles, shape, lateness, ions) = row, law
+    fill_random_words(key, high, low)
+    for c in range(out.size):
+        probability[c] = (f4(high[c]) + HALF_ONE) * PER_WORD * inverse[c]
+    to_nearer_end(probability, nearer)
+    look_up_quantiles(probability, nearer, rows, quantiles, out)
+    relative = ONE + ONE / shape
+    for c in range(out.size):
+        # Mean and variance of a sum that is not zero.
+        mean = expected[c]
+        centre = mean * inverse[c]
+        charge = centre + np.sqrt(centre * (relative + mean - centre)) * out[c]
+        charge = charge if probability[c] < ONE else ZERO
+        uniform = (f4(np.int32(low[c] & u4(0xFFFF))) - MIDDLE) * UNIFORM
+        scale = brightness * gain[c]
+        split[c] = scale * charge * _scatter(abs(charge), mean, shape, lateness, uniform)
+        out[c] = (charge - mean - ions) * scale
+
+
+@njit(**PART)
+def _likeness(charge, mean, shape):
+    """1/(n k + 1), on average over the numbers n of pulses of gamma shape k that may have added up to a charge.
+
+    n pulses that add up to x have a sum of squares of mean x^2 (k + 1)/(n k + 1). Given x, 1/(n k + 1) is on average
+    near 1/(c + sqrt((k + 1 - c)^2 + k^2 m^2)), m = N^(1/(k+1)) x^(k/(k+1)), c = 1 - k/(2 (k + 1)): exact for few pulses
+    and for many; for exponential ones in between it is Amos' bound on a ratio of Bessel functions (Math. Comp. 28, 239,
+    1974).
+    """
+    half = HALF_ONE * (shape - ONE) / (shape + ONE)
+    power = ONE
+    if half != ZERO:
+        # (x/N)^half by its (1, 1) Pade approximant.
+        more, less = ONE + half, ONE - half
+        power = (more * charge + less * mean) / (less * charge + more * mean + LEAST)
+    few = ONE - HALF_ONE * shape / (shape + ONE)
+    many = shape * shape * charge * mean * power * power
+    return ONE / (few + np.sqrt((shape + ONE - few) * (shape + ONE - few) + many))
+
+
+@njit(**PART)
+def _scatter(charge, mean, shape, lateness, uniform):
+    """Random scatter of a sum's pulses over the exposure, as a share of the sum: its variance and third moment.
+
+    The sum of cubes of n pulses that add up to x is x^3 (k + 1)(k + 2)/((n k + 1)(n k + 2)) on average.
+    """
+    inverse = _likeness(charge, mean, shape)
+    further = inverse / (ONE + inverse)
+    # What u^2 - 1 brings leans the scatter; it takes from the rest what it adds to the variance.
+    lean = min(lateness, MOST_LATENESS) * (shape + TWO) * PER_LEAN
+    straight = ONE - TWO_FIFTHS * lean * lean / (shape + ONE) * further * (ONE - further)
+    return straight * np.sqrt((shape + ONE) * inverse) * uniform + lean * further * (uniform * uniform - ONE)
+
+
+@njit(**FAST)
+def glow_rows(first, last, plane, exposures, cells, law, ions, decay, stored, shown, coarse):
+    """Draw the pulses of consecutive exposures, cell rows first..last, and let the screen decay.
+
+    Parameters
+    ----------
+    first, last
+        Rows of cells, the last excluded.
+    plane
+        Plane of cells.
+    exposures
+        (keys, brightness): key and factor of the gain of each exposure, shape (exposure,).
+    cells
+        (expected, inverse, rows, gain): mean number of pulses, the inverse of the probability of any, the row of the
+        law, and electrons per mean pulse, shape (row, col).
+    law
+        (quantiles, shape, lateness, ions): the law's rows, flat; gamma shape of pulses; skewness of what pulses leave
+        to later exposures; mean number of pulses that ions bring to a cell.
+    ions
+        (exposures, rows, columns, pulses) of the ion events, each of shape (event,).
+    decay
+        (later, spread, kept) of each component, shape (3, component): mean share of a pulse that is stored for later,
+        its standard deviation, and the share of what is stored that stays stored for one exposure more.
+    stored
+        Electrons still to come from each component, shape (component, row, col); changed.
+    shown
+        Electrons beyond the mean that come out in each exposure, shape (exposure, plane, row, col); filled.
+    coarse
+        Their sums over blocks, shape (exposure, plane, coarse row, coarse col); filled. Rows first..last are whole
+        blocks.
+    """
+    (keys, brightness), (expected, inverse, rows, gain) = exposures, cells
+    cols, block = gain.shape[1], gain.shape[1] // coarse.shape[3]
+    high, low = np.empty(cols, np.uint32), np.empty(cols, np.uint32)
+    probability, nearer = np.empty(cols, np.float32), np.empty(cols, np.float32)
+    charge, split = np.empty(cols, np.float32), np.empty(cols, np.float32)
+    gathered = np.zeros((keys.size, cols), np.float32)
+    for r in range(first, last):
+        row = expected[r], inverse[r], rows[r], gain[r]
+        for n in range(keys.size):
+            key = row_key(keys[n], r)
+            _pulse_row(key, row, law, brightness[n], charge, split, high, low, probability, nearer)
+            for event in range(ions[0].size):
+                if ions[0][event] == n and ions[1][event] == r:
+                    c = ions[2][event]
+                    charge[c] += ions[3][event] * brightness[n] * gain[r, c]
+            own, sums = shown[n, plane, r], gathered[n]
+            own[:] = charge
+            for i in range(decay.shape[1]):
+                _linger(charge, split, decay[0, i], decay[1, i], decay[2, i], stored[i, r], own)
+            for c in range(cols):
+                sums[c] += own[c]
+            if (r + 1) % block == 0:
+                _block_sums(sums, block, coarse[n, plane, r // block])
+                sums[:] = ZERO
+
+
+@njit(**PART)
+def _linger(charge, split, later, spread, kept, old, own):
+    """One component of the screen: it stores part of new pulses and gives back part of what it held."""
+    released = ONE - kept
+    for c in range(own.size):
+        new, before = later * charge[c] + spread * split[c], old[c]
+        own[c] += released * before - new
+        old[c] = kept * before + new
+
+
+@njit(**PART)
+def _block_sums(row, block, sums):
+    for b in range(sums.size):
+        total = ZERO
+        for c in range(b * block, (b + 1) * block):
+            total += row[c]
+        sums[b] = total

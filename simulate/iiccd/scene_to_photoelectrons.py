@@ -1,0 +1,102 @@
+"""From a picture of the world to photoelectrons: radiance through the lens, or photoelectrons of a given picture."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labdata.conditions import Conditions
+from labdata.errors import BadInput
+from simulate.iiccd import image_placement
+from simulate.iiccd.camera import IntensifiedCamera
+from simulate.iiccd.solid_state import SiliconCamera
+from simulate.iiccd.stage_image import StageImage
+from simulate.radiance.cube import RadianceCube
+
+
+def mcp_input_from_radiance(
+    camera: IntensifiedCamera | SiliconCamera,
+    cube: RadianceCube,
+    conditions: Conditions,
+    *,
+    distance_m: float | None = None,
+) -> StageImage:
+    """Return the expected photoelectrons at the plate, or in a chip without a tube, of a scene of known radiance.
+
+    Arguments as for `photoelectrons_from_radiance`; dark photoelectrons are added, the gap spreads all.
+    """
+    return camera.to_mcp_input(
+        photoelectrons_from_radiance(camera, cube, conditions, distance_m=distance_m), conditions
+    )
+
+
+def mcp_input_from_photoelectrons(
+    camera: IntensifiedCamera | SiliconCamera, image_pe: NDArray[np.floating], conditions: Conditions
+) -> StageImage:
+    """Return the expected photoelectrons at the plate, or in a chip without a tube, of a picture in photoelectrons.
+
+    Arguments as for `photoelectrons_from_image`; gate and temperature decide the dark emission that is added.
+    """
+    return camera.to_mcp_input(photoelectrons_from_image(camera, image_pe), conditions)
+
+
+def photoelectrons_from_radiance(
+    camera: IntensifiedCamera | SiliconCamera,
+    cube: RadianceCube,
+    conditions: Conditions,
+    *,
+    distance_m: float | None = None,
+) -> StageImage:
+    """Return the photoelectrons that a scene of known radiance frees, expected per cell of `scene_cells` and exposure.
+
+    Parameters
+    ----------
+    camera
+        The camera.
+    cube
+        Spectral radiance of the scene; its pixels, of any number, cover the frame exactly, as a lens without distortion
+        would image them. Beyond the frame it goes on as it ends there.
+    conditions
+        Gate or exposure.
+    distance_m
+        Distance of the scene from the lens; far away if None. It enters the magnification alone, m = f/(d - f).
+
+    Raises
+    ------
+    BadInput
+        If a radiance is not a number, infinite or negative, or the scene lies within twice the focal length.
+    """
+    lens = camera.lens()
+    if distance_m is not None:
+        focal_m = lens.focal_length_mm * 1e-3
+        if not distance_m > 2.0 * focal_m:
+            raise BadInput(f"a scene must lie beyond twice the focal length, {2.0 * focal_m:g} m, got {distance_m:g} m")
+        lens = camera.lens(focal_m / (distance_m - focal_m))
+    return camera.freed(lens.mean(cube), conditions)
+
+
+def photoelectrons_from_image(camera: IntensifiedCamera | SiliconCamera, image_pe: NDArray[np.floating]) -> StageImage:
+    """Return the photoelectrons of a picture in photoelectrons, expected per cell of `scene_cells` and exposure.
+
+    Parameters
+    ----------
+    camera
+        The camera.
+    image_pe
+        Mean photoelectrons that light frees from the cathode, per pixel as read and exposure, on the pixels of the
+        frame: shape (row, col) of `camera.shape`. A flat picture of x gives x per pixel as read. Rows of an interlaced
+        frame sum two rows of the chip and overlap by one: each row of the picture is laid between the middles of the
+        two, and half of what its pixel reads is its own, a quarter each neighbour's.
+
+    Raises
+    ------
+    BadInput
+        If the picture has another shape than the frame, or an amount that is not a number, infinite or negative.
+    """
+    if image_pe.shape != camera.shape:
+        raise BadInput(f"a picture in photoelectrons must have the frame's shape {camera.shape}, got {image_pe.shape}")
+    lowest, highest = (float(image_pe.min()), float(image_pe.max())) if image_pe.size else (0.0, 0.0)
+    if not (np.isfinite(lowest) and np.isfinite(highest)) or lowest < 0.0:
+        raise BadInput(f"photoelectrons must be finite and not negative, got {lowest:g} to {highest:g}")
+    cells = camera.scene_cells
+    per_pixel = cells.per_column * cells.per_row * (2 if camera.interlaced else 1)
+    spread = image_placement.place_on_cells(image_pe, cells, row_pairs=camera.interlaced) / np.float32(per_pixel)
+    return StageImage(values=spread, grid=cells)

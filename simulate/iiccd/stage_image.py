@@ -1,0 +1,104 @@
+"""Images between stages, with the linear blur they still owe, so that blurs in a row are paid in one transform."""
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulate.iiccd import fourier
+from simulate.iiccd.grid import Grid
+from simulate.iiccd.transfer import StageBlur, product
+
+Quantity = Literal["photons", "photoelectrons", "electrons", "photoelectrons at the plate", "screen photons", "DN"]
+Image = NDArray[np.float32]
+
+# Up to this frequency, in cycles per pixel, resampling is exact; beyond it fades to nothing at one cycle per pixel, so
+# that a point does not ring across the picture.
+EXACT_CY_PER_PX = 0.6
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageImage:
+    """An image on its way through the camera.
+
+    Parameters
+    ----------
+    values
+        Amount per cell or per pixel, shape (..., row, col).
+    grid
+        The lattice of cells; None once the image stands on the picture's own pixels.
+    pending_blurs
+        Blurs that have happened to the light and not yet been computed.
+    """
+
+    values: NDArray
+    grid: Grid | None = None
+    pending_blurs: tuple[StageBlur, ...] = ()
+
+    def with_values(self, values: NDArray) -> "StageImage":
+        """Return the same light with other values."""
+        return replace(self, values=values)
+
+    def blurred(self, *blurs: StageBlur) -> "StageImage":
+        """Return the light owing more blurs."""
+        return replace(self, pending_blurs=(*self.pending_blurs, *blurs))
+
+    def with_blurs_applied(self) -> "StageImage":
+        """Return the light with its blurs computed, on the same cells."""
+        if not self.pending_blurs or self.grid is None:
+            return self
+        spectrum = fourier.rfft_image(self.values) * _transfer(self.pending_blurs, self.grid)
+        return replace(
+            self, values=fourier.irfft_image(spectrum, self.grid.shape).astype(self.values.dtype), pending_blurs=()
+        )
+
+    def in_whole_rows(self) -> "StageImage":
+        """Return the light gathered into cells one row high, nowhere below zero."""
+        if self.grid is None or self.grid.per_row == 1:
+            return self
+        rows = self.values.shape[-2] // self.grid.per_row
+        parts = self.values.reshape(*self.values.shape[:-2], rows, self.grid.per_row, self.values.shape[-1])
+        return replace(self, values=np.maximum(parts.sum(axis=-2), 0.0), grid=self.grid.whole_rows())
+
+    def resample_to(self, grid: Grid) -> "StageImage":
+        """Return box-integrated cells as point samples on half as many cells per pixel, blurs computed.
+
+        The average over a cell, which the finer cells hold, is undone up to `EXACT_CY_PER_PX`; amounts stay per cell.
+        """
+        fine = self.grid
+        if fine is None or fine.per_column != 2 * grid.per_column:
+            raise ValueError("light is resampled to half as many cells per pixel")
+        rows, columns = fine.shape[0] // 2, fine.shape[1] // 2
+        spectrum = fourier.rfft_image(self.values)
+        half = rows // 2
+        kept = np.concatenate([spectrum[..., :half, :], spectrum[..., -half:, :]], axis=-2)[..., : columns // 2 + 1]
+        # Four cells become one, and the inverse transform divides by a quarter of the number: the two cancel.
+        values = fourier.irfft_image(kept * _resampling(self.pending_blurs, fine, grid.per_column), (rows, columns))
+        row, col = grid.window_of(fine)
+        return StageImage(values=np.ascontiguousarray(values[..., row, col], dtype=np.float32), grid=grid)
+
+
+@lru_cache(maxsize=16)
+def _transfer(owed: tuple[StageBlur, ...], grid: Grid) -> NDArray[np.float32]:
+    fx, fy = grid.frequencies()
+    return product(owed, *np.broadcast_arrays(fx, fy)).astype(np.float32)
+
+
+@lru_cache(maxsize=2)
+def _resampling(owed: tuple[StageBlur, ...], fine: Grid, per_pixel: int) -> NDArray[np.complex64]:
+    """Transfer of the owed blurs, the undone cell and the shift by half a fine cell, at the coarse frequencies."""
+    rows, columns = fine.shape[0] // 2, fine.shape[1] // 2
+    fx = np.fft.rfftfreq(columns, fine.pitch_x_mm / per_pixel)[None, :]
+    fy = np.fft.fftfreq(rows, fine.pitch_y_mm / per_pixel)[:, None]
+    x, y = fx * fine.pitch_x_mm, fy * fine.pitch_y_mm
+    whole = product(owed, *np.broadcast_arrays(fx, fy)) * _fade(x) * _fade(y)
+    cell = np.sinc(x / fine.per_column) * np.sinc(y / fine.per_column)
+    shift = np.exp(2j * np.pi * 0.5 * (x + y) / fine.per_column)
+    return (whole / cell * shift).astype(np.complex64)
+
+
+def _fade(frequency_cy_per_px: NDArray[np.floating]) -> NDArray[np.float64]:
+    beyond = (np.abs(frequency_cy_per_px) - EXACT_CY_PER_PX) / (1.0 - EXACT_CY_PER_PX)
+    return np.cos(np.pi / 2.0 * np.clip(beyond, 0.0, 1.0)) ** 2

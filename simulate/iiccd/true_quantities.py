@@ -1,0 +1,247 @@
+"""Closed-form truths of a sensor description: what an unerring measurement of the simulated camera would find.
+
+Formulas and numerical integrals of formulas, no simulated frame. Frequencies are in cycles per column pitch, in both
+directions; lengths in column pitches.
+"""
+
+from typing import Any, Literal, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from labdata.conditions import Conditions
+from labdata.errors import BadInput
+from labdata.sensor import Sensor
+from simulate.iiccd import tube_photometry
+from simulate.iiccd.back_end import DigitalBackEnd, Unfiltered
+from simulate.iiccd.camera import IntensifiedCamera
+from simulate.iiccd.microchannel import MicrochannelPlate
+from simulate.iiccd.optics import Optics
+from simulate.iiccd.phosphor import Phosphor
+from simulate.iiccd.photocathode import ProximityGap
+from simulate.iiccd.taper import Taper
+from simulate.iiccd.transfer import PixelAperture, StageBlur, VideoFilter, product
+from simulate.iiccd.video import Video
+
+# Or degrees from the row direction.
+Direction = Literal["horizontal", "vertical"] | float
+DEGREES = {"horizontal": 0.0, "vertical": 90.0}
+StageType = TypeVar("StageType")
+
+
+def true_mtf(
+    sensor: Sensor, frequency_cy_per_px: ArrayLike, direction: Direction = "horizontal"
+) -> NDArray[np.float64]:
+    """Return the MTF of the whole camera, normalised to the light that entered, veiling glare left out.
+
+    Parameters
+    ----------
+    sensor
+        The camera.
+    frequency_cy_per_px
+        Frequencies, cycles per column pitch in either direction.
+    direction
+        "horizontal": frequency along rows (a vertical edge). "vertical": along columns. Or the frequency's direction
+        in degrees from the rows, as along the normal of a tilted edge.
+
+    Returns
+    -------
+    NDArray
+        Dimensionless, of the frequencies' shape.
+
+    Notes
+    -----
+    Lens x [(1 - q) + q H_halo] x tube x taper x pixel, and along rows the video filter on the pixels' lattice. In the
+    vertical direction the pixel is the row pair of field integration.
+    """
+    camera = IntensifiedCamera(sensor)
+    return _transfer(camera, (*_before_gain(camera), *_after_gain(camera)), frequency_cy_per_px, direction)
+
+
+def post_gain_mtf(
+    sensor: Sensor, frequency_cy_per_px: ArrayLike, direction: Direction = "horizontal"
+) -> NDArray[np.float64]:
+    """Return the MTF of all that comes after the gain, which shapes its noise; as `true_mtf`, whose part it is."""
+    camera = IntensifiedCamera(sensor)
+    return _transfer(camera, _after_gain(camera), frequency_cy_per_px, direction)
+
+
+def _transfer(
+    camera: IntensifiedCamera, blurs: tuple[StageBlur, ...], frequency_cy_per_px: ArrayLike, direction: Direction
+) -> NDArray[np.float64]:
+    """Return the modulus of blurs and video filter along a direction, cycles per column pitch."""
+    if isinstance(direction, str) and direction not in DEGREES:
+        raise BadInput(f"a direction must be horizontal, vertical or degrees, got {direction!r}")
+    angle = np.radians(DEGREES[direction] if isinstance(direction, str) else direction)
+    frequency = np.asarray(frequency_cy_per_px, float)
+    fx, fy = frequency * np.cos(angle), frequency * np.sin(angle)
+    pitch_mm = camera.cells.pitch_x_mm
+    return np.abs(product(blurs, fx / pitch_mm, fy / pitch_mm) * _video(camera).low_pass.transfer(fx))
+
+
+def true_crossing_frequency(sensor: Sensor, level: float, direction: Direction = "horizontal") -> float:
+    """Return the lowest frequency where the MTF falls to a level, cycles per column pitch."""
+    from scipy.optimize import brentq
+
+    fine = np.linspace(0.0, 1.0, 2001)
+    below = np.flatnonzero(true_mtf(sensor, fine, direction) < level)
+    if below.size == 0 or below[0] == 0:
+        raise BadInput(f"the MTF must fall to the level within one cycle per pixel, got the level {level:g}")
+    low, high = fine[below[0] - 1], fine[below[0]]
+    root: Any = brentq(lambda f: float(true_mtf(sensor, f, direction)) - level, low, high)
+    return float(root)
+
+
+def true_quantities(sensor: Sensor, conditions: Conditions | None = None) -> dict[str, float]:
+    """Return the truths that a session can be judged by.
+
+    Parameters
+    ----------
+    sensor
+        The camera.
+    conditions
+        Voltage, gate and temperature; the sensor's reference voltage and an open gate where None.
+
+    Returns
+    -------
+    dict
+        `mtf50`, `mtf10`, `mtf50_vertical`, `mtf10_vertical` (cycles per column pitch); `photoelectron_gain` k and
+        `detected_photoelectron_gain` k/p (DN); `system_gain` K (DN per CCD electron); `excess_noise_factor` F^2;
+        `covariance_gain` K + k F^2 (DN), that of a pulse's whole light: summed over the fields through which the
+        screen decays as well as over pixels; `field_covariance_gain` (DN), summed over the pixels of one field alone;
+        `decay_factor`, the sum over fields of their squared shares of a pulse; `field_correlation`, that of one field
+        with the next; `blur_factor` of variances over covariance sums within a field; `correlation_horizontal` and
+        `correlation_vertical` at one pixel of a field; `halo_diameter` (column pitches); `ebi`
+        (photoelectrons per s and field pixel) and `ebi_per_field`; `photoelectrons_per_lux` of a field pixel and
+        exposure; `read_noise` (DN); `black_level` (DN).
+    """
+    conditions = Conditions() if conditions is None else conditions
+    camera = IntensifiedCamera(sensor)
+    noise = _noise(camera, conditions)
+    area_cm2 = field_pixel_area_cm2(camera)
+    ebi = tube_photometry.ebi_per_s_cm2(sensor, conditions.temperature_c) * area_cm2
+    per_lux = tube_photometry.photoelectrons_per_lumen_s(sensor) * 1e-4 * area_cm2
+    gap_um = 4e3 * float(sensor.photocathode.gap_mm)
+    return {
+        "mtf50": true_crossing_frequency(sensor, 0.5),
+        "mtf10": true_crossing_frequency(sensor, 0.1),
+        "mtf50_vertical": true_crossing_frequency(sensor, 0.5, "vertical"),
+        "mtf10_vertical": true_crossing_frequency(sensor, 0.1, "vertical"),
+        **noise,
+        "halo_diameter": gap_um * 1e-3 / camera.cells.pitch_x_mm,
+        "ebi": ebi,
+        "ebi_per_field": ebi * camera.photocathode(conditions).open_s,
+        "photoelectrons_per_lux": per_lux * camera.photocathode(conditions).open_s,
+        "read_noise": _read_noise_dn(camera),
+        "black_level": float(sensor.video.black_level_dn),
+    }
+
+
+def field_pixel_area_cm2(camera: IntensifiedCamera) -> float:
+    """Return the area of one pixel as read, at the photocathode, cm2: two rows where fields are integrated."""
+    height = 2 if camera.interlaced else 1
+    return camera.cells.pitch_x_mm * camera.cells.pitch_y_mm * height * 1e-2
+
+
+def pulse_correlation(
+    blurs: tuple[StageBlur, ...], low_pass: VideoFilter | Unfiltered | None, pitch_x_mm: float, pitch_y_mm: float
+) -> tuple[float, float, float]:
+    """Return the blur factor of pulses behind a blur, and their correlations one pixel away.
+
+    Parameters
+    ----------
+    blurs
+        Blurs after the gain, the pixel's aperture among them.
+    low_pass
+        Filter along the lines; None for none.
+    pitch_x_mm, pitch_y_mm
+        Sides of a pixel as read, at the photocathode, mm.
+
+    Returns
+    -------
+    tuple
+        Variance over covariance sum, dimensionless; correlation with the next pixel of the row; with the next row of
+        the same field.
+
+    Notes
+    -----
+    Pulses fall evenly, so that the covariance of pixels a vector D apart is the integral over the plane of
+    A |H(f)|^2 |V(fx)|^2 cos(2 pi f.D), A the pixel's area: folding onto the lattice of pixels is implied, as V has the
+    lattice's period along rows.
+    """
+    x, y = _midpoints(1600), _midpoints(1200)
+    fx, fy = np.broadcast_arrays(x[None, :] / pitch_x_mm, y[:, None] / pitch_y_mm)
+    power = product(blurs, fx, fy) ** 2
+    if low_pass is not None:
+        power = power * np.abs(low_pass.transfer(x)) ** 2
+    total = power.sum()
+    beside = (power * np.cos(2.0 * np.pi * x)[None, :]).sum() / total
+    below = (power * np.cos(2.0 * np.pi * y)[:, None]).sum() / total
+    # One quadrant stands for four.
+    return float(4.0 * total * (x[1] - x[0]) * (y[1] - y[0])), float(beside), float(below)
+
+
+def _midpoints(count: int, end: float = 4.0) -> NDArray[np.floating]:
+    """Midpoints of even steps from zero to so many cycles per pixel, beyond which no camera has transfer left."""
+    return (np.arange(count) + 0.5) * (end / count)
+
+
+def _noise(camera: IntensifiedCamera, conditions: Conditions) -> dict[str, float]:
+    plate = _stage(camera, conditions, "microchannel plate", MicrochannelPlate)
+    screen = _stage(camera, conditions, "phosphor", Phosphor)
+    taper = _stage(camera, conditions, "taper", Taper)
+    system_gain = float(camera.sensor.video.conversion_gain_dn_per_e)
+    efficiency = float(camera.sensor.ccd.quantum_efficiency)
+    gain = plate.gain * screen.photons_per_electron * taper.transmission * efficiency * system_gain
+    pulses = gain * plate.excess_noise_factor
+    shares = camera.afterglow(conditions).pulse_shares
+    decay = float(np.mean(np.sum(shares**2, axis=1)))
+    next_field = float(np.mean(np.sum(shares[:, 1:] * shares[:, :-1], axis=1)))
+    height = 2 if camera.interlaced else 1
+    pitch_x, pitch_y = camera.cells.pitch_x_mm, camera.cells.pitch_y_mm * height
+    blur, beside, below = pulse_correlation(_after_gain(camera), _video(camera).low_pass, pitch_x, pitch_y)
+    # The charge's own shot noise is white until the video filter.
+    white = float(np.sum(_video(camera).low_pass.impulse_response() ** 2))
+    field = system_gain + pulses * decay
+    return {
+        "photoelectron_gain": gain,
+        "detected_photoelectron_gain": gain / plate.detection_probability,
+        "system_gain": system_gain,
+        "excess_noise_factor": plate.excess_noise_factor,
+        "covariance_gain": system_gain + pulses,
+        "field_covariance_gain": field,
+        "decay_factor": decay,
+        "field_correlation": next_field / decay,
+        "blur_factor": (system_gain * white + pulses * decay * blur) / field,
+        "correlation_horizontal": beside,
+        "correlation_vertical": below,
+    }
+
+
+def _read_noise_dn(camera: IntensifiedCamera) -> float:
+    white = np.sum(_video(camera).low_pass.impulse_response() ** 2)
+    read = float(camera.sensor.ccd.read_noise_e) * float(camera.sensor.video.conversion_gain_dn_per_e)
+    return float(read * np.sqrt(white))
+
+
+def _stage(camera: IntensifiedCamera, conditions: Conditions, name: str, kind: type[StageType]) -> StageType:
+    (found,) = (stage for stage in camera.chain(conditions).stages if stage.name == name)
+    assert isinstance(found, kind)
+    return found
+
+
+def _video(camera: IntensifiedCamera) -> Video | DigitalBackEnd:
+    return camera.video()
+
+
+def _before_gain(camera: IntensifiedCamera) -> tuple[StageBlur, ...]:
+    gap = _stage(camera, Conditions(), "gap", ProximityGap)
+    return (_stage(camera, Conditions(), "optics", Optics).blur, gap.spread, gap.halo)
+
+
+def _after_gain(camera: IntensifiedCamera) -> tuple[StageBlur, ...]:
+    screen = _stage(camera, Conditions(), "phosphor", Phosphor)
+    taper = _stage(camera, Conditions(), "taper", Taper)
+    height = 2 if camera.interlaced else 1
+    aperture = PixelAperture(width_mm=camera.cells.pitch_x_mm, height_mm=height * camera.cells.pitch_y_mm)
+    return (screen.spread, taper.blur, aperture)

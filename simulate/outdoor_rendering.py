@@ -1,0 +1,186 @@
+"""A scene out of doors before a camera: planned by what the camera would notice, and rendered."""
+
+import json
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from labdata.conditions import Conditions
+from labdata.errors import BadInput
+from simulate.cameras import Camera
+from simulate.iiccd.sensor_for_renderer import render_sensor_of
+from simulate.radiance.outdoor.built_scene import BuiltScene
+from simulate.radiance.outdoor.description.scene import OutdoorScene
+from simulate.radiance.outdoor.render_settings import RenderSettings, choose_render_settings, exact
+from simulate.radiance.outdoor.viewpoint import Viewpoint
+from simulate.radiance.transport.render_sensor import KNOWN, RenderSensor
+from simulate.radiance.transport.renderer import Rendering, render_scene
+from simulate.radiance.transport.workers import workers
+
+# Pixels on the longer side of a preview.
+PREVIEW_PX = 192
+# Most rays of one of its pixels.
+PREVIEW_RAYS = 8
+# Errors are told as too large from so many times the promised one on: rays are not sent one by one.
+STEP = 1.1
+SPENT = "some pixels, or all together, have had the most rays that they may"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderedView:
+    """What a camera has before it.
+
+    Parameters
+    ----------
+    picture
+        Radiance, its error and the truth of each pixel.
+    plan
+        What it was made with.
+    eye
+        The sensor as it was planned for.
+    title
+        What it shows, where and when.
+    left_out
+        What files of the scene say that is not used, in sentences.
+    """
+
+    picture: Rendering
+    plan: RenderSettings
+    eye: RenderSensor
+    title: str
+    left_out: tuple[str, ...] = ()
+
+    @property
+    def chance(self) -> float:
+        """Error of the pixels by chance over their grain, root mean square, by the scatter of their own rays."""
+        grain = self.eye.grain(self.picture.signal)
+        return float(np.sqrt(np.mean(np.nan_to_num(self.picture.variance) / grain**2)))
+
+    @property
+    def short(self) -> bool:
+        """Whether chance is more than the plan was to leave, as far as rays grow in steps: the limit of rays."""
+        return self.chance > STEP * self.plan.chance
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a reader of the frames should know."""
+        out = ", ".join(sorted(self.plan.plan.names)) or "nothing"
+        below = self.picture.below_zero
+        return (
+            f"light by rays: left out {out}; see light.json; truth of each pixel in truth.npz",
+            *((f"{below} pixels came out below zero by chance and count as dark",) if below else ()),
+            f"by the scatter of their rays pixels are uncertain by {100.0 * self.chance:.2g} % of their noise (or "
+            f"{100.0 * KNOWN * self.chance:.2g} % of the signal where that is more), root mean square",
+            *self.left_out,
+            *((f"that is more than the {100.0 * self.plan.chance:.2g} % of the plan: {SPENT}",) if self.short else ()),
+        )
+
+    def document(self) -> bytes:
+        """Return the plan as JSON."""
+        return json.dumps(self.plan.document(), indent=1).encode()
+
+
+@dataclass(frozen=True)
+class OutdoorRendering:
+    """A scene and a camera.
+
+    Parameters
+    ----------
+    scene
+        The scene.
+    camera
+        The camera, whose lens and pixels the scene's camera has.
+    conditions
+        Gate or exposure, by which the camera's noise is judged.
+    """
+
+    scene: OutdoorScene
+    camera: Camera
+    conditions: Conditions
+
+    @cached_property
+    def site(self) -> BuiltScene:
+        """The scene with surfaces and lights."""
+        return BuiltScene(self.scene)
+
+    @property
+    def view(self) -> Viewpoint:
+        """Where the camera looks: the frame through a lens without distortion, which the camera's own lens adds."""
+        lens, cells, stands = self.camera.lens(), self.camera.cells, self.scene.camera
+        if stands.distortion_fraction and lens.distortion_fraction:
+            raise BadInput(
+                "distortion must be stated once: the scene's camera has "
+                f"{stands.distortion_fraction:g} and the sensor's lens {lens.distortion_fraction:g}"
+            )
+        ahead = np.subtract(stands.look_at_m, stands.position_m)
+        ahead /= np.linalg.norm(ahead)
+        return Viewpoint(
+            position_m=stands.position_m,
+            forward=(float(ahead[0]), float(ahead[1]), float(ahead[2])),
+            roll_deg=stands.roll_deg,
+            shape=self.camera.shape,
+            focal_px=(lens.focal_length_mm / cells.pitch_x_mm, lens.focal_length_mm / cells.pitch_y_mm),
+            distortion_fraction=stands.distortion_fraction,
+            scan=stands.scan,
+        )
+
+    def seen(
+        self,
+        *,
+        tolerance: float | None,
+        seed: int,
+        preview: bool = False,
+        threads: int | None = None,
+        progress: Callable[[float], None] = lambda share: None,
+        announce: Callable[[float], None] = lambda seconds: None,
+    ) -> RenderedView:
+        """Return what the camera has before it.
+
+        Parameters
+        ----------
+        tolerance
+            What leaving out and chance may change together, as a share of a pixel's noise in one frame; None: nothing
+            is left out.
+        seed
+            Seed of all rays.
+        preview
+            Few pixels, so that it takes seconds.
+        threads
+            Threads that share the work; None: one for each of up to two processors.
+        progress
+            Told the share done.
+        announce
+            Told how long the picture will take, s, before it begins.
+        """
+        view, eye = self.view, render_sensor_of(self.camera, self.conditions)
+        if preview:
+            view = view.smaller(max(1, round(max(view.shape) / PREVIEW_PX)))
+        if tolerance is None:
+            plan, stage = exact(self.site, view, eye, seed)
+        else:
+            plan, stage = choose_render_settings(self.site, view, eye, tolerance, seed)
+        rays = replace(plan.rays, edge=PREVIEW_RAYS, most=PREVIEW_RAYS) if preview else plan.rays
+        count = min(2, os.cpu_count() or 1) if threads is None else threads
+        with workers(count) as run:
+            found = render_scene(
+                stage,
+                view,
+                rays,
+                plan.effort,
+                weight=eye.weight(plan.wavelength_nm),
+                seed=seed,
+                run=run,
+                progress=progress,
+                announce=lambda seconds: announce(seconds / count),
+            )
+        return RenderedView(picture=found, plan=plan, eye=eye, title=self._title(), left_out=self.site.surfaces.notes)
+
+    def _title(self) -> str:
+        where, sky = self.scene.place, self.site.sky
+        if where is None or sky is None:
+            return f"{self.scene.name}, without a sky"
+        up = [f"{body.name} at {body.elevation_deg:.0f} deg" for body in sky.discs()]
+        return f"{self.scene.name}, {where.time}, {', '.join(up) or 'no moon'}"

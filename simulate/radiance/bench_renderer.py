@@ -1,0 +1,177 @@
+"""The picture of a lab target in spectral radiance: one ray per pixel where it is plain, many where materials meet."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulate.radiance.cube import RadianceCube
+from simulate.radiance.photometry import planck
+from simulate.radiance.ray_tracer import RayTracer, tracer
+from simulate.radiance.scene import LabScene
+from simulate.radiance.target_mesh import OPEN, TargetMesh
+from simulate.radiance.target_view import TargetView
+
+# Cells along one side of the block that a single ray stands for where nothing changes.
+BLOCK = 4
+# Rays in a cell where materials meet: a straight border is then placed to better than 1/256 of the cell.
+RAYS = 256
+# The golden and silver ratios' plane sequence fills a cell evenly (Roberts' R2 sequence).
+_R2 = np.array([0.7548776662466927, 0.5698402909980532])
+# Rays that go on start this far behind a plate, and shadow rays this far before it.
+CLEARANCE_M = 1e-4
+MATERIALS = 3
+
+
+@dataclass(frozen=True)
+class LabSetup:
+    """A target set up on the bench.
+
+    Parameters
+    ----------
+    scene
+        The bench.
+    mesh
+        The target.
+    metre_per_px
+        Column pitch on the target's plane, m.
+    target, port
+        The surfaces of the target and of the sphere's port, ready for rays.
+    """
+
+    scene: LabScene
+    mesh: TargetMesh
+    metre_per_px: float
+    target: RayTracer
+    port: RayTracer
+
+
+def set_up(scene: LabScene, mesh: TargetMesh, metre_per_px: float) -> LabSetup:
+    """Put a target on the bench, the sphere's port behind all of it."""
+    reach = np.abs(mesh.vertices).max() * metre_per_px * 1.5
+    corners = np.array([[-reach, -reach], [reach, -reach], [reach, reach], [-reach, reach]])
+    port = np.column_stack([corners, np.full(4, scene.sphere.distance_m)])
+    return LabSetup(
+        scene,
+        mesh,
+        metre_per_px,
+        tracer(mesh.vertices * metre_per_px, mesh.faces),
+        tracer(port, np.array([[0, 1, 2], [0, 2, 3]])),
+    )
+
+
+def render_bench(bench: LabSetup, view: TargetView, wavelength_nm: NDArray[np.floating]) -> RadianceCube:
+    """Return the spectral radiance that the lens sees, each cell's average, for a port of radiance Planck(T).
+
+    Parameters
+    ----------
+    bench
+        Target and lights.
+    view
+        Cells; their numbers are multiples of `BLOCK`.
+    wavelength_nm
+        Wavelengths, shape (band,), nm.
+
+    Notes
+    -----
+    L = tau L_port where the ray goes on to the port, plus rho E_room/pi where no surface shades the room light.
+    """
+    shares = _shares(bench, view).reshape(2 * MATERIALS, -1)
+    scene = bench.scene
+    port = planck(wavelength_nm, scene.sphere.temperature_k)
+    room = planck(wavelength_nm, scene.room_light.temperature_k) * _room_scale(scene)
+    surfaces = (scene.open, scene.mask, scene.ring)
+    through = [surface.transmittance_at(wavelength_nm) * port for surface in surfaces]
+    back = [surface.reflected(wavelength_nm) * room for surface in surfaces]
+    spectra = np.stack([*through, *back], axis=1).astype(np.float32)
+    return RadianceCube(wavelength_nm=wavelength_nm, radiance=(spectra @ shares).reshape(-1, *view.shape))
+
+
+def _room_scale(scene: LabScene) -> float:
+    """Radiance of a white diffuser in the room light over a black body's of its temperature, dimensionless.
+
+    The lamp's illuminance is relative to the port's exitance; both are Planck radiators.
+    """
+    from simulate.radiance.photometry import luminous_efficiency
+
+    fine = np.arange(380.0, 771.0, 5.0)
+    eye = luminous_efficiency(fine)
+    port = np.sum(eye * planck(fine, scene.sphere.temperature_k))
+    lamp = np.sum(eye * planck(fine, scene.room_light.temperature_k))
+    return float(scene.room_light.relative_illuminance * port / lamp)
+
+
+def _shares(bench: LabSetup, view: TargetView) -> NDArray[np.float32]:
+    """Share of each cell that shows the port through each material, then that reflects the room light by each."""
+    rows, columns = view.shape
+    mixed = outline_cells(bench.mesh, view)
+    blocks = mixed.reshape(rows // BLOCK, BLOCK, columns // BLOCK, BLOCK).any(axis=(1, 3))
+    centre = np.stack(np.meshgrid(*(np.arange(n // BLOCK) for n in view.shape), indexing="ij"), axis=-1)
+    coarse = _fractions_along(bench, view, (centre.reshape(-1, 2) + 0.5) * BLOCK)
+    coarse = coarse.reshape(-1, *blocks.shape)
+    shares = coarse.repeat(BLOCK, axis=1).repeat(BLOCK, axis=2)
+    plain = np.argwhere(blocks.repeat(BLOCK, axis=0).repeat(BLOCK, axis=1) & ~mixed)
+    shares[:, plain[:, 0], plain[:, 1]] = _fractions_along(bench, view, plain + 0.5)
+    for part in np.array_split(np.argwhere(mixed), max(1, np.count_nonzero(mixed) * RAYS // 2_000_000)):
+        inside = (0.5 + np.arange(1, RAYS + 1)[:, None] * _R2) % 1.0
+        many = _fractions_along(bench, view, (part[:, None, :] + inside).reshape(-1, 2))
+        shares[:, part[:, 0], part[:, 1]] = many.reshape(2 * MATERIALS, len(part), RAYS).mean(axis=2)
+    return shares
+
+
+def outline_cells(mesh: TargetMesh, view: TargetView) -> NDArray[np.bool_]:
+    """Return the cells that an outline passes through or close by, shape (row, col)."""
+    rows, columns = view.shape
+    mixed = np.zeros((rows + 2, columns + 2), bool)
+    for line in mesh.outlines:
+        corners = view.cells_px(line)
+        way = np.insert(np.cumsum(np.abs(np.diff(corners, axis=0)).max(axis=1)), 0, 0.0)
+        steps = np.arange(0.0, way[-1], 0.25)
+        cells = np.stack([np.floor(np.interp(steps, way, axis)).astype(int) + 1 for axis in corners.T])
+        inside = (cells >= 0).all(axis=0) & (cells[0] < mixed.shape[0]) & (cells[1] < mixed.shape[1])
+        mixed[tuple(cells[:, inside])] = True
+    return _dilate(mixed)[1:-1, 1:-1]
+
+
+def _dilate(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    wide = mask.copy()
+    wide[1:] |= mask[:-1]
+    wide[:-1] |= mask[1:]
+    both = wide.copy()
+    both[:, 1:] |= wide[:, :-1]
+    both[:, :-1] |= wide[:, 1:]
+    return both
+
+
+def _fractions_along(bench: LabSetup, view: TargetView, cell: NDArray[np.floating]) -> NDArray[np.float32]:
+    """What rays through cell coordinates (row, col) see: port through, then room light on, each material."""
+    place = view.places_px(cell[:, 0], cell[:, 1])
+    origin, towards = view.rays(place)
+    face = bench.target.first_hit(origin, towards)
+    # A ray through an exact seam may miss both triangles: it is moved by a hair.
+    missed = face < 0
+    if missed.any():
+        nudged = view.rays(place[missed] + 1e-4)
+        face[missed] = bench.target.first_hit(*nudged)
+    material = np.where(face < 0, OPEN, bench.mesh.material[face])
+    depth = np.where(face < 0, 0.0, bench.mesh.vertices[bench.mesh.faces[face, 0], 2] * bench.metre_per_px)
+    point = origin + towards * (1.0 + depth / view.distance_m)[:, None]
+    clear = np.where(face < 0, 0.0, _port_behind(bench, point, towards))
+    lit = np.where(face < 0, 0.0, _room_light(bench, point))
+    one_hot = material == np.arange(MATERIALS)[:, None]
+    return np.concatenate([one_hot * clear, one_hot * lit]).astype(np.float32)
+
+
+def _port_behind(bench: LabSetup, point_m: NDArray[np.floating], towards: NDArray[np.floating]) -> NDArray[np.bool_]:
+    return bench.port.is_occluded(point_m + towards * CLEARANCE_M, towards)
+
+
+def _room_light(bench: LabSetup, point_m: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Irradiance of the room light relative to that at the target's centre, zero in shadow."""
+    lamp = np.array(bench.scene.room_light.position_m)
+    way = lamp - point_m
+    distance = np.linalg.norm(way, axis=1)
+    straight = np.linalg.norm(lamp)
+    falloff = (straight / distance) ** 2 * (-way[:, 2] / distance) / (-lamp[2] / straight)
+    start = point_m + way / distance[:, None] * CLEARANCE_M
+    return np.where(bench.target.is_occluded(start, way), 0.0, falloff)

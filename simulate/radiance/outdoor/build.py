@@ -1,0 +1,149 @@
+"""From the description of a scene to its surfaces: shapes and mesh files, turned, scaled and set in their places."""
+
+import os
+import zlib
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labdata.errors import BadInput
+from simulate.radiance.embree import Copied
+from simulate.radiance.outdoor.description.objects import METRE, Object, Pose
+from simulate.radiance.outdoor.description.scene import OutdoorScene
+from simulate.radiance.outdoor.material_map import split_by_material
+from simulate.radiance.outdoor.shapes import Mesh, shape
+from simulate.radiance.outdoor.surfaces import Surfaces, collect_surfaces
+
+# Fewest triangles of a mesh with gaps: of fewer, gaps would be holes in walls.
+FINE = 400
+# Copies of a mesh that have more triangles together share it: each triangle by itself takes some 700 bytes.
+SHARED_FROM = 500_000
+KINDS = (".obj", ".ply", ".stl", ".glb")
+
+
+def build_surfaces(scene: OutdoorScene) -> Surfaces:
+    """Return the surfaces of a scene.
+
+    Raises
+    ------
+    BadInput
+        If a mesh file cannot be read, holds no triangle, or is open where its surface glows; if an object with gaps has
+        too few triangles.
+    """
+    glass = frozenset(surface.label for surface in scene.material if surface.pane_transmittance is not None)
+    glowing = {surface.label for surface in scene.material if surface.glow_lm_per_m2 > 0.0}
+    parts, copied, notes = [], [], []
+    for thing in scene.object:
+        poses = thing.instances or (thing,)
+        mesh, own = _mesh(scene, thing)
+        if own:
+            notes.append(f"{thing.file} has {own} of its own, left out: all of {thing.label!r} is {thing.material!r}")
+        if thing.map is not None:
+            pieces = split_by_material(scene.file(thing.map), thing.size_m, thing.map_materials)
+            parts += [(thing.label, name, place_mesh(piece, pose)) for name, piece in pieces for pose in poses]
+            continue
+        if thing.file is not None and thing.material in glowing and not mesh.closed:
+            raise BadInput(
+                f"the mesh of an object that glows must be closed, so that it has an outer side, got an open one "
+                f"in {thing.file} of {thing.label!r}"
+            )
+        if thing.gaps > 0.0:
+            mesh = remove_triangles(mesh, thing.gaps, thing.label)
+        # What glows or is glass is looked for triangle by triangle.
+        shared = thing.material not in glowing | glass and len(poses) * len(mesh.faces) > SHARED_FROM and len(poses) > 1
+        if shared:
+            copied.append((thing.label, thing.material, _copies(mesh, poses[1:])))
+        parts += [(thing.label, thing.material, place_mesh(mesh, pose)) for pose in (poses[:1] if shared else poses)]
+    return replace(collect_surfaces(parts, glass, tuple(copied)), notes=tuple(notes))
+
+
+def _copies(mesh: Mesh, poses: tuple[Pose, ...]) -> Copied:
+    """Return a mesh about its middle, for single precision, and where its copies stand."""
+    middle = 0.5 * (mesh.vertices_m.min(axis=0) + mesh.vertices_m.max(axis=0))
+    turn = np.array([pose.scale * _rotation(pose) for pose in poses])
+    shift = np.array([pose.position_m for pose in poses]) + turn @ middle
+    return Copied(vertices_m=mesh.vertices_m - middle, faces=mesh.faces, turn=turn, shift_m=shift)
+
+
+def remove_triangles(mesh: Mesh, gaps: float, label: str) -> Mesh:
+    """Return a mesh without so large a share of its surface: triangles by chance, the same for the same label.
+
+    Raises
+    ------
+    BadInput
+        If the mesh has too few triangles for gaps among them.
+    """
+    if len(mesh.faces) < FINE:
+        raise BadInput(
+            f"an object with gaps must have at least {FINE} triangles, as a sphere has, got {len(mesh.faces)} "
+            f"in {label!r}"
+        )
+    drawn = np.random.default_rng(zlib.crc32(label.encode())).permutation(len(mesh.faces))
+    area = mesh.area_m2[drawn]
+    stays = np.cumsum(area) > gaps * area.sum()
+    return Mesh(mesh.vertices_m, mesh.faces[np.sort(drawn[stays])])
+
+
+def place_mesh(mesh: Mesh, pose: Pose) -> Mesh:
+    """Return a mesh in a pose."""
+    turned = pose.scale * mesh.vertices_m @ _rotation(pose).T
+    return Mesh(turned + np.asarray(pose.position_m), mesh.faces)
+
+
+def _rotation(pose: Pose) -> NDArray[np.float64]:
+    """First the roll about y, then the pitch about x, then the heading about z, clockwise from above."""
+    roll, pitch, heading = np.deg2rad([pose.roll_deg, pose.pitch_deg, -pose.heading_deg])
+    about_y = np.array([[np.cos(roll), 0, np.sin(roll)], [0, 1, 0], [-np.sin(roll), 0, np.cos(roll)]])
+    about_x = np.array([[1, 0, 0], [0, np.cos(pitch), -np.sin(pitch)], [0, np.sin(pitch), np.cos(pitch)]])
+    about_z = np.array([[np.cos(heading), -np.sin(heading), 0], [np.sin(heading), np.cos(heading), 0], [0, 0, 1]])
+    return about_z @ about_x @ about_y
+
+
+def _mesh(scene: OutdoorScene, thing: Object) -> tuple[Mesh, str]:
+    """Return the triangles of an object, and what its file says of materials."""
+    if thing.shape is not None:
+        return shape(thing.shape, thing.size_m), ""
+    assert thing.file is not None and thing.unit is not None
+    return _read(scene.file(thing.file), METRE[thing.unit])
+
+
+def _read(path: Path, metre: float) -> tuple[Mesh, str]:
+    if path.suffix.lower() not in KINDS:
+        raise BadInput(f"a mesh file must be one of {', '.join(KINDS)}, got {path.name}")
+    if not os.path.isfile(path):  # Path.is_file raises on names that no disk takes
+        raise BadInput(f"a mesh file must exist to be read, got {path}")
+    import trimesh
+
+    try:
+        loaded = trimesh.load_scene(path, process=False)
+        mesh, own = loaded.to_mesh(), _own_materials([thing.visual for thing in loaded.geometry.values()])
+        vertices, faces = np.array(mesh.vertices, float), np.array(mesh.faces, np.int64)
+    except Exception as error:
+        # Readers of four formats raise whatever they stumble over.
+        raise BadInput(f"{path.name} must be a whole {path.suffix} mesh: {_first_line(error)}") from None
+    if not len(faces):
+        raise BadInput(f"a mesh must have triangles, got none in {path.name}")
+    if vertices.shape[1:] != (3,):
+        raise BadInput(f"the vertices of a mesh must have three coordinates, got {vertices.shape[1:]} in {path.name}")
+    if not np.isfinite(vertices).all():
+        raise BadInput(f"the vertices of a mesh must be finite, got others in {path.name}")
+    if not (faces.min() >= 0 and faces.max() < len(vertices)):
+        raise BadInput(f"the corners of a mesh must be among its {len(vertices)} vertices, got others in {path.name}")
+    return Mesh(metre * vertices, faces), own
+
+
+def _own_materials(visuals: list[Any]) -> str:
+    """Return in words what a file's parts have of colours: they say nothing of the near infrared and are not used."""
+    made = [visual.material for visual in visuals if visual.defined and hasattr(visual, "material")]
+    names = sorted({str(material.name) for material in made if material.name})
+    words = [f"materials ({', '.join(names)})" if names else "materials"] if made else []
+    if any(visual.defined and visual.kind in ("vertex", "face") for visual in visuals):
+        words.append("colours")
+    return " and ".join(words)
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0]

@@ -1,0 +1,244 @@
+"""A scene made ready for light: surfaces built, sky and lamps lit, all of it on the bands that are computed."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from labdata.errors import BadInput
+from simulate.radiance.atmosphere.air import Atmosphere
+from simulate.radiance.brdf.protocol import Brdf
+from simulate.radiance.lamps import Cosine, Isotropic, Lamp, SpotBeam, read_ies, read_spectrum, spectrum
+from simulate.radiance.outdoor.build import build_surfaces
+from simulate.radiance.outdoor.description.lamp_placement import LampPlacement
+from simulate.radiance.outdoor.description.material import MaterialSpec
+from simulate.radiance.outdoor.description.scene import OutdoorScene
+from simulate.radiance.outdoor.description.surroundings import Weather
+from simulate.radiance.outdoor.measured_surface import read_measured
+from simulate.radiance.outdoor.surfaces import Surfaces
+from simulate.radiance.sky.disc import Disc
+from simulate.radiance.sky.ephemeris import ObserverLocation
+from simulate.radiance.sky.night_sky import NightSky
+from simulate.radiance.sky.town import TownGlow
+from simulate.radiance.spectral_grid import spectral_grid
+from simulate.radiance.spectrum import SourceSpectrum
+from simulate.radiance.transport import environment_map
+from simulate.radiance.transport.air_path_table import Air, air
+from simulate.radiance.transport.light_sources import DiscLight, LampLight, LampPattern, Lighting, Panels, panels_of
+from simulate.radiance.transport.panes import Panes
+from simulate.radiance.transport.shading_points import BsdfSet, shading_frames
+from simulate.radiance.transport.spectral_scene import SpectralScene
+
+Array = NDArray[np.floating]
+
+
+@dataclass(frozen=True)
+class BuiltScene:
+    """A scene with its surfaces and its lights.
+
+    Parameters
+    ----------
+    scene
+        Its description.
+    """
+
+    scene: OutdoorScene
+
+    @cached_property
+    def surfaces(self) -> Surfaces:
+        """All surfaces; refuses a lamp that sticks in one."""
+        found = build_surfaces(self.scene)
+        for post in self.scene.lamp:
+            _refuse_touching(post, found)
+            if found.panes is not None:
+                _refuse_touching(post, found.panes)
+        return found
+
+    @cached_property
+    def sky(self) -> NightSky | None:
+        """The sky; None without a place."""
+        where, weather, sky = self.scene.place, self.scene.weather, self.scene.sky
+        if where is None:
+            return None
+        place = ObserverLocation(
+            latitude_deg=where.latitude_deg, longitude_deg=where.longitude_deg, altitude_m=where.altitude_m
+        )
+        towns = tuple(TownGlow(**vars(town)) for town in sky.towns)
+        parts = {"airglow": sky.airglow, "zodiacal": sky.zodiacal, "starlight": sky.starlight, "towns": towns}
+        found = NightSky.at(place, where.moment, atmosphere=_atmosphere(weather), **parts)
+        shining = {"moon": sky.moon, "sun": sky.sun}
+        bodies = tuple(body for body in found.bodies if shining.get(body.name, True))
+        return found if len(bodies) == len(found.bodies) else _without(found, bodies)
+
+    @cached_property
+    def lamps(self) -> tuple[tuple[LampPlacement, Lamp], ...]:
+        """Lamps that shine and their light."""
+        lamps = ((post, _lamp(self.scene, post)) for post in self.scene.lamp)
+        return tuple((post, lamp) for post, lamp in lamps if lamp.flux.total() > 0.0)
+
+    @cached_property
+    def glows(self) -> tuple[tuple[str, SourceSpectrum], ...]:
+        """Materials that glow and their radiance, W m-2 sr-1: that of a matt surface, exitance over pi."""
+        return tuple(
+            (surface.label, spectrum(surface.lamp, lumens=surface.glow_lm_per_m2).scaled(1.0 / np.pi))
+            for surface in self.scene.material
+            if surface.glow_lm_per_m2 > 0.0
+        )
+
+    def sources(self) -> tuple[SourceSpectrum, ...]:
+        """Return the spectra of all light."""
+        natural = () if self.sky is None else self.sky.sources()
+        lamps = tuple(lamp.flux for _, lamp in self.lamps)
+        return (*natural, *lamps, *(glow for _, glow in self.glows))
+
+    def bands(self, response_nm: ArrayLike, response: ArrayLike, tolerance: float) -> NDArray[np.float64]:
+        """Return wavelengths that follow light, materials and a sensor, see `spectral_grid`."""
+        used = {self.surfaces.materials[number] for number in np.unique(self.surfaces.material_of)}
+        used |= set() if self.surfaces.panes is None else set(self.surfaces.panes.materials)
+        spectra = [self._spectrum(surface) for surface in self.scene.material if surface.label in used]
+        spectra = [(nm, share) for nm, share in spectra if len(nm) > 1]
+        return spectral_grid(self.sources(), response_nm, response, tolerance=tolerance, spectra=spectra)[0]
+
+    def on(self, wavelength_nm: NDArray[np.floating]) -> SpectralScene:
+        """Return the scene on bands."""
+        grid = np.asarray(wavelength_nm, float)
+        surfaces = self.surfaces
+        by_label = {surface.label: surface for surface in self.scene.material}
+        coats = BsdfSet.of(tuple(self._brdf(by_label[name]) for name in surfaces.materials), grid)
+        if surfaces.panes is not None:
+            coats = replace(coats, panes=_panes(surfaces.panes, by_label, grid))
+        return SpectralScene(surfaces=surfaces, bsdfs=coats, lighting=self._lighting(grid), air=self._air(grid))
+
+    def _brdf(self, surface: MaterialSpec) -> Brdf:
+        return surface.made.brdf() if surface.measured is None else read_measured(self.scene.file(surface.measured))
+
+    def _spectrum(self, surface: MaterialSpec) -> tuple[Sequence[float], Array]:
+        """Wavelengths of a material's table, and what it reflects there: of a measured one, back along its normal."""
+        if surface.pane_transmittance is not None:
+            return surface.wavelength_nm, surface.let_through(np.asarray(surface.wavelength_nm))
+        if surface.measured is None:
+            return surface.made.wavelength_nm, surface.made.reflected(surface.made.wavelength_nm)
+        table = read_measured(self.scene.file(surface.measured))
+        upright = table.albedo(np.array([[0.0, 0.0, 1.0]]), table.wavelength_nm)[:, 0]
+        return tuple(float(nm) for nm in table.wavelength_nm), upright
+
+    def _lighting(self, grid: NDArray[np.float64]) -> Lighting:
+        sky = self.sky
+        above = (
+            environment_map.black(len(grid))
+            if sky is None
+            else environment_map.environment_map(lambda way: sky.radiance(way, grid))
+        )
+        discs = () if sky is None else sky.discs()
+        return Lighting(
+            environment_map=above,
+            discs=tuple(
+                DiscLight(
+                    name=disc.name,
+                    direction=np.asarray(disc.direction, float),
+                    angular_radius_rad=disc.angular_radius_rad,
+                    irradiance=disc.irradiance(grid).astype(np.float32),
+                )
+                for disc in discs
+            ),
+            lamps=tuple(_lamp_light(post, lamp, grid) for post, lamp in self.lamps),
+            panels=self._panels(grid),
+        )
+
+    def _panels(self, grid: NDArray[np.float64]) -> Panels | None:
+        if not self.glows:
+            return None
+        names = [name for name, _ in self.glows]
+        kinds = np.array([names.index(name) if name in names else -1 for name in self.surfaces.materials], np.int64)
+        spectra = np.array([glow.on(grid) for _, glow in self.glows], np.float32)
+        return panels_of(self.surfaces, kinds[self.surfaces.material_of], spectra)
+
+    def _air(self, grid: NDArray[np.float64]) -> Air:
+        """Air lit by the sky; without a place that of the weather given, which takes light and adds none."""
+        if self.sky is not None:
+            return air(self.sky.air(), grid)
+        return Air() if self.scene.weather is None else air(_atmosphere(self.scene.weather), grid)
+
+
+def _panes(surfaces: Surfaces, by_label: dict[str, MaterialSpec], grid: NDArray[np.float64]) -> Panes:
+    glass = [by_label[name] for name in surfaces.materials]
+    return Panes(
+        tracer=surfaces.tracer,
+        kind_of_face=surfaces.material_of,
+        transmittance=np.array([pane.let_through(grid) for pane in glass]),
+        refractive_index=tuple(pane.glass_index for pane in glass),
+    )
+
+
+def _atmosphere(weather: Weather | None) -> Atmosphere:
+    weather = weather or Weather()
+    return Atmosphere(
+        visibility_km=weather.visibility_km,
+        relative_humidity=weather.relative_humidity,
+        temperature_c=weather.temperature_c,
+    )
+
+
+def _without(sky: NightSky, bodies: tuple[Disc, ...]) -> NightSky:
+    return replace(sky, bodies=bodies)
+
+
+def _lamp(scene: OutdoorScene, post: LampPlacement) -> Lamp:
+    beams = {"isotropic": Isotropic, "cosine": Cosine, "spot": lambda: SpotBeam(half_angle_deg=post.half_angle_deg)}
+    measured = read_ies(scene.file(post.beam)) if post.measured else None
+    distribution = beams[post.beam]() if measured is None else measured.table
+    power = {"watts": post.watts, "lumens": measured.lumens if post.lumens is None and measured else post.lumens or 0.0}
+    if post.kind.endswith(".csv"):
+        flux = read_spectrum(scene.file(post.kind), **power)
+    else:
+        flux = spectrum(
+            post.kind,
+            **power,
+            temperature_k=post.temperature_k,
+            near_infrared_share=post.near_infrared_share,
+            wavelength_nm=post.wavelength_nm,
+            width_nm=post.width_nm,
+        )
+    return Lamp(flux=flux, distribution=distribution)
+
+
+def _lamp_light(post: LampPlacement, lamp: Lamp, grid: NDArray[np.float64]) -> LampLight:
+    position = np.asarray(post.position_m, float)
+    axis = np.array([0.0, 0.0, -1.0]) if post.aim_m is None else np.asarray(post.aim_m, float) - position
+    frame = _frame(axis / np.linalg.norm(axis), post.heading_deg)
+    return LampLight(
+        name=post.label,
+        position_m=position,
+        radius_m=post.radius_m,
+        spectrum=lamp.flux.on(grid).astype(np.float32),
+        pattern=LampPattern(lamp.distribution, frame),
+    )
+
+
+def _frame(axis: NDArray[np.float64], heading_deg: float) -> NDArray[np.float64]:
+    """Axes of a lamp, rows: C0, C90 (counterclockwise from above where it shines down) and its axis."""
+    heading = np.deg2rad(heading_deg)
+    first = np.array([np.sin(heading), np.cos(heading), 0.0])
+    first -= (first @ axis) * axis
+    length = np.linalg.norm(first)
+    if length < 1e-9:
+        return shading_frames(axis[None])[0]
+    first /= length
+    return np.stack([first, np.cross(first, axis), axis])
+
+
+def _refuse_touching(post: LampPlacement, surfaces: Surfaces) -> None:
+    """Refuse a lamp whose ball touches a surface: what shines inside a wall lights nothing as it should."""
+    place = np.asarray(post.position_m, float)
+    for corners, name in surfaces.near(place, post.radius_m):
+        import trimesh
+
+        closest = trimesh.triangles.closest_point(corners, np.broadcast_to(place, (len(corners), 3)))
+        distance = np.linalg.norm(closest - place, axis=1).min()
+        if distance < post.radius_m:
+            raise BadInput(
+                f"a lamp must stand clear of surfaces by its radius of {post.radius_m:g} m, got {post.label!r} "
+                f"{distance:.3g} m from {name!r}"
+            )

@@ -1,0 +1,210 @@
+"""Where the camera stands and looks: rays of places on the picture, and places of directions, through its lens."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labdata.camera_description import must_be_positive
+from labdata.errors import BadInput
+
+Array = NDArray[np.floating]
+# Distances from the axis, in corner radii, over which a distortion is inverted.
+FARTHEST, STEPS = 2.0, 4096
+
+
+@dataclass(frozen=True, kw_only=True)
+class RasterGeometry:
+    """How a line scanner moves while it takes one row after the other.
+
+    Parameters
+    ----------
+    line_time_s
+        Time from one row to the next, s.
+    velocity_m_per_s
+        Velocity (east, north, up), m/s.
+    turn_deg_per_s
+        Rate of turning about the vertical, clockwise from above, deg/s.
+    """
+
+    line_time_s: float
+    velocity_m_per_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    turn_deg_per_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        must_be_positive(self, "line_time_s")
+
+    def at(self, row: Array) -> tuple[Array, Array]:
+        """Return how far the scanner has moved (row, 3), m, and turned (row,), rad, in the middle of rows' times."""
+        time_s = (np.floor(row) + 0.5) * self.line_time_s
+        return time_s[:, None] * np.asarray(self.velocity_m_per_s), np.deg2rad(-self.turn_deg_per_s * time_s)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Exposure:
+    """Rows that a camera takes from one place at one time.
+
+    Parameters
+    ----------
+    eye_m
+        Where the lens is, shape (3,), m.
+    turn_rad
+        How far it has turned about the vertical, counterclockwise from above, rad.
+    first, rows
+        First row through the lens, as `Viewpoint.project` counts them, and number of rows.
+    picture_row
+        The row of the picture that the first one is.
+    """
+
+    eye_m: Array
+    turn_rad: float
+    first: float
+    rows: int
+    picture_row: int
+
+    def direction_before_turn(self, direction: Array) -> Array:
+        """Return directions (ray, 3) as they would be, had the camera not turned."""
+        return _turn_about_vertical(direction, -self.turn_rad)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Viewpoint:
+    """A camera with a pose and a lens: a pinhole with radial distortion.
+
+    Parameters
+    ----------
+    position_m
+        Place of the lens (east, north, up), m.
+    forward
+        Direction of its axis, shape (3,), unit length.
+    roll_deg
+        Turn about the axis, clockwise as the camera sees it, deg.
+    shape
+        Pixels of the picture, (row, col).
+    focal_px
+        Focal length over the pitch of columns and of rows (x, y), dimensionless.
+    distortion_fraction
+        D of r' = r (1 + D (r/R)^2), R the corner's distance from the axis; positive is pincushion.
+    scan
+        For a line scanner, whose rows all look along the middle of the picture, each at its own time and one pixel
+        high; None: framing.
+    """
+
+    position_m: tuple[float, float, float]
+    forward: tuple[float, float, float]
+    shape: tuple[int, int]
+    focal_px: tuple[float, float]
+    roll_deg: float = 0.0
+    distortion_fraction: float = 0.0
+    scan: RasterGeometry | None = None
+
+    def __post_init__(self) -> None:
+        if not np.linalg.norm(self.forward) > 0.0:
+            raise BadInput("a camera must look somewhere, got a direction of no length")
+        if not min(self.focal_px) > 0.0 or min(self.shape) < 1:
+            raise BadInput(f"a camera must have pixels and a focal length, got {self.shape} and {self.focal_px}")
+        if not -1.0 / (3.0 * FARTHEST**2) < self.distortion_fraction < 1.0:
+            raise BadInput(f"a distortion must lie between -1/12 and 1 at the corner, got {self.distortion_fraction:g}")
+
+    @cached_property
+    def axes(self) -> NDArray[np.float64]:
+        """Directions to the right, down and forward in the picture, rows of a (3, 3) array."""
+        ahead = np.asarray(self.forward) / np.linalg.norm(self.forward)
+        # A camera that looks straight up or down has north at its top.
+        zenith = np.array([0.0, 0.0, 1.0]) if abs(ahead[2]) < 1.0 - 1e-9 else np.array([0.0, 1.0, 0.0])
+        right = np.cross(ahead, zenith)
+        right /= np.linalg.norm(right)
+        down = np.cross(ahead, right)
+        turn = np.deg2rad(self.roll_deg)
+        return np.array([np.cos(turn) * right + np.sin(turn) * down, np.cos(turn) * down - np.sin(turn) * right, ahead])
+
+    def smaller(self, factor: int) -> "Viewpoint":
+        """Return the same view with so many times fewer pixels on each side."""
+        shape = tuple(max(1, -(-side // factor)) for side in self.shape)
+        focal = tuple(f * new / old for f, new, old in zip(self.focal_px, shape[::-1], self.shape[::-1], strict=True))
+        scan = None if self.scan is None else replace(self.scan, line_time_s=self.scan.line_time_s * factor)
+        return replace(self, shape=(shape[0], shape[1]), focal_px=(focal[0], focal[1]), scan=scan)
+
+    def rays(self, row: Array, col: Array) -> tuple[Array, Array]:
+        """Return origins, m, and unit directions of rays through picture coordinates, each of shape (ray, 3).
+
+        Parameters
+        ----------
+        row, col
+            Coordinates, whole numbers at the corners of pixels, shape (ray,).
+        """
+        along = 0.5 * self.shape[0] + row % 1.0 - 0.5 if self.scan else row
+        x = (col - 0.5 * self.shape[1]) / self.focal_px[0]
+        y = np.broadcast_to((along - 0.5 * self.shape[0]) / self.focal_px[1], x.shape)
+        if self.distortion_fraction:
+            shrink = 1.0 / (1.0 + self.distortion_fraction * self._before(np.hypot(x, y) / self._corner) ** 2)
+            x, y = x * shrink, y * shrink
+        towards = np.stack([x, y, np.ones_like(x)], axis=1) @ self.axes
+        towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+        origin = np.broadcast_to(np.asarray(self.position_m, float), towards.shape)
+        return (origin, towards) if self.scan is None else self._moved(self.scan, row, origin, towards)
+
+    def exposures(self) -> Iterator[Exposure]:
+        """Yield the rows that are taken at one time: all of a framing camera, each of a scanner."""
+        eye = np.asarray(self.position_m, float)
+        if self.scan is None:
+            yield Exposure(eye_m=eye, turn_rad=0.0, first=0.0, rows=self.shape[0], picture_row=0)
+            return
+        for row in range(self.shape[0]):
+            moved, turn = self.scan.at(np.array([float(row)]))
+            yield Exposure(
+                eye_m=eye + moved[0], turn_rad=float(turn[0]), first=0.5 * (self.shape[0] - 1), rows=1, picture_row=row
+            )
+
+    def project(self, direction: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Return coordinates (row, col) through the lens of directions, and whether they lie before it, shape (ray,).
+
+        Those of a scanner are as if it had not moved. Beyond `FARTHEST` they are those there.
+        """
+        right, down, ahead = self.axes @ np.asarray(direction, float).T
+        front = ahead > 1e-9
+        x, y = (np.divide(side, ahead, out=np.zeros_like(side), where=front) for side in (right, down))
+        radius = np.hypot(x, y) / self._corner
+        kept = np.minimum(radius, FARTHEST)
+        stretch = kept / np.maximum(radius, 1e-300) * (1.0 + self.distortion_fraction * kept**2)
+        row = y * np.where(radius > 0.0, stretch, 1.0) * self.focal_px[1] + 0.5 * self.shape[0]
+        col = x * np.where(radius > 0.0, stretch, 1.0) * self.focal_px[0] + 0.5 * self.shape[1]
+        return row, col, front
+
+    def solid_angle_sr(self, row: Array, col: Array) -> Array:
+        """Return the solid angle of a pixel at picture coordinates, shape (place,), sr.
+
+        Notes
+        -----
+        |d1 x d2| of the unit directions' derivatives along row and column.
+        """
+        step = 0.25
+        _, left = self.rays(row, col - step)
+        _, right = self.rays(row, col + step)
+        _, over = self.rays(row - step, col)
+        _, under = self.rays(row + step, col)
+        return np.linalg.norm(np.cross(right - left, under - over), axis=1) / (2.0 * step) ** 2
+
+    @cached_property
+    def _corner(self) -> float:
+        return 0.5 * float(np.hypot(self.shape[1] / self.focal_px[0], self.shape[0] / self.focal_px[1]))
+
+    def _before(self, radius: Array) -> Array:
+        """Radius without distortion of radii in the picture, corner radii."""
+        came = np.linspace(0.0, FARTHEST, STEPS)
+        return np.interp(radius, came * (1.0 + self.distortion_fraction * came**2), came)
+
+    @staticmethod
+    def _moved(scan: RasterGeometry, row: Array, origin: Array, towards: Array) -> tuple[Array, Array]:
+        """Rays of a scanner: each row from where the scanner is in the middle of its time."""
+        moved, turn = scan.at(row)
+        return origin + moved, _turn_about_vertical(towards, turn)
+
+
+def _turn_about_vertical(direction: Array, turn_rad: Array | float) -> Array:
+    """Turn directions (ray, 3) about the vertical, counterclockwise from above."""
+    x = np.cos(turn_rad) * direction[:, 0] - np.sin(turn_rad) * direction[:, 1]
+    y = np.sin(turn_rad) * direction[:, 0] + np.cos(turn_rad) * direction[:, 1]
+    return np.stack([x, y, direction[:, 2]], axis=1)

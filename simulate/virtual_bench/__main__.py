@@ -1,0 +1,41 @@
+"""One virtual instrument as a process of its own: `python -m simulate.virtual_bench dg645 --folder F --parent PID`."""
+
+import argparse
+import signal
+import sys
+from functools import partial
+from pathlib import Path
+
+from simulate.virtual_bench.faults import FaultFile
+from simulate.virtual_bench.light_at_meter import light_at
+from simulate.virtual_bench.models import virtual_model
+from simulate.virtual_bench.outputs import replace_file
+from simulate.virtual_bench.power_meter import PowerMeter
+from simulate.virtual_bench.pseudo_terminal import PseudoTerminal, serve
+
+
+def main() -> None:
+    """Serve until the bench stops us or is gone."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("model", help="model of instrument, such as dg645")
+    parser.add_argument("--folder", type=Path, required=True, help="folder of the bench: link, outputs and faults")
+    parser.add_argument("--parent", type=int, required=True, help="process whose end ends this one")
+    parser.add_argument("--address", type=int, default=0, help="its GPIB address, where it stands behind an adapter")
+    parser.add_argument("--time-scale", type=float, default=1.0, help="how much faster than life it moves")
+    asked = parser.parse_args()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+    model = virtual_model(asked.model)
+    instrument = model.make(asked.address, asked.time_scale)
+    if isinstance(instrument, PowerMeter):
+        instrument.connect_light(partial(light_at, asked.folder))
+    terminal = PseudoTerminal(asked.folder / model.place, baud=model.baud)
+    instrument.publish(asked.folder)
+    replace_file(asked.folder / f"{model.place}.ready.json", "{}")
+    try:
+        faults = FaultFile(asked.folder, model.place)
+        serve(instrument, terminal, folder=asked.folder, faults=faults, parent=asked.parent)
+    finally:
+        terminal.close()
+
+
+main()

@@ -1,0 +1,195 @@
+"""The virtual bench as a whole: a specimen nobody has measured, its instruments and its camera, each on a real wire."""
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from labdata.errors import BadInput
+from labdata.instrument_config import InstrumentConfig, InstrumentConnection, Role
+from labdata.lamp_calibration import LampCalibration
+from labdata.sensor import Sensor
+from simulate.virtual_bench import aravis_library
+from simulate.virtual_bench.camera_process import CameraProcess
+from simulate.virtual_bench.faults import Faults, inject_faults
+from simulate.virtual_bench.in_process import InProcessInstruments
+from simulate.virtual_bench.in_process_camera import InProcessCamera
+from simulate.virtual_bench.models import virtual_model
+from simulate.virtual_bench.operator import VirtualOperator, read_placement
+from simulate.virtual_bench.outputs import Outputs, read_outputs, read_room_light_lux
+from simulate.virtual_bench.process import VirtualInstruments
+from simulate.virtual_bench.truth_folder import TRUTH, BenchTruth, load_or_draw_truth, read_truth
+
+SILENCE_S = 15.0  # drawing one frame may take long on a busy machine; a dead camera's port is noticed at once
+
+
+class VirtualBench:
+    """A virtual bench, running within its `with` block.
+
+    Parameters
+    ----------
+    folder
+        Folder of the bench, apart from every session; made where it is missing, gone on with where it is not.
+    sensor
+        Description from whose ranges the specimen is drawn.
+    seed
+        Seed of the specimen and of every frame.
+    wires
+        Which instruments stand at the bench, and where they live. "virtual": camera and instruments are processes on
+        real wires, save those whose port is named, which are real; where Aravis cannot be had, the camera's wire is
+        left out and said to be. "in-process": everything inside this process; `inside` then holds the instruments.
+    lamp
+        Calibration of the light source that the wires name; what the lamp truly makes is drawn within it.
+    time_scale
+        How much faster than life high voltage and filter wheel move, dimensionless.
+    say
+        Told in a sentence what was left out or is waited for.
+
+    Raises
+    ------
+    BadInput
+        On entering: if the camera cannot start.
+    """
+
+    silence_s = SILENCE_S
+    """Longest time that a frame of the virtual camera may take, s."""
+
+    def __init__(
+        self,
+        folder: str | Path,
+        sensor: Sensor,
+        seed: int,
+        *,
+        wires: InstrumentConfig | None = None,
+        lamp: LampCalibration | None = None,
+        time_scale: float = 1.0,
+        say: Callable[[str], None] = lambda sentence: None,
+    ) -> None:
+        self.folder = Path(folder).resolve()
+        self.truth_folder = self.folder / TRUTH
+        self._wires_folder = _next_wires_folder(self.folder)
+        wires = InstrumentConfig() if wires is None else wires
+        if wires.bench == "real":
+            raise BadInput("a virtual bench must be virtual or in-process, got the wires of a real one")
+        named = [one for one in wires.instruments if one.port]
+        if wires.bench == "in-process" and named:
+            raise BadInput(f"a bench inside a process must have no serial ports, got {named[0].port} for a real one")
+        self._time_scale, self._asked, self._lamp = time_scale, wires, lamp
+        self._sensor, self._seed, self._say = sensor, seed, say
+        self.operator = VirtualOperator(self.folder)
+        self.left_out: tuple[str, ...] = ()
+        self.real: tuple[str, ...] = ()
+        self.inside: InProcessInstruments | None = None
+        self._instruments: VirtualInstruments | None = None
+        self.camera: CameraProcess | None = None
+
+    def __enter__(self) -> Self:
+        self._wires_folder.mkdir(parents=True, exist_ok=True)
+        load_or_draw_truth(self.truth_folder, self._sensor, self._seed, self._lamp)
+        self.operator.darken()
+        with ExitStack() as running:
+            self._start_instruments(running)
+            if self._camera_has_a_wire():
+                self.camera = running.enter_context(CameraProcess(self.folder, self._wires_folder, say=self._say))
+            self._running = running.pop_all()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._running.close()
+
+    @property
+    def wires(self) -> InstrumentConfig:
+        """How the instruments are reached."""
+        ports: dict[Role, str | None] = {one.role: self._port(one) for one in self._asked.instruments}
+        reached = self._asked.with_ports(ports)
+        return replace(reached, camera=self.camera.identifier) if self.camera else reached
+
+    @property
+    def instruments(self) -> VirtualInstruments:
+        """The serial instruments' processes, to be unplugged and plugged in."""
+        if self._instruments is None:
+            raise BadInput("instruments inside this process cannot be unplugged, got an in-process bench")
+        return self._instruments
+
+    @property
+    def wires_folder(self) -> Path:
+        """Folder where the instruments publish what they put out."""
+        return self._wires_folder
+
+    def in_process_camera(self) -> InProcessCamera:
+        """Return the camera without its wire."""
+        return InProcessCamera(self.folder, self.outputs)
+
+    def outputs(self) -> Outputs:
+        """What the instruments put on the tube's wires now."""
+        if self.inside is None:
+            return read_outputs(self._wires_folder)
+        return replace(self.inside.outputs(), room_light_lux=read_room_light_lux(self._wires_folder))
+
+    def provoke(self, instrument: str, faults: Faults) -> None:
+        """Give an instrument at a place of the bench, the camera or the surroundings faults; a real one is BadInput."""
+        there = [one for one in self._asked.instruments if not one.port]
+        virtual: dict[str, Role] = {virtual_model(one.model).place: one.role for one in there}
+        if instrument in virtual and self.inside is not None:
+            self.inside.ports[virtual[instrument]].faults = faults
+        elif instrument in (*virtual, "surroundings") or (instrument == "camera" and self.camera is not None):
+            inject_faults(self._wires_folder, instrument, faults)
+        else:
+            raise BadInput(f"a fault must strike an instrument on the wires of this bench, got {instrument}")
+
+    def truth(self) -> BenchTruth:
+        """Return what the bench really is: for whoever compares afterwards, never for whoever measures."""
+        return read_truth(self.truth_folder)
+
+    def _start_instruments(self, running: ExitStack) -> None:
+        if self._asked.bench == "in-process":
+            self.inside = InProcessInstruments(self._asked, time_scale=self._time_scale)
+            if "light-meter" in self.inside.ports:
+                self.inside.ports["light-meter"].far_end().connect_light(self._illuminance_lux)
+            return
+        real = [one for one in self._asked.instruments if one.port]
+        self.real = tuple(f"the {one.role} is a real {one.model} at {one.port}" for one in real)
+        for sentence in self.real:
+            self._say(f"Of this virtual bench {sentence}; the virtual tube feels nothing of what it does.")
+        instruments = VirtualInstruments(
+            self._wires_folder,
+            models=tuple(one.model for one in self._asked.instruments if not one.port),
+            gate_address=self._asked.gate_address,
+            supply_address=self._asked.supply_address,
+            time_scale=self._time_scale,
+        )
+        self._instruments = running.enter_context(instruments)
+
+    def _illuminance_lux(self) -> float:
+        return self.truth().illuminance_lux(read_placement(self.folder), self.outputs())
+
+    def _port(self, one: InstrumentConnection) -> str | None:
+        """Port of a real instrument, or of one that stands at this bench; none inside a process."""
+        if one.port or self._instruments is None:
+            return one.port
+        return self._instruments.port(virtual_model(one.model).place)
+
+    def _camera_has_a_wire(self) -> bool:
+        if self._asked.bench == "in-process":
+            self.left_out = (
+                "All wires were left out, as asked: camera and instruments live inside this process, "
+                "and no other process makes the tube safe.",
+            )
+        elif not aravis_library.is_available():
+            self.left_out = (
+                "The camera's GigE Vision wire was left out: the Aravis library is not on this machine "
+                "(Debian: apt-get install libaravis-0.8-0), so the camera lives inside this process.",
+            )
+        for sentence in self.left_out:
+            self._say(sentence)
+        return not self.left_out
+
+
+def _next_wires_folder(folder: Path) -> Path:
+    """Return a folder for the wires of this run: instruments of a killed one may still be at their own."""
+    runs = (int(path.suffix[1:]) for path in folder.glob("wires.*") if path.suffix[1:].isdigit())
+    return folder / f"wires.{max(runs, default=0) + 1}"

@@ -1,0 +1,241 @@
+"""The virtual camera's own process: a GigE Vision camera on loopback whose frames are drawn as they are exposed."""
+
+import argparse
+import contextlib
+import fcntl
+import json
+import os
+import queue
+import stat
+import sys
+import tempfile
+import time
+import traceback
+from functools import partial
+from pathlib import Path
+from typing import IO
+
+from numpy.typing import NDArray
+
+from labdata.errors import BadInput
+from simulate.virtual_bench import aravis_library as aravis
+from simulate.virtual_bench.faults import FaultFile
+from simulate.virtual_bench.operator import TargetPlacement
+from simulate.virtual_bench.outputs import read_outputs
+from simulate.virtual_bench.tube import Scene, VirtualTube
+
+LOOPBACK = "127.0.0.1"
+MODEL = "VirtualICCD"
+PARENT_CHECK_S = 0.1
+LOCK_WAIT_S = 300.0
+IDLE_S = 0.002
+STUCK_S = 60.0
+
+
+def main(arguments: list[str]) -> int:
+    """Run the camera until the process that started it is gone."""
+    parser = argparse.ArgumentParser(prog="python -m simulate.virtual_bench.camera")
+    parser.add_argument("folder", type=Path, help="folder of the bench")
+    parser.add_argument("wires", type=Path, help="folder of the wires of the instruments that now run")
+    parser.add_argument("serial")
+    parser.add_argument("--parent", type=int, required=True, help="process whose end is ours")
+    parser.add_argument("--lost-packet-share", type=float, default=0.0, help="share of packets lost on the wire")
+    options = parser.parse_args(arguments)
+    try:
+        lock = hold_loopback(options.parent)
+        tube = VirtualTube(options.folder, partial(read_outputs, options.wires))
+        camera = VirtualCamera(
+            tube,
+            options.serial,
+            description=options.wires / "camera.genicam.xml",
+            lost_packet_share=options.lost_packet_share,
+            faults=FaultFile(options.wires, "camera"),
+        )
+    except BadInput as refusal:
+        tell({"error": str(refusal)})
+        return 1
+    tell({"camera": f"Aravis-{MODEL}-{options.serial}"})
+    while os.getppid() == options.parent:
+        camera.turn()
+    lock.close()
+    # The wire's own thread must not outlive the pixels that it sends.
+    os._exit(0)
+
+
+class VirtualCamera:
+    """A camera that exposes as long as a client asks for frames.
+
+    Frames are drawn here, at the pace of drawing, and handed to the wire's own thread, which never waits for a
+    drawing and so answers its client at any time.
+
+    Parameters
+    ----------
+    tube
+        What it sees.
+    serial
+        Its serial number.
+    description
+        File to which its GenICam description is written.
+    lost_packet_share
+        Share of the packets that get lost on the wire, dimensionless.
+    faults
+        Faults provoked from the simulator's side.
+    """
+
+    def __init__(
+        self,
+        tube: VirtualTube,
+        serial: str,
+        *,
+        description: Path,
+        faults: FaultFile,
+        lost_packet_share: float = 0.0,
+    ) -> None:
+        self._tube, self._faults, self._lost_packet_share = tube, faults, lost_packet_share
+        self._losing = lost_packet_share
+        field_us = round(1e6 / float(tube.sensor.video.field_rate_hz))
+        description.write_text(aravis.genicam_description(field_us))
+        self._wire = aravis.FakeCamera(LOOPBACK, serial, description)
+        self._wire.lose_packets(lost_packet_share)
+        self._slot: queue.Queue[tuple[Scene, bytes]] = queue.Queue(maxsize=1)
+        self._prepared: TargetPlacement | None = None
+        self._wire.name_model(MODEL)
+        video, ccd = tube.sensor.video, tube.sensor.ccd
+        field_rate_hz, fields = float(video.field_rate_hz), 2 if video.interlaced else 1
+        for register, value in {
+            aravis.SENSOR_WIDTH: ccd.columns,
+            aravis.SENSOR_HEIGHT: ccd.rows,
+            aravis.WIDTH: ccd.columns,
+            aravis.HEIGHT: ccd.rows,
+            aravis.PIXEL_FORMAT: aravis.MONO_8 if video.bit_depth <= 8 else aravis.MONO_16,
+            aravis.EXPOSURE_US: field_us,
+            aravis.FRAME_PERIOD_US: round(1e6 * fields / field_rate_hz),
+        }.items():
+            self._wire.write(register, value)
+        self._wire.send_when_triggered(field_rate_hz / fields, self._next_pixels)
+
+    def turn(self) -> None:
+        """Expose the next frame if one is asked for; else look at what stands before the camera."""
+        self._wire.hold_trigger()
+        wrong = self._faults.now()
+        self._lose_packets(max(wrong.lost_packet_share, self._lost_packet_share))
+        self._wire.clock_jump_ns = round(wrong.clock_jump_s * 1e9)
+        scene = self._scene()
+        if wrong.stalled:
+            self._take_back()
+            time.sleep(IDLE_S)
+        elif not self._wire.read(aravis.ACQUISITION):
+            self._take_back()
+            self._prepare(scene)
+            time.sleep(IDLE_S)
+        elif self._slot.empty():
+            frame = self._tube.expose(scene)
+            # A frame whose scene changed while it was drawn is of no time at all.
+            if self._scene() == scene:
+                self._slot.put((scene, self._as_sent(frame)))
+                self._wire.trigger()
+        else:
+            time.sleep(IDLE_S)
+
+    def _lose_packets(self, share: float) -> None:
+        if share != self._losing:
+            self._wire.lose_packets(share)
+            self._losing = share
+
+    def _scene(self) -> Scene:
+        return self._tube.scene(
+            exposure_s=self._wire.read(aravis.EXPOSURE_US) * 1e-6, gain_db=float(self._wire.read(aravis.GAIN_RAW))
+        )
+
+    def _prepare(self, scene: Scene) -> None:
+        if scene.placement != self._prepared:
+            self._tube.prepare(scene)
+            self._prepared = scene.placement
+
+    def _take_back(self) -> None:
+        """Take a frame back that was not sent, and its trigger first: the wire would wait for another frame."""
+        self._wire.take_trigger_back()
+        with contextlib.suppress(queue.Empty):
+            self._slot.get_nowait()
+
+    def _next_pixels(self) -> bytes:
+        """Give the wire a frame of what stands before the camera now; called by the wire's thread."""
+        try:
+            while True:
+                scene, pixels = self._slot.get(timeout=STUCK_S)
+                if scene == self._scene():
+                    return pixels
+        except BaseException:
+            # Nothing can leave through C; a camera without a frame falls dead rather than send something else.
+            traceback.print_exc()
+            os._exit(1)
+
+    def _as_sent(self, frame: NDArray) -> bytes:
+        """Return the frame's window in the pixel format; 8-bit pixels of a deeper digitiser are its upper bits."""
+        row, col = self._wire.read(aravis.Y_OFFSET), self._wire.read(aravis.X_OFFSET)
+        pixels = frame[row : row + self._wire.read(aravis.HEIGHT), col : col + self._wire.read(aravis.WIDTH)]
+        pixel_format = self._wire.read(aravis.PIXEL_FORMAT)
+        if pixel_format == aravis.MONO_16:
+            return pixels.astype("<u2").tobytes()
+        if pixel_format == aravis.MONO_8:
+            return (pixels >> max(0, self._tube.sensor.video.bit_depth - 8)).astype("u1").tobytes()
+        raise BadInput(f"the virtual camera sends Mono8 and Mono16, got pixel format {pixel_format:#x}")
+
+
+def hold_loopback(parent: int, *, folder: Path | None = None) -> IO[bytes]:
+    """Wait for the one GigE Vision port that loopback has, and hold it for this process.
+
+    Parameters
+    ----------
+    parent
+        Process whose end ends the wait.
+    folder
+        Folder of the lock, which other users may write to; None: that of temporary files.
+
+    Raises
+    ------
+    BadInput
+        If another camera holds it for too long, or something else than a file of this user stands in the lock's place.
+    """
+    lock = _open_lock((folder or Path(tempfile.gettempdir())) / f"charact-virtual-camera-{os.getuid()}.lock")
+    until_s = time.monotonic() + LOCK_WAIT_S
+    told = False
+    while True:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return lock
+        except OSError:
+            if not told:
+                tell({"waiting": "another virtual camera holds the loopback"})
+                told = True
+        if os.getppid() != parent or time.monotonic() > until_s:
+            lock.close()
+            raise BadInput(f"one virtual camera runs on a machine at a time, waited {LOCK_WAIT_S:g} s for another")
+        time.sleep(PARENT_CHECK_S)
+
+
+def _open_lock(path: Path) -> IO[bytes]:
+    """Open the lock without following a link, waiting for a pipe or changing what is there."""
+    rule = "the lock of the virtual camera must be a regular file of this user alone"
+    remedy = f"{path}: remove it, or set TMPDIR to a folder of your own"
+    try:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+    except OSError as error:
+        raise BadInput(f"{rule}, got {error.strerror!r}, {remedy}") from None
+    there = os.fstat(descriptor)
+    if not stat.S_ISREG(there.st_mode) or there.st_uid != os.getuid() or there.st_nlink != 1:
+        os.close(descriptor)
+        raise BadInput(
+            f"{rule}, got one of type {stat.filemode(there.st_mode)}, user {there.st_uid} and {there.st_nlink} names, "
+            f"{remedy}"
+        )
+    return os.fdopen(descriptor, "r+b")
+
+
+def tell(message: dict[str, str]) -> None:
+    """Tell the bench, one JSON object a line."""
+    print(json.dumps(message), flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

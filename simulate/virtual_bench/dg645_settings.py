@@ -1,0 +1,105 @@
+"""The settings of a Stanford DG645 that are one number each: type, range, factory value and the form of its answer."""
+
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True, kw_only=True)
+class Dg645Setting:
+    """One setting, or one per output.
+
+    Parameters
+    ----------
+    kind
+        int or float.
+    low, high
+        Range; beyond it the instrument refuses.
+    factory
+        Value after `*RST`.
+    form
+        How the value is answered.
+    count
+        Number of indices the setting has; 0: none.
+    step
+        Resolution to which values are rounded; 0: none.
+    """
+
+    kind: type = int
+    low: float
+    high: float
+    factory: float
+    form: str = "{:d}"
+    count: int = 0
+    step: float = 0.0
+
+
+def _volts(low: float, high: float, factory: float, count: int = 0) -> Dg645Setting:
+    return Dg645Setting(kind=float, low=low, high=high, factory=factory, form="{:+.2f}", count=count, step=0.01)
+
+
+def _seconds(low: float, high: float, factory: float, step: float = 5e-12, count: int = 0) -> Dg645Setting:
+    return Dg645Setting(kind=float, low=low, high=high, factory=factory, form="{:+.12f}", step=step, count=count)
+
+
+def _switch(factory: int = 0) -> Dg645Setting:
+    return Dg645Setting(low=0, high=1, factory=factory)
+
+
+OUTPUTS = 5  # T0 AB CD EF GH
+EDGES = 10  # T0 T1 A B C D E F G H
+
+SETTINGS: dict[str, Dg645Setting] = {
+    "TSRC": Dg645Setting(low=0, high=6, factory=5),
+    "TRAT": Dg645Setting(kind=float, low=1e-4, high=1e7, factory=1000.0, form="{:+.6f}", step=1e-6),
+    "TLVL": _volts(-3.5, 3.5, 1.0),
+    "INHB": Dg645Setting(low=0, high=5, factory=0),
+    "HOLD": _seconds(0.0, 2000.0, 0.0),
+    "ADVT": _switch(),
+    "BURM": _switch(),
+    "BURC": Dg645Setting(low=1, high=2**32 - 1, factory=5),
+    "BURP": _seconds(100e-9, 42.9, 100e-6, step=10e-9),
+    "BURD": _seconds(0.0, 2000.0, 0.0),
+    "BURT": _switch(),
+    "LAMP": _volts(0.5, 5.0, 2.5, count=OUTPUTS),
+    "LOFF": _volts(-2.0, 2.0, 0.0, count=OUTPUTS),
+    "LPOL": Dg645Setting(low=0, high=1, factory=1, count=OUTPUTS),
+    "PRES": Dg645Setting(low=1, high=2**15 - 1, factory=1, count=OUTPUTS),
+    "SSDL": _seconds(5e-12, 1000.0, 1e-9, count=EDGES),
+    "*ESE": Dg645Setting(low=0, high=255, factory=0),
+    "*SRE": Dg645Setting(low=0, high=255, factory=0),
+    "INSE": Dg645Setting(low=0, high=255, factory=0),
+    "SHDP": _switch(1),
+}
+"""Ranges as the maker's manual gives them; those of BURP, LOFF, TRAT and PRES are recalled, not looked up."""
+
+
+@dataclass(kw_only=True)
+class SettingsRegister:
+    """Values of all settings, by mnemonic and index (0 where there is none), and the edges' delays."""
+
+    values: dict[tuple[str, int], float] = field(
+        default_factory=lambda: {
+            (name, index): setting.factory
+            for name, setting in SETTINGS.items()
+            for index in range(max(1, setting.count))
+        }
+    )
+    reference: list[int] = field(default_factory=lambda: [0, 0, 0, 2, 0, 4, 0, 6, 0, 8])
+    delay_steps: list[int] = field(default_factory=lambda: [0] * EDGES)  # of 5 ps
+
+    def copy(self) -> "SettingsRegister":
+        """Return an independent copy."""
+        return SettingsRegister(
+            values=dict(self.values), reference=list(self.reference), delay_steps=list(self.delay_steps)
+        )
+
+    def absolute_steps(self, edge: int) -> int:
+        """Time of an edge after T0, steps of 5 ps; edges that refer to each other in a ring are a RecursionError."""
+        if edge == 1:
+            return max(self.absolute_steps(other) for other in range(2, EDGES))
+        steps, seen = 0, set()
+        while edge != 0:
+            if edge in seen:
+                raise RecursionError
+            seen.add(edge)
+            steps, edge = steps + self.delay_steps[edge], self.reference[edge]
+        return steps

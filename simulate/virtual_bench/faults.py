@@ -1,0 +1,111 @@
+"""Faults of the virtual instruments, provoked from the simulator's side only, through a file in the bench's folder."""
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from simulate.virtual_bench.outputs import faults_file, replace_file
+
+
+@dataclass(frozen=True, kw_only=True)
+class Faults:
+    """What is wrong with one instrument.
+
+    Parameters
+    ----------
+    silent
+        It hears nothing and says nothing.
+    mute
+        It obeys, but none of its answers arrives.
+    late_s
+        Extra time before each answer, s.
+    tripped
+        A short circuit of the load: a supply trips on current, a lamp goes out, as long as this holds.
+    garbage
+        Every byte of its answers arrives changed.
+    half_lines
+        Only the first half of each answer arrives.
+    unplugged
+        Its port is gone as long as this holds; its outputs stay as they are.
+    power_cycles
+        How often it has lost its power for a moment; each rise is one more time.
+    stalled
+        The camera answers, and sends no frame.
+    lost_packet_share
+        Share of the camera's packets that get lost, dimensionless.
+    clock_jump_s
+        How far the camera's clock is off its time, s.
+    panel
+        Commands entered at the front panel, in the instrument's own language: once, when they change.
+    disobedient
+        It answers as if it obeyed, and its outputs stay as they are; what it measures there is true.
+    untriggered
+        No pulses come to the delay generator's trigger input.
+    port_name
+        Name under which its port stands now; empty: its own.
+    room_light_lux
+        Of the surroundings: light that falls on the photocathode besides the source's, lux.
+    """
+
+    silent: bool = False
+    mute: bool = False
+    late_s: float = 0.0
+    tripped: bool = False
+    garbage: bool = False
+    half_lines: bool = False
+    unplugged: bool = False
+    power_cycles: int = 0
+    stalled: bool = False
+    lost_packet_share: float = 0.0
+    clock_jump_s: float = 0.0
+    panel: tuple[str, ...] = ()
+    disobedient: bool = False
+    untriggered: bool = False
+    port_name: str = ""
+    room_light_lux: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "panel", tuple(self.panel))  # JSON knows lists only
+
+    def arrives(self, answer: bytes) -> bytes:
+        """Return what of an answer arrives."""
+        if self.mute:
+            return b""
+        if self.half_lines:
+            answer = answer[: len(answer) // 2]
+        return bytes(byte ^ 0x15 for byte in answer) if self.garbage else answer
+
+
+def inject_faults(folder: Path, instrument: str, faults: Faults) -> None:
+    """Give an instrument its faults; `Faults()` heals it.
+
+    Parameters
+    ----------
+    folder
+        Folder of the bench's wires.
+    instrument
+        Its place at the bench, such as "delay_generator", "high_voltage" or "camera", or "surroundings".
+    faults
+        What is wrong with it from now on.
+    """
+    replace_file(faults_file(folder, instrument), json.dumps(asdict(faults)))
+
+
+class FaultFile:
+    """The faults of one instrument as its file says now; the file is read again only after a change."""
+
+    def __init__(self, folder: Path, instrument: str) -> None:
+        self._path = faults_file(folder, instrument)
+        self._stamp: tuple[int, int] | None = None
+        self._faults = Faults()
+
+    def now(self) -> Faults:
+        """The faults at this moment."""
+        try:
+            status = self._path.stat()
+        except FileNotFoundError:
+            return self._faults
+        stamp = (status.st_mtime_ns, status.st_ino)
+        if stamp != self._stamp:
+            self._stamp, self._faults = stamp, Faults(**json.loads(self._path.read_text()))
+        return self._faults

@@ -1,0 +1,148 @@
+"""The virtual instruments inside this process, behind ports of bytes, where there are no pseudo-terminals."""
+
+import copy
+import threading
+import time
+from typing import Any
+
+from labdata.instrument_config import InstrumentConfig, Role
+from simulate.virtual_bench.faults import Faults
+from simulate.virtual_bench.models import virtual_model
+from simulate.virtual_bench.outputs import GateOutput, Outputs
+from simulate.virtual_bench.prologix import PrologixAdapter
+from simulate.virtual_bench.pseudo_terminal import SerialInstrument, enter_at_panel
+from simulate.virtual_bench.thermometer import TEMPERATURE_C
+
+AT_ONCE_S = 2.5e-3
+"""What an instrument does within this time is done at once, s."""
+
+
+class InProcessPort:
+    """A port whose far end is an instrument in this process; it answers at once what takes no time to do.
+
+    Parameters
+    ----------
+    instrument
+        The instrument.
+    """
+
+    def __init__(self, instrument: SerialInstrument) -> None:
+        self._instrument, self._answers = instrument, b""
+        self._ready_s = 0.0
+        self._turn = threading.RLock()
+        self._faults = Faults()
+        self._shown = instrument
+
+    @property
+    def faults(self) -> Faults:
+        """What is wrong with the instrument; replace it to provoke a fault."""
+        return self._faults
+
+    @faults.setter
+    def faults(self, faults: Faults) -> None:
+        with self._turn:
+            self.advance()
+            if faults.disobedient != self._faults.disobedient:
+                # Its outputs stay as they are now, whatever it answers.
+                self._shown = copy.deepcopy(self._instrument) if faults.disobedient else self._instrument
+            if faults.power_cycles > self._faults.power_cycles:
+                self._instrument.power_cycle()
+            if faults.panel != self._faults.panel:
+                enter_at_panel(self._instrument, faults.panel)
+            self._faults = faults
+
+    def send(self, data: bytes) -> None:
+        """Send bytes."""
+        with self._turn:
+            self.advance()
+            answers = [] if self.faults.silent else self._instrument.receive(data)
+            self._answers += b"".join(self.faults.arrives(answer) for _, answer in answers)
+            making_s = max((seconds for seconds, _ in answers), default=0.0)
+            if making_s > AT_ONCE_S:
+                self._ready_s = time.monotonic() + making_s
+
+    def receive(self, timeout_s: float) -> bytes:
+        """Bytes that came; where none did, the wait takes its time."""
+        if (left_s := self._ready_s - time.monotonic()) > 0.0:
+            time.sleep(min(left_s, timeout_s))
+            if left_s > timeout_s:
+                return b""
+        with self._turn:
+            answers, self._answers = self._answers, b""
+        if not answers:
+            time.sleep(timeout_s)
+        return answers
+
+    def advance(self) -> None:
+        """Let the instrument's physics catch up with the clock."""
+        with self._turn:
+            if not self._faults.disobedient:
+                self._instrument.advance(time.monotonic(), self._faults)
+
+    def volts(self) -> float:
+        """Voltage that a supply at the far end puts out now, V."""
+        return self.far_end().output_v
+
+    def gate(self) -> GateOutput:
+        """What a gate generator at the far end does to the gate unit now."""
+        return self.far_end().gate()
+
+    def far_end(self) -> Any:
+        """The instrument at the far end as it is now, whatever adapter stands before it."""
+        self.advance()
+        return _behind_adapter(self._shown)
+
+    def reopen(self) -> None:
+        """Nothing to open: the instrument is in this process."""
+
+    def fileno(self) -> int:
+        """No descriptor: there is no file."""
+        return -1
+
+    def close(self) -> None:
+        """Nothing to let go of."""
+
+
+class InProcessInstruments:
+    """The serial instruments of a bench in this process.
+
+    Parameters
+    ----------
+    wires
+        Which instruments there are; by default gate and supply.
+    time_scale
+        How much faster than life they move, dimensionless.
+    """
+
+    def __init__(self, wires: InstrumentConfig | None = None, *, time_scale: float = 1.0) -> None:
+        there = (wires or InstrumentConfig()).instruments
+        self.ports: dict[Role, InProcessPort] = {
+            one.role: InProcessPort(virtual_model(one.model).make(one.address, time_scale)) for one in there
+        }
+
+    @property
+    def gate_port(self) -> InProcessPort:
+        """Port of the gate generator."""
+        return self.ports["gate"]
+
+    @property
+    def supply_port(self) -> InProcessPort:
+        """Port of the supply, or of the adapter before it."""
+        return self.ports["supply"]
+
+    def outputs(self) -> Outputs:
+        """What reaches the tube at this moment."""
+        light, wheel = self.ports.get("light-source"), self.ports.get("filter-wheel")
+        return Outputs(
+            mcp_v=self.supply_port.volts(),
+            **vars(self.gate_port.gate()),
+            lamp_a=None if light is None else light.far_end().current_a,
+            filter_position=None if wheel is None else wheel.far_end().position,
+            has_wheel=wheel is not None,
+            temperature_c=TEMPERATURE_C if "thermometer" in self.ports else None,
+        )
+
+
+def _behind_adapter(instrument: Any) -> Any:
+    """The instrument itself, where it stands behind an adapter."""
+    return instrument.only if isinstance(instrument, PrologixAdapter) else instrument

@@ -1,0 +1,191 @@
+"""A virtual iseg SHQ high-voltage supply: echo, two-line exchanges, its own ramp, states, latches and a slow start."""
+
+import math
+from pathlib import Path
+
+from simulate.virtual_bench.faults import Faults
+from simulate.virtual_bench.outputs import publish_voltage
+
+IDENTITY = "480012;3.15;3000V;100uA"
+NOMINAL_V = 3000.0
+HARDWARE_LIMIT_PERCENT = 30  # position of the rotary switch
+LOAD_OHM = 100e6  # strip resistance of the microchannel plate
+END = b"\r\n"
+BUFFER_LENGTH = 64
+COMMAND_S = 2e-3
+# The break between output characters is said to be 0 ms after power-up and is the longest until it is set.
+LONGEST_BREAK_MS = 255
+SETTLED_V = 1.0
+MANUAL, POSITIVE = 1, 4
+SYNTAX, WRONG_CHANNEL = "????", "?WCN"
+
+
+class _Refused(Exception):
+    """The unit answers with an error instead."""
+
+
+class IsegSupply:
+    """The unit, power just switched on: 0 V, positive, under remote control.
+
+    Parameters
+    ----------
+    time_scale
+        How much faster than life the output moves, dimensionless.
+    """
+
+    def __init__(self, *, time_scale: float = 1.0) -> None:
+        self._time_scale = time_scale
+        self._now_s: float | None = None
+        self._published_v: float | None = None
+        self.output_v = 0.0
+        self.power_cycle()
+
+    def power_cycle(self) -> None:
+        """Lose power and get it back: nothing that was set survives, and the load discharges the output."""
+        self._break_ms, self._break_said = LONGEST_BREAK_MS, 0
+        self._set_v, self._goal_v, self._ramp_v_per_s = 0.0, 0.0, 2
+        self._trip_a = 0.0
+        self._tripped, self._beyond = False, False
+        self._line, self._powered_down = b"", True
+
+    # The line
+
+    def receive(self, data: bytes) -> list[tuple[float, bytes]]:
+        """Take bytes; return echo and answers, each character with the break before it, s."""
+        said: list[tuple[float, bytes]] = []
+        for value in data:
+            byte = bytes([value])
+            said.append((self._break_ms * 1e-3, byte))
+            self._line += byte
+            if byte == b"\n":
+                line, self._line = self._line.decode("ascii", "replace").strip(), b""
+                if line:
+                    said += self._answer(line)
+            elif len(self._line) > BUFFER_LENGTH:
+                self._line = b""
+                said += self._spoken(SYNTAX)
+        return said
+
+    def _answer(self, line: str) -> list[tuple[float, bytes]]:
+        try:
+            answer = self._obey(line)
+        except _Refused as refusal:
+            answer = str(refusal)
+        return [(COMMAND_S, b""), *self._spoken(answer)]
+
+    def _spoken(self, answer: str) -> list[tuple[float, bytes]]:
+        return [(self._break_ms * 1e-3, bytes([byte])) for byte in answer.encode() + END]
+
+    def _obey(self, line: str) -> str:
+        name, mark, value = line.upper().partition("=")
+        if name == "#" and not mark:
+            return IDENTITY
+        if name == "W":
+            return self._break(value) if mark else f"{self._break_said:03d}"
+        if len(name) != 2 or not name[1].isdigit():
+            raise _Refused(SYNTAX)
+        if name[1] != "1":
+            raise _Refused(WRONG_CHANNEL)
+        if mark:
+            sets = {"D": self._set_voltage, "V": self._set_ramp, "L": self._set_trip}
+            if name[0] not in sets:
+                raise _Refused(SYNTAX)
+            sets[name[0]](_number(value))
+            return ""
+        asks = {
+            "U": lambda: _format_scaled(self.output_v, -1),
+            "I": lambda: _format_scaled(self.output_v / LOAD_OHM, -9),
+            "M": lambda: f"{HARDWARE_LIMIT_PERCENT:03d}",
+            "N": lambda: "100",
+            "D": lambda: _format_scaled(self._set_v, -1),
+            "V": lambda: f"{self._ramp_v_per_s:03d}",
+            "L": lambda: _format_scaled(self._trip_a, -9),
+            "G": self._start,
+            "S": self._take_state,
+            "T": lambda: f"{POSITIVE:03d}",
+            "A": lambda: "000",
+        }
+        if name[0] not in asks:
+            raise _Refused(SYNTAX)
+        return asks[name[0]]()
+
+    def _break(self, value: str) -> str:
+        milliseconds = round(_number(value))
+        if not 0 <= milliseconds <= LONGEST_BREAK_MS:
+            raise _Refused(SYNTAX)
+        self._break_ms = self._break_said = milliseconds
+        return ""
+
+    def _set_voltage(self, volts: float) -> None:
+        limit_v = NOMINAL_V * HARDWARE_LIMIT_PERCENT / 100.0
+        if not 0 <= volts <= limit_v:
+            raise _Refused(f"? UMAX={limit_v:04.0f}")
+        self._set_v = round(volts, 2)
+
+    def _set_ramp(self, volts_per_s: float) -> None:
+        if volts_per_s != round(volts_per_s) or not 2 <= volts_per_s <= 255:
+            raise _Refused(SYNTAX)
+        self._ramp_v_per_s = round(volts_per_s)
+
+    def _set_trip(self, current: float) -> None:
+        self._trip_a = current * 1e-9
+
+    def _start(self) -> str:
+        if not (self._tripped or self._beyond):
+            self._goal_v, self._powered_down = self._set_v, False
+        return f"S1={self._state():<3}"
+
+    def _take_state(self) -> str:
+        state = self._state()
+        if self._tripped or self._beyond:
+            # The latch opens when it is read; the set value must be started anew.
+            self._tripped = self._beyond = False
+        return f"S1={state:<3}"
+
+    def _state(self) -> str:
+        if self._tripped:
+            return "TRP"
+        if self._beyond:
+            return "ERR"
+        if abs(self.output_v - self._goal_v) < SETTLED_V:
+            return "ON"
+        return "L2H" if self.output_v < self._goal_v else "H2L"
+
+    # Physics
+
+    def advance(self, now_s: float, faults: Faults) -> None:
+        """Let the output ramp until a time, s; a trip or a loss of power lets the load discharge it."""
+        elapsed_s = 0.0 if self._now_s is None else (now_s - self._now_s) * self._time_scale
+        self._now_s = now_s
+        if self._goal_v and (faults.tripped or 0 < self._trip_a < self.output_v / LOAD_OHM):
+            self._tripped, self._goal_v = True, 0.0
+        largest_v = self._ramp_v_per_s * elapsed_s
+        if self._tripped or self._powered_down:
+            self.output_v *= math.exp(-elapsed_s)
+        elif self.output_v < self._goal_v:
+            self.output_v = min(self._goal_v, self.output_v + largest_v)
+        else:
+            self.output_v = max(self._goal_v, self.output_v - largest_v)
+        if self.output_v < 0.05:
+            self.output_v = 0.0
+
+    def publish(self, folder: Path) -> None:
+        """Put the voltage on the wire, where it changed."""
+        if self.output_v != self._published_v:
+            publish_voltage(folder, self.output_v)
+            self._published_v = self.output_v
+
+
+def _format_scaled(value: float, exponent: int) -> str:
+    """A number as an SHQ writes it: sign, five digits, signed exponent, no E."""
+    return f"{round(value / 10.0**exponent):+06d}{exponent:+03d}"
+
+
+def _number(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        raise _Refused(SYNTAX) from None
+    if not math.isfinite(value):
+        raise _Refused(SYNTAX)
+    return value

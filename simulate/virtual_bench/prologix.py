@@ -1,0 +1,185 @@
+"""A virtual Prologix GPIB-USB adapter: lines that begin with ++ are its own, all else goes to the current address."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Protocol
+
+from simulate.virtual_bench.faults import Faults
+
+VERSION = "Prologix GPIB-USB Controller version 6.107"
+UNRECOGNIZED = b"Unrecognized command\r\n"
+ESCAPE = 27
+ENDINGS = (b"\r\n", b"\r", b"\n", b"")
+BUS_S = 1e-3
+
+
+class BusInstrument(Protocol):
+    """What hangs on the bus."""
+
+    def listen(self, data: bytes, *, end: bool) -> None:
+        """Take bytes; `end`: EOI came with the last."""
+        ...
+
+    def talk(self) -> bytes:
+        """Bytes to say, EOI with the last; empty if there is nothing to say."""
+        ...
+
+    def serial_poll(self) -> int:
+        """Status byte."""
+        ...
+
+    def clear(self) -> None:
+        """Device clear."""
+        ...
+
+    def advance(self, now_s: float, faults: Faults) -> None:
+        """Let physics go on until a time, s."""
+        ...
+
+    def publish(self, folder: Path) -> None:
+        """Put the physical outputs on the wire."""
+        ...
+
+    def power_cycle(self) -> None:
+        """Lose power and get it back."""
+        ...
+
+
+class _Unrecognized(Exception):
+    """The adapter does not know this ++ command."""
+
+
+class PrologixAdapter:
+    """The adapter as it comes: a controller that reads after each write, talking to address 0.
+
+    Parameters
+    ----------
+    bus
+        Instruments by GPIB address.
+    """
+
+    def __init__(self, bus: Mapping[int, BusInstrument]) -> None:
+        self._bus = dict(bus)
+        self._address = 0
+        self._settings = {"mode": 1, "auto": 1, "eoi": 1, "eos": 0, "eot_enable": 0, "eot_char": 10, "savecfg": 1}
+        self._read_timeout_ms = 500
+        self._line, self._escaped, self._plus = bytearray(), False, 0
+
+    @property
+    def only(self) -> BusInstrument:
+        """The one instrument on the bus."""
+        (instrument,) = self._bus.values()
+        return instrument
+
+    def receive(self, data: bytes) -> list[tuple[float, bytes]]:
+        """Take bytes from the USB side; return answers, each with the time it takes, s."""
+        return [answer for line, own in self._lines(data) for answer in (self._own(line) if own else self._pass(line))]
+
+    def _lines(self, data: bytes) -> Iterator[tuple[bytes, bool]]:
+        """Finished lines, unescaped, and whether each is the adapter's own."""
+        for byte in data:
+            if self._escaped:
+                self._line.append(byte)
+                self._escaped = False
+            elif byte == ESCAPE:
+                self._escaped = True
+            elif byte in b"\r\n":
+                if self._line:
+                    yield bytes(self._line), self._plus >= 2
+                self._line, self._plus = bytearray(), 0
+            elif byte == ord("+"):  # unescaped: a mark of the adapter's own line, else thrown away
+                self._plus += not self._line
+            else:
+                self._line.append(byte)
+
+    def _pass(self, line: bytes) -> list[tuple[float, bytes]]:
+        if not self._settings["mode"] or (instrument := self._bus.get(self._address)) is None:
+            return []
+        instrument.listen(line + ENDINGS[self._settings["eos"]], end=bool(self._settings["eoi"]))
+        return self._read() if self._settings["auto"] else []
+
+    def _read(self) -> list[tuple[float, bytes]]:
+        instrument = self._bus.get(self._address)
+        said = instrument.talk() if instrument is not None else b""
+        if not said:
+            return []
+        mark = bytes([self._settings["eot_char"]]) if self._settings["eot_enable"] else b""
+        return [(BUS_S, said + mark)]
+
+    def _own(self, line: bytes) -> list[tuple[float, bytes]]:
+        name, *arguments = line.decode("ascii", "replace").lower().split()
+        try:
+            answer = self._obey(name, arguments)
+        except (_Unrecognized, ValueError):
+            return [(BUS_S, UNRECOGNIZED)]
+        if isinstance(answer, str):
+            return [(BUS_S, answer.encode() + b"\r\n")]
+        return answer
+
+    def _obey(self, name: str, arguments: list[str]) -> str | list[tuple[float, bytes]]:
+        if name in self._settings:
+            return self._setting(name, arguments)
+        if name == "read":
+            return self._read()
+        if name == "addr":
+            return self._set_address(arguments)
+        if name == "read_tmo_ms":
+            return self._set_timeout(arguments)
+        if name == "ver":
+            return VERSION
+        if name == "spoll":
+            polled = self._bus.get(int(arguments[0]) if arguments else self._address)
+            return [] if polled is None else str(polled.serial_poll())
+        if name == "srq":
+            return str(int(any(instrument.serial_poll() & 64 for instrument in self._bus.values())))
+        if name == "clr":
+            if instrument := self._bus.get(self._address):
+                instrument.clear()
+            return []
+        if name in ("ifc", "loc", "llo", "rst", "trg"):
+            return []
+        raise _Unrecognized
+
+    def _setting(self, name: str, arguments: list[str]) -> str | list[tuple[float, bytes]]:
+        if not arguments:
+            return str(self._settings[name])
+        highest = {"eos": 3, "eot_char": 255}.get(name, 1)
+        self._settings[name] = _whole(arguments, 0, highest)
+        return []
+
+    def _set_address(self, arguments: list[str]) -> str | list[tuple[float, bytes]]:
+        if not arguments:
+            return str(self._address)
+        if len(arguments) == 2 and not 96 <= int(arguments[1]) <= 126:
+            raise _Unrecognized
+        self._address = _whole(arguments[:1], 0, 30)
+        return []
+
+    def _set_timeout(self, arguments: list[str]) -> str | list[tuple[float, bytes]]:
+        if not arguments:
+            return str(self._read_timeout_ms)
+        self._read_timeout_ms = _whole(arguments, 1, 3000)
+        return []
+
+    def advance(self, now_s: float, faults: Faults) -> None:
+        """Let the instruments on the bus go on until a time, s."""
+        for instrument in self._bus.values():
+            instrument.advance(now_s, faults)
+
+    def power_cycle(self) -> None:
+        """Let the instruments behind it lose their power; the adapter hangs on the computer's."""
+        for instrument in self._bus.values():
+            instrument.power_cycle()
+
+    def publish(self, folder: Path) -> None:
+        """Put the physical outputs of the instruments on the wire."""
+        for instrument in self._bus.values():
+            instrument.publish(folder)
+
+
+def _whole(arguments: list[str], lowest: int, highest: int) -> int:
+    (text,) = arguments
+    value = int(text)
+    if not lowest <= value <= highest:
+        raise _Unrecognized
+    return value

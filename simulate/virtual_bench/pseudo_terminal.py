@@ -1,0 +1,167 @@
+"""A serial line to nowhere: a virtual instrument answers on a pseudo-terminal as it would on its cable."""
+
+import contextlib
+import os
+import select
+import termios
+import time
+import tty
+from collections import deque
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Protocol
+
+from simulate.virtual_bench.faults import FaultFile, Faults
+from simulate.virtual_bench.prologix import PrologixAdapter
+
+TICK_S = 0.02
+"""Longest time between two updates of an instrument's physics, s."""
+
+BITS_PER_CHARACTER = 10  # start, eight data bits, stop
+ORPHAN_S = 5.0
+"""An instrument whose bench is gone switches itself off after this time without a byte, s."""
+
+
+class SerialInstrument(Protocol):
+    """What hangs on the line."""
+
+    def receive(self, data: bytes) -> list[tuple[float, bytes]]:
+        """Take bytes from the line; return answers, each with the time it takes to make, s."""
+        ...
+
+    def advance(self, now_s: float, faults: Faults) -> None:
+        """Let physics go on until a time, s."""
+        ...
+
+    def publish(self, folder: Path) -> None:
+        """Put the physical outputs on the wire, where they changed."""
+        ...
+
+    def power_cycle(self) -> None:
+        """Lose power and get it back."""
+        ...
+
+
+class PseudoTerminal:
+    """The instrument's end of a pseudo-terminal, with a link at a stable path to the other end.
+
+    Parameters
+    ----------
+    link
+        Path of a symbolic link to the terminal; an old one is replaced.
+    baud
+        The rate set on the instrument; another rate at the far end turns bytes to garbage. None: a USB adapter,
+        which has no rate.
+    """
+
+    def __init__(self, link: Path, *, baud: int | None) -> None:
+        self.link, self._baud = link, baud
+        self.plugged = False
+        self.plug()
+
+    def plug(self, name: str = "") -> None:
+        """Put the plug in: a new terminal behind the same link, or behind one of another name."""
+        self._link = self.link.with_name(name) if name else self.link
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._slave)  # else the line echoes our own answers back to us until a client opens it
+        os.set_blocking(self._master, False)
+        self._link.unlink(missing_ok=True)
+        self._link.symlink_to(os.ttyname(self._slave))
+        self.plugged = True
+
+    def close(self) -> None:
+        """Pull the plug."""
+        if not self.plugged:
+            return
+        self.plugged = False
+        self._link.unlink(missing_ok=True)
+        os.close(self._master)
+        os.close(self._slave)
+
+    def read(self, timeout_s: float) -> bytes:
+        """Bytes that arrived, at most `timeout_s` later; empty if none, or with the plug out."""
+        if not self.plugged:
+            time.sleep(timeout_s)
+            return b""
+        if not select.select([self._master], [], [], timeout_s)[0]:
+            return b""
+        return self._as_heard(os.read(self._master, 4096))
+
+    def write(self, data: bytes) -> None:
+        """Send bytes; with nobody reading, what does not fit is lost as on a cable."""
+        if not self.plugged:
+            return
+        with contextlib.suppress(BlockingIOError):
+            os.write(self._master, self._as_heard(data))
+
+    def seconds(self, characters: int) -> float:
+        """Time that characters take on the line, s."""
+        return 0.0 if self._baud is None else characters * BITS_PER_CHARACTER / self._baud
+
+    def _as_heard(self, data: bytes) -> bytes:
+        if self._baud is None:
+            return data
+        far_end = termios.tcgetattr(self._master)[5]
+        return data if far_end == getattr(termios, f"B{self._baud}") else bytes(byte ^ 0xA5 for byte in data)
+
+
+def serve(
+    instrument: SerialInstrument, terminal: PseudoTerminal, *, folder: Path, faults: FaultFile, parent: int
+) -> None:
+    """Answer on the terminal until the bench that started us is gone and the line has fallen quiet.
+
+    Parameters
+    ----------
+    instrument, terminal
+        The instrument and its line.
+    folder
+        Folder of the bench, where the outputs are published.
+    faults
+        Faults provoked from the simulator's side.
+    parent
+        Process that started this one; its death is noticed by adoption.
+    """
+    waiting: deque[tuple[float, bytes]] = deque()
+    heard_s, before = time.monotonic(), Faults()
+    while os.getppid() == parent or time.monotonic() - heard_s < ORPHAN_S:
+        data = terminal.read(_patience(waiting))
+        now_s, wrong = time.monotonic(), faults.now()
+        if not wrong.disobedient:
+            instrument.advance(now_s, wrong)
+        if terminal.plugged == wrong.unplugged or before.port_name != wrong.port_name:
+            terminal.close()
+            waiting.clear()
+            if not wrong.unplugged:
+                terminal.plug(wrong.port_name)
+        if wrong.power_cycles > before.power_cycles:
+            instrument.power_cycle()
+            waiting.clear()
+        if wrong.panel != before.panel:
+            enter_at_panel(instrument, wrong.panel)
+        before = wrong
+        if data:
+            heard_s = now_s
+        if data and not wrong.silent:
+            free_s = max(now_s, waiting[-1][0] if waiting else 0.0)
+            for making_s, answer in instrument.receive(data):
+                free_s += making_s + terminal.seconds(len(answer))
+                waiting.append((free_s + wrong.late_s, wrong.arrives(answer)))
+        while waiting and waiting[0][0] <= time.monotonic():
+            terminal.write(waiting.popleft()[1])
+        if not wrong.disobedient:
+            instrument.publish(folder)
+
+
+def enter_at_panel(instrument: SerialInstrument, commands: Iterable[str]) -> None:
+    """Enter commands at an instrument's own front panel; what it answers is shown to nobody on the line."""
+    for command in commands:
+        if isinstance(instrument, PrologixAdapter):
+            instrument.only.listen(command.encode(), end=True)
+        else:
+            instrument.receive(command.encode() + b"\n")
+
+
+def _patience(waiting: deque[tuple[float, bytes]]) -> float:
+    if not waiting:
+        return TICK_S
+    return min(TICK_S, max(0.0, waiting[0][0] - time.monotonic()))

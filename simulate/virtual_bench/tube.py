@@ -1,0 +1,152 @@
+"""The virtual tube: frame after frame of what stands before it, under the voltages on its wires at that moment."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labdata.conditions import Conditions
+from labdata.gating import whole_field_s
+from labdata.sensor import Sensor
+from labdata.target import Target
+from simulate.iiccd.fast_sampler.frame_generator import SEGMENT_FRAMES
+from simulate.lab import LabBench
+from simulate.virtual_bench.fields import Fields
+from simulate.virtual_bench.operator import TargetPlacement, read_placement
+from simulate.virtual_bench.outputs import Outputs
+from simulate.virtual_bench.truth_folder import TRUTH, read_truth
+
+GATE_EXTINCTION = 1e-7  # light that a closed gate lets through, over an open one: 1e6 to 1e7 to one in the visible
+MCP_FLOOR_V = 1.0  # a plate without voltage multiplies by next to nothing
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    """All that the next frame depends on, but its noise."""
+
+    placement: TargetPlacement
+    conditions: Conditions
+    fields: Fields | None = None
+    """How gate and fields run against one another, where they do not keep step."""
+
+
+class VirtualTube:
+    """An intensified camera on the virtual bench.
+
+    Every frame is drawn when it is exposed, from the state of the bench at that moment, so that no frame can show
+    conditions that are past. Its noise follows from the bench's seed, the number of the placement before the camera,
+    and how many frames were exposed since: the same plan, taken again with the same seed, gives the same frames.
+
+    Parameters
+    ----------
+    folder
+        Folder of the bench: its truth, and what its operator placed.
+    outputs
+        Returns what the instruments put on its wires now.
+    """
+
+    def __init__(self, folder: Path, outputs: Callable[[], Outputs]) -> None:
+        self._folder, self._outputs = Path(folder), outputs
+        self._truth = read_truth(self._folder / TRUTH)
+        self._bench = LabBench(self._truth.sensor)
+        self._scene: Scene | None = None
+        self._frame = 0
+        self._frames: Iterator[NDArray] = iter(())
+        self._lights: dict[float, Iterator[NDArray]] = {}
+
+    @property
+    def sensor(self) -> Sensor:
+        """The specimen."""
+        return self._truth.sensor
+
+    def scene(self, *, exposure_s: float, gain_db: float) -> Scene:
+        """Return what stands before the camera now, and the true conditions at the tube.
+
+        Parameters
+        ----------
+        exposure_s
+            Exposure of one field, s.
+        gain_db
+            Gain behind the sensor, dB.
+        """
+        placement, outputs = read_placement(self._folder), self._outputs()
+        if outputs.room_light_lux:
+            placement = replace(placement, kind="flat", target=Target())  # it falls on everything, darks included
+        field_hz = float(self.sensor.video.field_rate_hz)
+        exposure_s = min(exposure_s, 1.0 / field_hz)
+        fields = self._fields(outputs, field_hz, whole_field_s(exposure_s, field_hz))
+        open_ns = outputs.open_ns(exposure_s) if fields is None else float(fields.open_ns(0, 1)[0])
+        conditions = Conditions(
+            exposure_s=exposure_s,
+            mcp_v=max(round(outputs.mcp_v, 2), MCP_FLOOR_V),
+            gate_ns=max(open_ns, exposure_s * 1e9 * GATE_EXTINCTION),
+            illuminance_lux=self._truth.illuminance_lux(placement, outputs),
+            camera_gain_db=gain_db,
+            temperature_c=outputs.temperature_c,
+        )
+        beating = None if fields is None or fields.in_step else fields
+        return Scene(placement=placement, conditions=conditions, fields=beating)
+
+    def prepare(self, scene: Scene) -> None:
+        """Render the picture of what stands before the camera, so that its first frame does not wait for it."""
+        self._bench.photoelectrons(scene.placement.kind, scene.placement.target, scene.conditions)
+
+    def expose(self, scene: Scene) -> NDArray:
+        """Expose one frame of a scene, shape (row, col), DN."""
+        if scene.fields is not None:
+            return self._woven(scene, scene.fields)
+        if scene != self._scene:
+            same_placement = self._scene is not None and scene.placement.number == self._scene.placement.number
+            # What the screen remembers is drawn anew at the start of a segment: a changed scene begins with one.
+            self._frame = -(-self._frame // SEGMENT_FRAMES) * SEGMENT_FRAMES if same_placement else 0
+            self._scene = scene
+            self._frames = self._bench.stream(
+                scene.placement.kind,
+                scene.placement.target,
+                scene.conditions,
+                seed=frame_seed(self._truth.seed, scene.placement.number),
+                first_frame=self._frame,
+            )
+        self._frame += 1
+        return next(self._frames)
+
+    def _fields(self, outputs: Outputs, field_hz: float, exposure_s: float) -> Fields | None:
+        """How gate and fields meet; None where the gate idles open or shut, or its phase makes no difference."""
+        pulsed = outputs.gate_open and 0.0 < outputs.gate_ns * outputs.gate_hz < 1e9
+        whole_fields = outputs.gate_trigger == "clock" and exposure_s == 1.0 / field_hz
+        if not pulsed or whole_fields:
+            return None
+        phase = float(np.random.default_rng([self._truth.seed, 0x5E]).random())
+        return Fields.of(outputs, field_hz=field_hz, exposure_s=exposure_s, phase=phase)
+
+    def _woven(self, scene: Scene, fields: Fields) -> NDArray:
+        """Expose one frame whose fields have light of their own: rows of the one between rows of the other."""
+        if scene != self._scene:
+            self._scene, self._frame, self._lights = scene, 0, {}
+        count = 2 if self.sensor.video.interlaced else 1
+        open_ns = fields.lights_ns(self._frame * count, count)
+        self._frame += 1
+        pictures = {one: next(self._light(scene, one)) for one in set(open_ns)}
+        frame = pictures[open_ns[0]].copy()
+        for field in range(1, count):
+            frame[field::count] = pictures[open_ns[field]][field::count]
+        return frame
+
+    def _light(self, scene: Scene, open_ns: float) -> Iterator[NDArray]:
+        """Frames of a scene whose gate is open for a time, ns."""
+        if open_ns not in self._lights:
+            least_ns = (scene.conditions.exposure_s or 0.0) * 1e9 * GATE_EXTINCTION
+            self._lights[open_ns] = self._bench.stream(
+                scene.placement.kind,
+                scene.placement.target,
+                replace(scene.conditions, gate_ns=max(open_ns, least_ns)),
+                seed=frame_seed(self._truth.seed, scene.placement.number) + round(open_ns),
+            )
+        return self._lights[open_ns]
+
+
+def frame_seed(seed: int, placement: int) -> int:
+    """Return the seed of the frames of one placement."""
+    return int(np.random.SeedSequence((seed, placement)).generate_state(1, np.uint64)[0] >> 1)

@@ -1,0 +1,118 @@
+"""`charact plan` tells what a plan would do and switches nothing on; what was taken agrees with what was told."""
+
+import json
+from dataclasses import replace
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from charact.cli.application import app
+from charact.cli.plan_files import builtin_plan_names, load_plan
+from charact.report.page import page
+from labdata.dose_ledger import FOLDER_VARIABLE, ledger_of
+from labdata.measurement import Result as Measured
+from labdata.sensors import load_sensor, save_sensor
+from labdata.session import open_session
+from labdata.tube_dose import Dose
+
+PLAN = """
+name = "small"
+sensor = "small.toml"
+tube = "SN 7"
+seed = 3
+[wires]
+bench = "in-process"
+[[override]]
+limit = "ramp_v_per_s"
+value = 400.0
+reason = "a rehearsal on the virtual bench"
+[[sweep]]
+kind = "flat"
+frames = 2
+mcp_v = 600.0
+gate_ns = 1.6e7
+illuminance_lux = [1e-4, 2e-4]
+"""
+
+
+def charact(*arguments: object) -> Result:
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+@pytest.fixture
+def plan(tmp_path, monkeypatch):
+    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path / "tubes"))
+    sensor = load_sensor("pulnix-ag5745ef3")
+    save_sensor(replace(sensor, ccd=replace(sensor.ccd, rows=61, columns=84)), tmp_path / "small.toml")
+    (tmp_path / "plan.toml").write_text(PLAN)
+    return tmp_path / "plan.toml"
+
+
+def test_a_plan_of_a_negative_seed_is_refused(plan):
+    plan.write_text(PLAN.replace("seed = 3", "seed = -3"))
+    done = charact("plan", plan)
+    assert done.exit_code == 1
+    assert "a seed must not be negative, got -3 in the plan 'small'" in done.stderr
+
+
+def told(*arguments: object) -> dict:
+    done = charact("plan", *arguments, "--json")
+    assert done.exit_code == 0, done.output
+    return json.loads(done.stdout)
+
+
+def test_the_plan_is_told_in_steps_time_disk_dose_and_hottest_step(plan, tmp_path):
+    before = sorted(path.name for path in tmp_path.iterdir())
+    document = told(plan)
+    assert [step["label"] for step in document["steps"]] == ["flat-0.0001lux", "flat-0.0002lux"]
+    assert document["hottest"]["label"] == "flat-0.0002lux"
+    assert document["bytes"] == 4 * 61 * 84
+    assert 2.0 < document["seconds"] < 5.0  # 600 V at 400 V/s, and ten frames
+    assert document["dose"]["screen_c_per_cm2"] > 0.0
+    assert document["limits"]["ramp_v_per_s"] == 400.0
+    assert "a rehearsal on the virtual bench" in document["overridden"][0]
+    assert sorted(path.name for path in tmp_path.iterdir()) == before
+
+
+def test_what_was_taken_agrees_with_what_was_told_and_the_report_prints_the_override(plan, tmp_path):
+    document = told(plan)
+    done = charact("acquire", plan, tmp_path / "session")
+    assert done.exit_code == 0, done.output
+    session = open_session(tmp_path / "session")
+    assert [entry.label for entry in session.stacks] == [step["label"] for step in document["steps"]]
+    assert any(note.endswith("was overridden to 400: a rehearsal on the virtual bench.") for note in session.notes)
+    spent = ledger_of("SN 7").total()
+    assert spent.screen_c_per_cm2 > 0.0 and spent.hours_at_gain > 0.0
+    assert told(plan)["dose_before"]["screen_c_per_cm2"] == spent.screen_c_per_cm2
+    html = page(session, Measured(measurements=(), curves={}, evidence={}))
+    assert "was overridden to 400: a rehearsal on the virtual bench." in html
+
+
+def test_a_life_nearly_used_up_is_warned_of(plan):
+    ledger_of("SN 7").append(Dose(screen_c_per_cm2=0.28))
+    assert "93% of the 0.3 C/cm2" in told(plan)["warnings"][0]
+    assert "93% of the 0.3 C/cm2" in charact("plan", plan).stdout
+
+
+@pytest.mark.parametrize("name", builtin_plan_names())
+def test_every_shipped_plan_passes_its_check(name):
+    assert len(told(name)["steps"]) == len(load_plan(name).steps)
+
+
+@pytest.mark.parametrize(
+    ("line", "rule"),
+    [
+        ("mcp_v = 950.0", "mcp_v must not exceed the limit 900, got 950, in step"),
+        ("illuminance_lux = 0.5", "illuminance_lux must not exceed the limit 0.01, got 0.5, in step"),
+        ("gate_ns = 1.6668e7", "the gate must be open for at most 0.999 of the time"),
+        ("mcp_v = 890.0\nilluminance_lux = 9e-3", "must not ask more than 120 nA/cm2 of the plate, got 169"),
+    ],
+)
+def test_what_the_interlock_would_refuse_is_refused_before(plan, line, rule):
+    changed = line.split(" =")[0]
+    kept = [one for one in PLAN.splitlines() if not one.startswith((changed, *line.split("\n")[-1].split(" =")[:1]))]
+    plan.write_text("\n".join(kept) + f"\n{line}\n")
+    done = charact("plan", plan)
+    assert done.exit_code == 1
+    assert rule in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1

@@ -1,0 +1,63 @@
+"""Sources of known frames for the bench's tests."""
+
+import time
+from collections.abc import Iterator
+from concurrent.futures import Executor, Future
+from dataclasses import dataclass, field
+from threading import Event
+
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.live.frame_source import SourceFrame
+from charact.method import Context
+from labdata.capture import Frame
+
+
+def seen(pixels: NDArray, number: int, *, full_scale_dn: float = 255.0, of: str = "a camera") -> SourceFrame:
+    """A frame thirty of which come in a second."""
+    return SourceFrame(
+        frame=Frame(pixels=pixels, number=number, time_s=number / 30.0), of=of, full_scale_dn=full_scale_dn
+    )
+
+
+@dataclass
+class Told:
+    """A source that hands out given frames and then ends, or waits to be let go."""
+
+    frames: list[SourceFrame]
+    name: str = "a told source"
+    context: Context = field(default_factory=lambda: Context(quick=True))
+    let_go: Event | None = None
+    pause_s: float = 0.0
+
+    def __iter__(self) -> Iterator[SourceFrame | None]:
+        for frame in self.frames:
+            yield frame
+            time.sleep(self.pause_s)
+        while self.let_go is not None and not self.let_go.wait(0.01):
+            yield None
+
+
+def noisy(rng: np.random.Generator, *, mean_dn: float = 100.0, sd_dn: float = 3.0, shape=(128, 160)) -> NDArray:
+    return np.rint(rng.normal(mean_dn, sd_dn, shape)).astype(np.uint8)
+
+
+def edge(rng: np.random.Generator, *, blur_px: float, shape=(160, 160), sd_dn: float = 2.0) -> NDArray:
+    """A slanted edge blurred by a Gaussian of `blur_px`: its MTF50 is sqrt(ln 2 / 2) / (pi blur_px) cy/px."""
+    from scipy.special import erf
+
+    rows, cols = np.indices(shape)
+    tilt = np.deg2rad(5.0)
+    distance = (cols - shape[1] / 2) * np.cos(tilt) + (rows - shape[0] / 2) * np.sin(tilt)
+    light = 40.0 + 150.0 * 0.5 * (1.0 + erf(distance / (np.sqrt(2.0) * blur_px)))
+    return np.clip(np.rint(light + rng.normal(0.0, sd_dn, shape)), 0, 255).astype(np.uint8)
+
+
+class AtOnce(Executor):
+    """Does what it is given in this thread."""
+
+    def submit(self, fn, /, *args, **kwargs):  # type: ignore[override]
+        done: Future = Future()
+        done.set_result(fn(*args, **kwargs))
+        return done

@@ -1,0 +1,122 @@
+"""What one target of a session tells is known when the next is measured."""
+
+from hashlib import sha256
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from charact.method import Context
+from charact.session_measurement import _best_point, _with_measured_gap, measure, with_inputs
+from charact.study.edge.scene import EdgeScene
+from charact.study.flats.flat_cases import InMemoryStack
+from labdata.digest import sha256_of
+from labdata.frames import FrameStack
+from labdata.measurement import Provenance, Result, make_refusal, measurement_from_sd
+from labdata.sensors import load_sensor
+from labdata.session import Session, open_session
+
+
+@pytest.fixture
+def context() -> Context:
+    return Context(sensor=load_sensor("pulnix-ag5745ef3"))
+
+
+def test_a_halo_of_four_gaps_sets_the_gap(context: Context) -> None:
+    halo = measurement_from_sd("halo_diameter", "px", 48.0, 0.1, method="series-forward")
+    gap = _with_measured_gap(context, Result(measurements=(halo,))).sensor.photocathode.gap_mm
+    mm_per_px = 11.0e-3 * float(context.sensor.taper.demagnification)
+    assert gap.value == pytest.approx(48.0 * mm_per_px / 4.0, rel=1e-12)
+    assert gap.high - gap.low == pytest.approx(2 * 1.959964 * 0.1 * mm_per_px / 4.0, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    "halo",
+    [
+        make_refusal("halo_diameter", "px", "no halo", method="series-forward"),
+        measurement_from_sd("halo_diameter", "px", 48.0, 0.1, method="series-forward", flags=("saturated",)),
+    ],
+)
+def test_a_halo_that_is_not_sound_tells_nothing(context: Context, halo) -> None:
+    assert _with_measured_gap(context, Result(measurements=(halo,))) is context
+
+
+def edge_and_dark(folder: Path, volts: int, seed: int) -> None:
+    """Keep a session of an edge at 700 V and a dark in a folder."""
+    rng = np.random.default_rng(seed)
+    np.save(folder / "edge.npy", EdgeScene(rows=90, cols=90, snr=60.0).frames_drawn(rng).data)
+    np.save(folder / "dark.npy", rng.poisson(10.0, (4, 90, 90)).astype(np.uint8))
+    stacks = (("edge", 700), ("dark", volts))
+    (folder / "session.toml").write_text(
+        'name = "s"\n'
+        + "".join(
+            f'[[stack]]\nlabel = "{kind}"\nkind = "{kind}"\nframes = "{kind}.npy"\nmcp_v = {voltage}\n'
+            for kind, voltage in stacks
+        )
+    )
+
+
+def test_what_an_analysis_says_of_its_progress_is_told_within_its_part(tmp_path: Path, seed: int) -> None:
+    edge_and_dark(tmp_path, 700, seed)
+    told: list[tuple[str, float]] = []
+    measure(tmp_path, quick=True, progress=lambda sentence, share: told.append((sentence, share)))
+    sentences = [sentence for sentence, _ in told]
+    edge = sentences.index("MTF of edge")
+    assert sentences[:2] == ["noise against gain", "noise of dark"]
+    assert all(0.0 <= share < 0.5 for _, share in told[:edge])
+    assert all(0.5 <= share <= 1.0 for _, share in told[edge:])
+
+
+@pytest.mark.parametrize(("volts", "known"), [(700, True), (720, False)])
+def test_the_dark_under_an_edge_s_settings_is_its_black(tmp_path: Path, volts: int, known: bool, seed: int) -> None:
+    edge_and_dark(tmp_path, volts, seed)
+    (mtf50,) = [m for m in measure(tmp_path, quick=True).find("mtf50") if m.stack == "edge"]
+    dark = np.load(tmp_path / "dark.npy").mean()
+    assert (f"No light is at {dark:.4g} DN." in mtf50.notes) == known
+    assert any(note.startswith("No light") for note in mtf50.notes) == known
+
+
+def test_of_sound_points_the_one_with_most_light_is_told_though_another_seems_surer(monkeypatch, seed: int) -> None:
+    """A faint point whose halo by chance came out small has the narrowest interval, and too high an MTF."""
+    rng = np.random.default_rng(seed)
+    frames = {label: np.rint(20.0 + rng.normal(0.0, 2.0, (8, 40, 40))) for label in ("faint", "bright", "brightest")}
+    for label, light in (("faint", 60.0), ("bright", 150.0), ("brightest", 400.0)):
+        frames[label][:, 18:21, 18:21] += light
+    told = {"faint": (0.21, 0.005, ()), "bright": (0.19, 0.009, ()), "brightest": (0.18, 0.004, ("saturated",))}
+
+    def measured(_, stack, **__):
+        (label,) = (name for name, held in frames.items() if np.array_equal(held, stack.data))
+        value, sd, flags = told[label]
+        one = measurement_from_sd("mtf50", "cy/px", value, sd, method="fake", flags=flags, orientation_deg=0.0)
+        return Result(measurements=(one,))
+
+    monkeypatch.setattr("charact.mtf.measure", measured)
+    stacks = tuple(
+        InMemoryStack(label=label, kind="point", frames="", folder=Path(), held=FrameStack(data=held))
+        for label, held in frames.items()
+    )
+    session = Session(folder=Path(), name="points", stacks=stacks)
+    found = _best_point(session, 2.0, Context(seed=1, quick=True))
+    assert [m.stack for m in found.measurements] == ["bright"]
+
+
+def test_a_number_is_tied_to_its_frames(tmp_path: Path, seed: int) -> None:
+    edge_and_dark(tmp_path, 700, seed)
+    session = open_session(tmp_path)
+    edge = measurement_from_sd(
+        "mtf50", "cy/px", 0.2, 0.01, method="a", stack="edge", provenance=Provenance(version="1")
+    )
+    both = measurement_from_sd("mtf50", "cy/px", 0.2, 0.01, method="b", provenance=Provenance(version="1"))
+    one, all_of_them = with_inputs(Result(measurements=(edge, both)), session).measurements
+    digests = {name: sha256((tmp_path / name).read_bytes()).hexdigest() for name in ("edge.npy", "dark.npy")}
+    assert one.provenance is not None and one.provenance.inputs == {"edge.npy": digests["edge.npy"]}
+    assert all_of_them.provenance is not None and all_of_them.provenance.inputs == digests
+
+
+def test_a_folder_of_frames_has_one_digest_that_every_file_in_it_changes(tmp_path: Path) -> None:
+    (tmp_path / "c").mkdir()
+    (tmp_path / "c" / "0").write_bytes(b"frame")
+    before = sha256_of(tmp_path)
+    assert before == sha256(f"{sha256(b'frame').hexdigest()}  c/0\n".encode()).hexdigest()
+    (tmp_path / "c" / "1").write_bytes(b"another")
+    assert sha256_of(tmp_path) != before

@@ -1,0 +1,78 @@
+"""A verdict needs every statistic and both controls, and survives being kept."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from charact.validation import FramePair, Statistic, Validation, ValidationControl, load, save
+from labdata.errors import BadInput
+
+
+def _statistic(p_value: float, name: str = "noise") -> Statistic:
+    return Statistic(
+        name=name,
+        title="Noise",
+        distance=1.0,
+        p_value=p_value,
+        level=0.01,
+        labels=("a",),
+        measured=(1.0,),
+        low95=(0.5,),
+        high95=(1.5,),
+    )
+
+
+@pytest.fixture
+def good() -> Validation:
+    picture = np.arange(12, dtype=np.uint8).reshape(3, 4)
+    return Validation(
+        session="s",
+        sensor="fitted",
+        seed=3,
+        draws=12,
+        seconds=1.5,
+        statistics=(_statistic(0.4), _statistic(0.2, "mtf")),
+        controls=(
+            ValidationControl(name="null", title="null", statistics=(_statistic(0.7),)),
+            ValidationControl(name="negative", title="negative", statistics=(_statistic(0.9), _statistic(1e-9))),
+        ),
+        overlays={"mtf": {"x": [0.1], "measured": [0.9]}},
+        pairs=(FramePair(kind="flat", label="f", measured=picture, simulated=picture[::-1], low_dn=1.0, high_dn=9.0),),
+        notes=("a note",),
+    )
+
+
+def test_all_pass_and_controls_hold(good: Validation) -> None:
+    assert good.passed
+
+
+def test_one_failing_statistic_fails(good: Validation) -> None:
+    assert not replace(good, statistics=(*good.statistics, _statistic(0.001))).passed
+
+
+def test_a_null_control_that_fails_fails(good: Validation) -> None:
+    null = replace(good.controls[0], statistics=(_statistic(0.001),))
+    assert not replace(good, controls=(null, good.controls[1])).passed
+
+
+def test_a_negative_control_that_passes_fails(good: Validation) -> None:
+    negative = replace(good.controls[1], statistics=(_statistic(0.9),))
+    assert not replace(good, controls=(good.controls[0], negative)).passed
+
+
+def test_kept_and_read_back(good: Validation, tmp_path: Path) -> None:
+    save(good, tmp_path)
+    back = load(tmp_path)
+    assert back is not None
+    assert replace(back, pairs=()) == replace(good, pairs=())
+    assert np.array_equal(back.pairs[0].simulated, good.pairs[0].simulated)
+    assert back.passed
+
+
+def test_none_kept_is_none_and_a_damaged_one_is_said_to_be(tmp_path: Path) -> None:
+    assert load(tmp_path) is None
+    (tmp_path / "validation.json").write_text("{")
+    with pytest.raises(BadInput, match="validation kept by charact"):
+        load(tmp_path)

@@ -1,0 +1,129 @@
+"""A public driver library, which never heard of this project, drives the virtual instruments over their wires."""
+
+import warnings
+
+import pytest
+
+from simulate.virtual_bench.outputs import read_outputs
+from simulate.virtual_bench.process import VirtualInstruments
+
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore")  # of the library's own imports
+    import instruments
+    from instruments.abstract_instruments.comm import GPIBCommunicator, SerialCommunicator
+    from instruments.units import ureg
+import serial
+
+pytestmark = [pytest.mark.wires]
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory):
+    with VirtualInstruments(tmp_path_factory.mktemp("bench"), time_scale=5.0) as virtual:
+        yield virtual
+
+
+@pytest.fixture
+def delay_generator(bench):
+    srs = instruments.srs.SRSDG645.open_serial(bench.gate_port, baud=9600, timeout=2)
+    srs.terminator = "\n"
+    yield srs
+    srs._file._conn.close()
+
+
+@pytest.fixture
+def supply(bench):
+    with serial.Serial(bench.supply_port, 9600, timeout=1.0) as port:
+        port.write(b"++eot_enable 1\r++eot_char 13\r")  # this library ends an answer at a carriage return
+        communicator = GPIBCommunicator(SerialCommunicator(port), 14, model="pl")
+        communicator.timeout = 1 * ureg.second
+        yield instruments.generic_scpi.SCPIInstrument(communicator)
+
+
+def test_a_public_driver_knows_the_delay_generator(delay_generator):
+    assert delay_generator.name.strip() == "Stanford Research Systems,DG645,s/n001234,ver1.00.00E"
+    assert delay_generator.query("LERR?").strip() == "0"
+
+
+def test_a_public_driver_sets_and_reads_delays_to_5_picoseconds(delay_generator):
+    edges = delay_generator.Channels
+    a, b = delay_generator.channel[edges.A], delay_generator.channel[edges.B]
+    a.delay = (delay_generator.channel[edges.T0], 85 * ureg.ns)
+    b.delay = (a, 16.000003 * ureg.ms)
+    assert a.delay[0] == edges.T0
+    assert b.delay[0] == edges.A
+    assert a.delay[1].to("ps").magnitude == pytest.approx(85_000, abs=0.1)
+    assert b.delay[1].to("ps").magnitude == pytest.approx(16_000_003_000, abs=5)
+
+
+def test_a_public_driver_opens_and_shuts_the_gate(delay_generator, bench):
+    edges, sources = delay_generator.Channels, delay_generator.TriggerSource
+    delay_generator.output["AB"].level_amplitude = 4.0 * ureg.V
+    delay_generator.channel[edges.B].delay = (delay_generator.channel[edges.A], 10 * ureg.us)
+    delay_generator.trigger_rate = 50 * ureg.Hz
+    delay_generator.trigger_source = sources.internal
+    assert delay_generator.trigger_source == sources.internal
+    assert delay_generator.trigger_rate.to("Hz").magnitude == 50
+    out = _after(delay_generator, bench)
+    assert (out.gate_open, out.gate_hz) == (True, 50)
+    assert out.gate_ns == pytest.approx(10_000)
+    delay_generator.trigger_source = sources.single_shot
+    assert not _after(delay_generator, bench).gate_open
+
+
+def test_a_public_driver_sets_levels_polarity_and_bursts(delay_generator):
+    output, polarity = delay_generator.output["CD"], delay_generator.LevelPolarity
+    output.level_amplitude, output.level_offset, output.polarity = 3.3 * ureg.V, -0.5 * ureg.V, polarity.negative
+    assert output.level_amplitude.magnitude == 3.3
+    assert output.level_offset.magnitude == -0.5
+    assert output.polarity == polarity.negative
+    delay_generator.burst_count, delay_generator.burst_period = 7, 20 * ureg.us
+    delay_generator.enable_burst_mode = True
+    assert delay_generator.enable_burst_mode
+    assert delay_generator.burst_count == 7
+    assert delay_generator.burst_period.to("us").magnitude == pytest.approx(20)
+    delay_generator.enable_burst_mode = False
+    delay_generator.enable_adv_triggering = True
+    delay_generator.holdoff = 2 * ureg.ms
+    assert delay_generator.enable_adv_triggering
+    assert delay_generator.holdoff.to("ms").magnitude == pytest.approx(2)
+    delay_generator.enable_adv_triggering = False
+    assert delay_generator.query("LERR?").strip() == "0"
+
+
+def test_a_refused_level_keeps_its_value_and_queues_an_error(delay_generator):
+    output = delay_generator.output["AB"]
+    before = output.level_amplitude
+    output.level_amplitude = 7.0 * ureg.V
+    assert output.level_amplitude == before
+    assert delay_generator.query("LERR?").strip() == "10"
+
+
+def test_a_public_driver_reaches_the_supply_through_the_adapter(supply):
+    assert supply.query("*IDN?") == "StanfordResearchSystems,PS350,2067,1.40"
+    supply.sendcmd("VLIM 900")
+    supply.sendcmd("VSET 650")
+    assert float(supply.query("VSET?")) == 650
+    assert float(supply.query("VLIM?")) == 900
+    assert float(supply.query("VOUT?")) == 0
+    supply.sendcmd("VSET 950")
+    assert int(supply.query("*ESR?")) & 16  # refused, not clamped
+    assert float(supply.query("VSET?")) == 650
+
+
+def test_a_public_driver_raises_and_lowers_the_voltage(supply, bench):
+    supply.sendcmd("VSET 200")
+    supply.sendcmd("HVON")
+    while not int(supply.query("*STB? 0")):
+        pass
+    assert float(supply.query("VOUT?")) == 200
+    assert read_outputs(bench.folder).mcp_v == 200
+    supply.sendcmd("HVOF")
+    assert int(supply.query("*STB? 7")) == 0
+    assert float(supply.query("VOUT?")) < 200
+
+
+def _after(delay_generator, bench):
+    """The outputs once every command so far has been obeyed."""
+    assert delay_generator.query("*OPC?").strip() == "1"
+    return read_outputs(bench.folder)
