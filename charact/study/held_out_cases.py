@@ -14,7 +14,7 @@ from charact.study.harness import CaseResult, run
 from charact.study.speed_accuracy import write_json
 from charact.study.study_registry import methods_of, studies_of
 
-TABLE = Path(__file__).resolve().parent / "tables" / "check_held_out_choices.json"
+TABLE = Path(__file__).resolve().parent / "tables" / "held_back.json"
 TOLERANCES_PERCENT = (1.0, 2.0, 5.0, 10.0, 20.0)
 # The charts' own cases are drawn with seed 0.
 SEED = 1001

@@ -105,7 +105,7 @@ def judge_session(
     found = together.find("mtf50", orientation_deg=0.0)
     if not found or found[0].value is None:
         return Judged(probability=np.nan, inside=False, ok=False, differs_most="", targets=0, beside=beside)
-    test = together.evidence["fit_joint_mtf MTF"]
+    test = together.evidence["joint MTF"]
     return Judged(
         probability=test["probability"],
         inside=test["inside_joint_95_percent_region"],

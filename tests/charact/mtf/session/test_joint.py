@@ -91,7 +91,7 @@ def test_all_targets_together_know_the_mtf_better_than_the_best_of_them(seed: in
 @pytest.mark.parametrize("half", [0.19, 0.25])
 def test_an_edge_out_of_focus_is_found_and_named_and_the_joint_number_is_suspect(half: float, seed: int) -> None:
     found = fit_joint_mtf(session(np.random.default_rng(seed), half=half), KINDS, context=QUICK)
-    test = found.evidence["fit_joint_mtf MTF"]
+    test = found.evidence["joint MTF"]
     assert not test["inside_joint_95_percent_region"]
     assert test["differs_most"] == "e"
     assert all("model-misfit" in m.flags for m in found.measurements)
