@@ -1,7 +1,7 @@
 """Frames a second of the intensified camera, all stages on, against plain NumPy and OpenCV and other simulators.
 
 Each tier and each peer draws the same uneven scene, 768 x 493, in the same run. Peers live in an environment of their
-own, `make peers`; without it their rows are missing, and said to be.
+own, `make .venv-peers/ready`; without it their rows are missing, and said to be.
 """
 
 import json
@@ -99,7 +99,7 @@ def median_seconds(frame: Callable[[], object], count: int) -> float:
 def peers() -> dict[str, float]:
     """Frames a second of the peers that are installed, on the scene of ten photoelectrons; one thread."""
     if not PEERS.exists():
-        print("other simulators are not installed: make peers", file=sys.stderr)
+        print("other simulators are not installed: make .venv-peers/ready", file=sys.stderr)
         return {}
     with tempfile.TemporaryDirectory() as folder:
         np.save(Path(folder) / "scene.npy", uneven(10.0))

@@ -245,7 +245,7 @@ def _step(slope: Array, at: Array, damping: float, point: Array, walls: Array) -
 def laplace_draws(problem: PulseLikelihood, peak: PulseOptimum, *, seed: int) -> Posterior:
     """Return the posterior by its curvature, of the logarithms where parameters are positive, then turned back.
 
-    How often its intervals hold is measured, see `charact.study.flats.dark_events_coverage`.
+    How often its intervals hold is measured, see `benchmarks.studies.dark_events_coverage`.
     """
     units = tuple(UNITS[name] for name in problem.names)
     found = laplace(None, names=problem.names, units=units, start=peak.point,  # type: ignore[arg-type]

@@ -150,9 +150,7 @@ def _measure_series(session: Session, series: FlatSeries, context: Context, fiel
     gain_flags = flags_of(slope if pooled.white else findings)
     out += pattern_quantities(series, None if gain is None else gain.slope, flags=plain, gain_flags=gain_flags,
                               pair_flags=exposure_flags(pooled.exposures), **fields)  # fmt: skip
-    evidence = _figure_data(pooled, gain) | (
-        {"predictive-frames": predictive_figure_data(told)} if told else {}
-    )
+    evidence = _figure_data(pooled, gain) | ({"predictive-frames": predictive_figure_data(told)} if told else {})
     return Result(measurements=tuple(out), evidence=evidence)
 
 
