@@ -6,8 +6,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.iiccd import fourier
-from simulate.iiccd.grid import Grid
+from simulate.iiccd.grid import Grid, irfft_image, rfft_image
 from simulate.iiccd.stage_image import StageImage
 from simulate.iiccd.transfer import PixelAperture, StageBlur, fold_transfer, product
 
@@ -39,9 +38,9 @@ class Collection:
         if grid is None or grid.per_column != 2 or grid.per_row > 2:
             raise ValueError("pixels collect light on two cells per column and one or two per row")
         height = 2 if self.row_pairs else 1
-        spectrum = fourier.rfft_image(light.values) * pixel_transfer(light.pending_blurs, grid, height)
+        spectrum = rfft_image(light.values) * pixel_transfer(light.pending_blurs, grid, height)
         folded = fold_columns(fold_rows(spectrum) if grid.per_row == 2 else spectrum)
-        pixels = fourier.irfft_image(folded, (grid.shape[0] // grid.per_row, grid.shape[1] // 2))
+        pixels = irfft_image(folded, (grid.shape[0] // grid.per_row, grid.shape[1] // 2))
         # So far the amount in a cell around the pixel's centre, averaged by its aperture.
         pixels *= pixels.dtype.type(grid.per_column * grid.per_row * height)
         top, left = grid.margin_rows, grid.margin_columns

@@ -10,19 +10,15 @@ from labdata.parameter import Parameter
 from labdata.sensor import Sensor
 from simulate.iiccd import tube_photometry
 from simulate.iiccd.automatic_controls import SET_LEVEL, AutomaticGain, BrightnessControl
-from simulate.iiccd.back_end import DigitalBackEnd
-from simulate.iiccd.bright_source import BrightSourceProtection
 from simulate.iiccd.ccd import Ccd
-from simulate.iiccd.chip import DARK_REFERENCE_C, SensorGeometryCamera
-from simulate.iiccd.fibre_geometry import FibreGeometry
-from simulate.iiccd.lens import RadiometricLens
+from simulate.iiccd.grid import DARK_REFERENCE_C, SensorGeometryCamera
+from simulate.iiccd.lens import Optics, RadiometricLens
 from simulate.iiccd.microchannel import MicrochannelPlate
-from simulate.iiccd.optics import Optics
 from simulate.iiccd.phosphor import Phosphor, PhosphorDecay
-from simulate.iiccd.photocathode import Photocathode, ProximityGap
-from simulate.iiccd.taper import Taper
+from simulate.iiccd.photocathode import BrightSourceProtection, Photocathode, ProximityGap
+from simulate.iiccd.taper import FibreGeometry, Taper
 from simulate.iiccd.transfer import FibreTaper, HaloBlur, Lens, TubeShare, VideoFilter
-from simulate.iiccd.video import Video
+from simulate.iiccd.video import DigitalBackEnd, Video
 
 
 @dataclass(frozen=True)

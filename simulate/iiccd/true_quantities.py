@@ -13,15 +13,14 @@ from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.sensor import Sensor
 from simulate.iiccd import tube_photometry
-from simulate.iiccd.back_end import DigitalBackEnd, Unfiltered
 from simulate.iiccd.camera import IntensifiedCamera
+from simulate.iiccd.lens import Optics
 from simulate.iiccd.microchannel import MicrochannelPlate
-from simulate.iiccd.optics import Optics
 from simulate.iiccd.phosphor import Phosphor
 from simulate.iiccd.photocathode import ProximityGap
 from simulate.iiccd.taper import Taper
 from simulate.iiccd.transfer import PixelAperture, StageBlur, VideoFilter, product
-from simulate.iiccd.video import Video
+from simulate.iiccd.video import DigitalBackEnd, Unfiltered, Video
 
 # Or degrees from the row direction.
 Direction = Literal["horizontal", "vertical"] | float

@@ -4,8 +4,8 @@ import math
 from collections import deque
 from pathlib import Path
 
-from simulate.virtual_bench.commands import Command, commands_of
-from simulate.virtual_bench.dg645_refusals import (
+from simulate.virtual_bench.dg645_settings import (
+    EDGES,
     ILLEGAL_COMMAND,
     ILLEGAL_DELAY,
     ILLEGAL_LINK,
@@ -15,12 +15,16 @@ from simulate.virtual_bench.dg645_refusals import (
     ILLEGAL_VALUE,
     OVERRUN,
     RECALL_FAILED,
+    SETTINGS,
     TOO_MANY_ERRORS,
     UNDEFINED_COMMAND,
+    Command,
+    Dg645Setting,
     RefusedCommand,
+    SettingsRegister,
+    commands_of,
     numbers,
 )
-from simulate.virtual_bench.dg645_settings import EDGES, SETTINGS, Dg645Setting, SettingsRegister
 from simulate.virtual_bench.faults import Faults
 from simulate.virtual_bench.outputs import GateOutput, Trigger, publish_gate
 

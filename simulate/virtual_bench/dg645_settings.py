@@ -1,6 +1,76 @@
 """The settings of a Stanford DG645 that are one number each: type, range, factory value and the form of its answer."""
 
+import math
+import re
 from dataclasses import dataclass, field
+
+ILLEGAL_VALUE, ILLEGAL_MODE, ILLEGAL_DELAY, ILLEGAL_LINK, RECALL_FAILED = 10, 11, 12, 13, 14
+ILLEGAL_COMMAND, UNDEFINED_COMMAND, ILLEGAL_QUERY, ILLEGAL_SET, NULL_PARAMETER = 110, 111, 112, 113, 114
+EXTRA_PARAMETERS, MISSING_PARAMETERS, BAD_FLOAT, BAD_INTEGER = 115, 116, 118, 120
+OVERRUN, TOO_MANY_ERRORS = 171, 254
+
+
+class RefusedCommand(Exception):
+    """The instrument does not do this; `code` goes to its error queue."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(code)
+        self.code = code
+
+
+def numbers(arguments: tuple[str, ...], kinds: tuple[type, ...]) -> list:
+    """Read arguments as numbers of the given kinds; a wrong count or form is refused with its own code."""
+    if len(arguments) != len(kinds):
+        raise RefusedCommand(MISSING_PARAMETERS if len(arguments) < len(kinds) else EXTRA_PARAMETERS)
+    return [_number(text, kind) for text, kind in zip(arguments, kinds, strict=True)]
+
+
+def _number(text: str, kind: type) -> float:
+    if not text:
+        raise RefusedCommand(NULL_PARAMETER)
+    try:
+        value = kind(text)
+    except ValueError:
+        raise RefusedCommand(BAD_FLOAT if kind is float else BAD_INTEGER) from None
+    if not math.isfinite(value):
+        raise RefusedCommand(BAD_FLOAT)
+    return value
+
+
+_COMMAND = re.compile(r"^(\*[A-Z]{3}|[A-Z]{4})(\?)?\s*(.*)$", re.DOTALL)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Command:
+    """One command of a line.
+
+    Parameters
+    ----------
+    mnemonic
+        Upper-case mnemonic, such as "DLAY" or "*IDN".
+    query
+        Whether it asks.
+    arguments
+        Arguments as they were written, stripped of blanks.
+    """
+
+    mnemonic: str
+    query: bool
+    arguments: tuple[str, ...]
+
+
+def commands_of(line: str) -> list[Command | None]:
+    """Split a line into commands; None stands for text that is no command at all."""
+    return [_command(part) for part in line.upper().split(";") if part.strip()]
+
+
+def _command(text: str) -> Command | None:
+    match = _COMMAND.match(text.strip())
+    if match is None:
+        return None
+    mnemonic, mark, rest = match.groups()
+    arguments = tuple(part.strip() for part in rest.split(",")) if rest.strip() else ()
+    return Command(mnemonic=mnemonic, query=bool(mark), arguments=arguments)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
-from simulate.virtual_bench.commands import Command, commands_of
+from simulate.virtual_bench.dg645_settings import Command, commands_of
 from simulate.virtual_bench.faults import Faults
 from simulate.virtual_bench.outputs import publish_voltage
 

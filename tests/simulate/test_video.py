@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from labdata.errors import BadInput
-from simulate.iiccd.back_end import DigitalBackEnd, Unfiltered
 from simulate.iiccd.stage_image import StageImage
 from simulate.iiccd.transfer import CORRECTED_MHZ, VideoFilter
-from simulate.iiccd.video import Video, filter_lines, shift_lines
+from simulate.iiccd.video import DigitalBackEnd, Unfiltered, Video, filter_lines, shift_lines
 
 CLOCK_MHZ = 14.318
 

@@ -19,9 +19,9 @@ from simulate.iiccd import true_quantities
 from simulate.iiccd.automatic_controls import AutomaticState
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.ccd import Ccd
-from simulate.iiccd.chip import DRAW_MARGIN_PX, SCENE_MARGIN_PX
 from simulate.iiccd.fast_sampler.kernel import noise_kernel
 from simulate.iiccd.fast_sampler.prepare import SHORTEST_TAP, SKEWNESS_TOLERANCE, CameraStages
+from simulate.iiccd.grid import DRAW_MARGIN_PX, SCENE_MARGIN_PX
 from simulate.iiccd.microchannel import MicrochannelPlate
 from simulate.iiccd.stage_image import StageImage
 from simulate.iiccd.transfer import StageBlur, product

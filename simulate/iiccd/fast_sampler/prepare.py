@@ -6,8 +6,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.iiccd import fourier, pattern
-from simulate.iiccd.back_end import DigitalBackEnd
+from simulate.iiccd import pattern
 from simulate.iiccd.ccd import Ccd
 from simulate.iiccd.chain import Chain
 from simulate.iiccd.fast_sampler.charge_distribution import normal_law, pulse_law
@@ -15,12 +14,12 @@ from simulate.iiccd.fast_sampler.dense_events import DenseEventSampler
 from simulate.iiccd.fast_sampler.frame_generator import Readout, StaticScene
 from simulate.iiccd.fast_sampler.kernel import COARSE, REACH, Kernel, noise_kernel, pulse_kernel
 from simulate.iiccd.fast_sampler.sparse_events import SparseEventSampler
-from simulate.iiccd.grid import Grid
+from simulate.iiccd.grid import Grid, irfft_image, rfft_image
 from simulate.iiccd.microchannel import MicrochannelPlate
 from simulate.iiccd.phosphor import PhosphorDecay
 from simulate.iiccd.stage_image import StageImage
 from simulate.iiccd.transfer import StageBlur
-from simulate.iiccd.video import Video
+from simulate.iiccd.video import DigitalBackEnd, Video
 
 # Light that has not come out after the fields that are remembered is less than this share.
 FORGOTTEN = 1e-3
@@ -185,8 +184,8 @@ def _sharpen(light: NDArray[np.floating], kernel: Kernel) -> NDArray[np.float64]
     down, along = kernel.divisions
     rows, cols = light.shape[0] // 2, light.shape[1] // 2
     lattice = light.reshape(rows * down, 2 // down, cols * along, 2 // along).sum(axis=(1, 3), dtype=np.float64)
-    spectrum = fourier.rfft_image(lattice) * fourier.rfft_image(_filter_on_lattice(kernel.sharpening, lattice.shape))
-    sharp = fourier.irfft_image(spectrum, lattice.shape) / (2 // down * (2 // along))
+    spectrum = rfft_image(lattice) * rfft_image(_filter_on_lattice(kernel.sharpening, lattice.shape))
+    sharp = irfft_image(spectrum, lattice.shape) / (2 // down * (2 // along))
     return sharp.repeat(2 // down, axis=0).repeat(2 // along, axis=1)
 
 
