@@ -9,13 +9,13 @@ from labdata.errors import BadInput
 from labdata.sensor import Optics as OpticsDescription
 from simulate.iiccd import image_placement, tube_photometry
 from simulate.iiccd.grid import Grid, irfft_image, rfft_image
-from simulate.iiccd.stage_image import StageImage
+from simulate.iiccd.stage_image import NoiselessStage, StageImage
 from simulate.iiccd.transfer import Defocus, Lens, StageBlur
 from simulate.radiance.cube import RadianceCube
 
 
 @dataclass(frozen=True, kw_only=True)
-class Optics:
+class Optics(NoiselessStage):
     """Lens between the scene and the photocathode.
 
     Parameters
@@ -36,10 +36,6 @@ class Optics:
         """Return (1 - v) E + v mean(E), owing the blur; the light per cell keeps its sum."""
         return light.with_values(add_veiling_glare(light.values, self.veiling_glare_fraction)).blurred(self.blur)
 
-    def draw(self, light: StageImage, rng: np.random.Generator) -> StageImage:
-        """Return the mean: light has no noise of its own before it is detected."""
-        return self.mean(light)
-
 
 def add_veiling_glare(image: NDArray, fraction: float) -> NDArray:
     """Return (1 - v) E + v mean(E): a share of the light spread evenly."""
@@ -54,7 +50,7 @@ TRANSFER_ERROR, FREQUENCIES = 1e-4, 1500
 
 
 @dataclass(frozen=True, kw_only=True)
-class RadiometricLens:
+class RadiometricLens(NoiselessStage):
     """Lens that images a scene of known spectral radiance on the photocathode, or on a chip without a tube.
 
     Parameters
@@ -201,10 +197,6 @@ class RadiometricLens:
             for image, shape in zip(images, shapes, strict=True)
         )
         return StageImage(values=irfft_image(np.asarray(total), self.grid.shape).astype(np.float32), grid=self.grid)
-
-    def draw(self, light: RadianceCube, rng: np.random.Generator) -> StageImage:
-        """Return the mean: light has no noise of its own before it is detected."""
-        return self.mean(light)
 
     def _photons_per_radiance(self, light: RadianceCube) -> NDArray[np.float64]:
         relative = np.asarray(self.detector_efficiency) / max(self.detector_efficiency)

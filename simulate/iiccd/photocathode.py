@@ -6,12 +6,12 @@ import numpy as np
 
 from labdata.errors import BadInput
 from simulate.iiccd.grid import Grid
-from simulate.iiccd.stage_image import StageImage
+from simulate.iiccd.stage_image import NoiselessStage, StageImage
 from simulate.iiccd.transfer import GapSpread, StageBlur
 
 
 @dataclass(frozen=True, kw_only=True)
-class Photocathode:
+class Photocathode(NoiselessStage):
     """Photocathode behind an electronic gate.
 
     Parameters
@@ -65,13 +65,9 @@ class Photocathode:
         rate = self.quantum_efficiency * light.values + np.asarray(dark, light.values.dtype)
         return light.with_values(rate * np.asarray(self.open_s, light.values.dtype))
 
-    def draw(self, light: StageImage, rng: np.random.Generator) -> StageImage:
-        """Return the mean; the plate draws."""
-        return self.mean(light)
-
 
 @dataclass(frozen=True, kw_only=True)
-class ProximityGap:
+class ProximityGap(NoiselessStage):
     """Flight from cathode to plate, with the electrons that bounce.
 
     Parameters
@@ -97,10 +93,6 @@ class ProximityGap:
         further = () if self.protection is None else (self.protection,)
         landing = light.blurred(self.spread, self.halo, *further)
         return landing.with_blurs_applied() if light.grid == self.grid else landing.resample_to(self.grid)
-
-    def draw(self, light: StageImage, rng: np.random.Generator) -> StageImage:
-        """Return the mean; the plate draws."""
-        return self.mean(light)
 
 
 @dataclass(frozen=True, kw_only=True)

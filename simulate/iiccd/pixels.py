@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulate.iiccd.grid import Grid, irfft_image, rfft_image
-from simulate.iiccd.stage_image import StageImage
+from simulate.iiccd.stage_image import NoiselessStage, StageImage
 from simulate.iiccd.transfer import PixelAperture, StageBlur, fold_transfer, product
 
 
 @dataclass(frozen=True, kw_only=True)
-class Collection:
+class Collection(NoiselessStage):
     """The pixels' aperture, summed over row pairs where fields are integrated.
 
     Parameters
@@ -46,10 +46,6 @@ class Collection:
         top, left = grid.margin_rows, grid.margin_columns
         rows = grid.rows - height + 1
         return StageImage(values=pixels[..., top : top + rows, left : left + grid.columns])
-
-    def draw(self, light: StageImage, rng: np.random.Generator) -> StageImage:
-        """Return the mean; the photons' noise is drawn where they become charge."""
-        return self.mean(light)
 
 
 @lru_cache(maxsize=8)
@@ -97,7 +93,7 @@ def fold_columns(spectrum: NDArray) -> NDArray:
 
 
 @dataclass(frozen=True, kw_only=True)
-class FieldReadout:
+class FieldReadout(NoiselessStage):
     """The order of reading: frame row r is read in field r % 2 where video is interlaced.
 
     Takes (field, row, col) with two fields a frame, earlier field first, and emits (frame, row, col); without
@@ -119,7 +115,3 @@ class FieldReadout:
         frames = fields[0::2].copy()
         frames[:, 1::2] = fields[1::2, 1::2]
         return light.with_values(frames)
-
-    def draw(self, light: StageImage, rng: np.random.Generator) -> StageImage:
-        """Return the mean: reading order adds no noise."""
-        return self.mean(light)

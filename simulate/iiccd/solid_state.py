@@ -15,13 +15,13 @@ from simulate.iiccd.chain import Chain
 from simulate.iiccd.grid import DARK_REFERENCE_C, Grid, SensorGeometryCamera
 from simulate.iiccd.lens import Optics, RadiometricLens
 from simulate.iiccd.pixels import Collection
-from simulate.iiccd.stage_image import StageImage
+from simulate.iiccd.stage_image import NoiselessStage, StageImage
 from simulate.iiccd.transfer import Lens
-from simulate.iiccd.video import DigitalBackEnd
+from simulate.iiccd.video import Video
 
 
 @dataclass(frozen=True, kw_only=True)
-class Silicon:
+class Silicon(NoiselessStage):
     """Photosensitive chip behind an electronic shutter.
 
     Parameters
@@ -57,10 +57,6 @@ class Silicon:
         """Return photoelectrons per exposure and cell, all blurs so far computed."""
         counted = light.values * np.asarray(self.quantum_efficiency * self.exposure_s, light.values.dtype)
         return light.with_values(counted).resample_to(self.grid)
-
-    def draw(self, light: StageImage, rng: np.random.Generator) -> StageImage:
-        """Return the mean; the wells draw."""
-        return self.mean(light)
 
 
 @dataclass(frozen=True)
@@ -192,12 +188,12 @@ class SiliconCamera(SensorGeometryCamera):
             dark_e=self._dark_e(conditions),
         )
 
-    def video(self, conditions: Conditions) -> DigitalBackEnd:
+    def video(self, conditions: Conditions) -> Video:
         """Return the digitiser; automatic gain that was on is refused, as such cameras have none."""
         if conditions.automatic_gain or conditions.brightness_control:
             raise BadInput(f"automatic controls must be off, as {self.description.name!r} has none; got one on")
         video = self.description.video
-        return DigitalBackEnd(
+        return Video(
             gain=10.0 ** ((conditions.camera_gain_db or 0.0) / 20.0),
             conversion_gain_dn_per_e=float(video.conversion_gain_dn_per_e),
             black_level_dn=float(video.black_level_dn),

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,6 +75,18 @@ class StageImage:
         values = irfft_image(kept * _resampling(self.pending_blurs, fine, grid.per_column), (rows, columns))
         row, col = grid.window_of(fine)
         return StageImage(values=np.ascontiguousarray(values[..., row, col], dtype=np.float32), grid=grid)
+
+
+class NoiselessStage:
+    """Stage that adds no noise: what it draws is its mean."""
+
+    def mean(self, light: Any) -> StageImage:
+        """Return the image behind the stage."""
+        raise NotImplementedError
+
+    def draw(self, light: Any, rng: np.random.Generator) -> StageImage:
+        """Return the mean."""
+        return self.mean(light)
 
 
 @lru_cache(maxsize=16)

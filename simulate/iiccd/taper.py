@@ -5,12 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from simulate.iiccd import image_placement, pattern
-from simulate.iiccd.stage_image import StageImage
+from simulate.iiccd.stage_image import NoiselessStage, StageImage
 from simulate.iiccd.transfer import StageBlur
 
 
 @dataclass(frozen=True, kw_only=True)
-class Taper:
+class Taper(NoiselessStage):
     """Fibre-optic taper.
 
     Parameters
@@ -48,13 +48,9 @@ class Taper:
             )
         return light.with_values(values).blurred(self.blur)
 
-    def draw(self, light: StageImage, rng: np.random.Generator) -> StageImage:
-        """Return the mean; the photons' noise is drawn where they are detected."""
-        return self.mean(light)
-
 
 @dataclass(frozen=True, kw_only=True)
-class FibreGeometry:
+class FibreGeometry(NoiselessStage):
     """Where the taper's fibres bring the light of each place.
 
     Parameters
@@ -103,7 +99,3 @@ class FibreGeometry:
         from_x, from_y, area = radial.source(x, y)
         moved = image_placement.resample_image(light.values, grid, from_x, from_y, order=3)
         return light.with_values(moved * area.astype(np.float32))
-
-    def draw(self, light: StageImage, rng: np.random.Generator) -> StageImage:
-        """Return the mean; the plate draws."""
-        return self.mean(light)

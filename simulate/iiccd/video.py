@@ -1,4 +1,4 @@
-"""The video chain: a causal low pass along the lines, black level, gamma and whole digital numbers."""
+"""Video: low pass along lines, black level, gamma and digitiser; a digital camera has no low pass."""
 
 from dataclasses import dataclass
 
@@ -11,8 +11,8 @@ from simulate.iiccd.transfer import VideoFilter
 
 
 @dataclass(frozen=True, kw_only=True)
-class Unfiltered:
-    """A line that is read pixel by pixel: what a video filter is where there is none."""
+class NoFilter:
+    """Filter of a camera whose pixels are digitised one by one, without a video signal."""
 
     def impulse_response(self, length: int = 1) -> NDArray[np.float64]:
         """Return 1 and zeros, shape (length,)."""
@@ -24,96 +24,21 @@ class Unfiltered:
 
 
 @dataclass(frozen=True, kw_only=True)
-class DigitalBackEnd:
-    """Amplifier and digitiser of one pixel after the other.
-
-    Parameters
-    ----------
-    conversion_gain_dn_per_e
-        DN per electron at the output, behind any multiplication.
-    black_level_dn
-        Level without charge, DN.
-    bit_depth
-        Bits of the digitiser, at most 16.
-    gamma
-        Exponent y = x^gamma of the signal above black, relative to full scale, dimensionless.
-    gain
-        Factor of the automatic gain, dimensionless.
-    """
-
-    conversion_gain_dn_per_e: float
-    black_level_dn: float
-    bit_depth: int
-    gamma: float = 1.0
-    gain: float = 1.0
-    low_pass: Unfiltered = Unfiltered()
-    name: str = "video"
-    takes: str = "charge"
-    emits: str = "DN"
-
-    def __post_init__(self) -> None:
-        refuse_impossible_digitiser(self.bit_depth, self.gamma)
-
-    @property
-    def full_scale_dn(self) -> int:
-        """Highest code, DN."""
-        return 2**self.bit_depth - 1
-
-    def mean(self, light: StageImage) -> StageImage:
-        """Return the level, DN, neither rounded nor clipped at the ends of the scale."""
-        signal = light.values * np.float32(self.conversion_gain_dn_per_e * self.gain)
-        return light.with_values(
-            apply_gamma(signal, self.gamma, self.full_scale_dn - self.black_level_dn) + np.float32(self.black_level_dn)
-        )
-
-    def draw(self, light: StageImage, rng: np.random.Generator) -> StageImage:
-        """Return whole DN between 0 and full scale, uint8 or uint16."""
-        return light.with_values(digitise(self.mean(light).values, self.bit_depth))
-
-
-def refuse_impossible_digitiser(bit_depth: int, gamma: float) -> None:
-    """Refuse more than sixteen bits, fewer than one, and a gamma that is not positive."""
-    if not 1 <= bit_depth <= 16:
-        raise BadInput(f"bit_depth must lie in 1..16, got {bit_depth}")
-    if not gamma > 0.0:
-        raise BadInput(f"gamma must be positive, got {gamma:g}")
-
-
-def apply_gamma(signal: NDArray[np.float32], gamma: float, span_dn: float) -> NDArray[np.float32]:
-    """Return y = x^gamma of a signal above black, relative to the span between black and full scale."""
-    if gamma == 1.0:
-        return signal
-    span = np.float32(span_dn)
-    return span * np.sign(signal) * np.abs(signal / span) ** np.float32(gamma)
-
-
-def digitise(level_dn: NDArray[np.float32], bit_depth: int) -> NDArray[np.unsignedinteger]:
-    """Return whole DN between 0 and full scale, uint8 up to eight bits and uint16 beyond."""
-    whole = np.rint(level_dn)
-    np.clip(whole, 0, 2**bit_depth - 1, out=whole)
-    return whole.astype(np.uint8 if bit_depth <= 8 else np.uint16)
-
-
-# A parabola through three pixels describes shifts well below a pixel only.
-LARGEST_JITTER_PX = 0.5
-
-
-@dataclass(frozen=True, kw_only=True)
 class Video:
     """Amplifier, low pass and digitiser.
 
     Parameters
     ----------
-    low_pass
-        The filter along lines.
     conversion_gain_dn_per_e
         DN per electron of charge.
     black_level_dn
         Level without charge, DN.
+    bit_depth
+        Bits of the digitiser, at most 16.
+    low_pass
+        Filter along lines.
     gamma
         Exponent y = x^gamma of the signal above black, relative to full scale, dimensionless.
-    bit_depth
-        Bits of the digitiser.
     gain
         Factor of the automatic gain, which acts on signal and noise alike, dimensionless.
     sync_jitter_px
@@ -122,11 +47,11 @@ class Video:
         Standard deviation of an offset common to a line, DN.
     """
 
-    low_pass: VideoFilter
     conversion_gain_dn_per_e: float
     black_level_dn: float
-    gamma: float
     bit_depth: int
+    low_pass: VideoFilter | NoFilter = NoFilter()
+    gamma: float = 1.0
     gain: float = 1.0
     sync_jitter_px: float = 0.0
     line_noise_dn: float = 0.0
@@ -135,9 +60,13 @@ class Video:
     emits: str = "DN"
 
     def __post_init__(self) -> None:
-        refuse_impossible_digitiser(self.bit_depth, self.gamma)
-        if not 0.0 <= self.sync_jitter_px <= LARGEST_JITTER_PX:
-            raise BadInput(f"sync_jitter_px must lie between 0 and {LARGEST_JITTER_PX:g}, got {self.sync_jitter_px:g}")
+        if not 1 <= self.bit_depth <= 16:
+            raise BadInput(f"bit_depth must lie in 1..16, got {self.bit_depth}")
+        if not self.gamma > 0.0:
+            raise BadInput(f"gamma must be positive, got {self.gamma:g}")
+        # A parabola through three pixels describes shifts well below a pixel only.
+        if not 0.0 <= self.sync_jitter_px <= 0.5:
+            raise BadInput(f"sync_jitter_px must lie between 0 and 0.5, got {self.sync_jitter_px:g}")
         if not self.line_noise_dn >= 0.0:
             raise BadInput(f"line_noise_dn must not be negative, got {self.line_noise_dn:g}")
 
@@ -169,6 +98,21 @@ class Video:
         return apply_gamma(signal, self.gamma, self.full_scale_dn - self.black_level_dn) + np.float32(
             self.black_level_dn
         )
+
+
+def apply_gamma(signal: NDArray[np.float32], gamma: float, span_dn: float) -> NDArray[np.float32]:
+    """Return y = x^gamma of a signal above black, relative to the span between black and full scale."""
+    if gamma == 1.0:
+        return signal
+    span = np.float32(span_dn)
+    return span * np.sign(signal) * np.abs(signal / span) ** np.float32(gamma)
+
+
+def digitise(level_dn: NDArray[np.float32], bit_depth: int) -> NDArray[np.unsignedinteger]:
+    """Return whole DN between 0 and full scale, uint8 up to eight bits and uint16 beyond."""
+    whole = np.rint(level_dn)
+    np.clip(whole, 0, 2**bit_depth - 1, out=whole)
+    return whole.astype(np.uint8 if bit_depth <= 8 else np.uint16)
 
 
 def shift_lines(lines: NDArray[np.float32], late_px: NDArray[np.float32]) -> NDArray[np.float32]:

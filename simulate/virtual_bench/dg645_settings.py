@@ -1,17 +1,45 @@
-"""The settings of a Stanford DG645 that are one number each: type, range, factory value and the form of its answer."""
+"""Command language of Stanford Research instruments, and the errors and settings of the DG645."""
 
 import math
 import re
 from dataclasses import dataclass, field
+from enum import IntEnum, IntFlag
 
-ILLEGAL_VALUE, ILLEGAL_MODE, ILLEGAL_DELAY, ILLEGAL_LINK, RECALL_FAILED = 10, 11, 12, 13, 14
-ILLEGAL_COMMAND, UNDEFINED_COMMAND, ILLEGAL_QUERY, ILLEGAL_SET, NULL_PARAMETER = 110, 111, 112, 113, 114
-EXTRA_PARAMETERS, MISSING_PARAMETERS, BAD_FLOAT, BAD_INTEGER = 115, 116, 118, 120
-OVERRUN, TOO_MANY_ERRORS = 171, 254
+
+class Dg645Error(IntEnum):
+    """Codes of the DG645's error queue."""
+
+    ILLEGAL_VALUE = 10
+    ILLEGAL_MODE = 11
+    ILLEGAL_DELAY = 12
+    ILLEGAL_LINK = 13
+    RECALL_FAILED = 14
+    ILLEGAL_COMMAND = 110
+    UNDEFINED_COMMAND = 111
+    ILLEGAL_QUERY = 112
+    ILLEGAL_SET = 113
+    NULL_PARAMETER = 114
+    EXTRA_PARAMETERS = 115
+    MISSING_PARAMETERS = 116
+    BAD_FLOAT = 118
+    BAD_INTEGER = 120
+    OVERRUN = 171
+    TOO_MANY_ERRORS = 254
+
+
+class StandardEvent(IntFlag):
+    """Event status register of IEEE 488.2."""
+
+    OPC = 1
+    QYE = 4
+    DDE = 8
+    EXE = 16
+    CME = 32
+    PON = 128
 
 
 class RefusedCommand(Exception):
-    """The instrument does not do this; `code` goes to its error queue."""
+    """The instrument refuses a command; `code` is its error code or the bit of its status register."""
 
     def __init__(self, code: int) -> None:
         super().__init__(code)
@@ -21,19 +49,21 @@ class RefusedCommand(Exception):
 def numbers(arguments: tuple[str, ...], kinds: tuple[type, ...]) -> list:
     """Read arguments as numbers of the given kinds; a wrong count or form is refused with its own code."""
     if len(arguments) != len(kinds):
-        raise RefusedCommand(MISSING_PARAMETERS if len(arguments) < len(kinds) else EXTRA_PARAMETERS)
+        raise RefusedCommand(
+            Dg645Error.MISSING_PARAMETERS if len(arguments) < len(kinds) else Dg645Error.EXTRA_PARAMETERS
+        )
     return [_number(text, kind) for text, kind in zip(arguments, kinds, strict=True)]
 
 
 def _number(text: str, kind: type) -> float:
     if not text:
-        raise RefusedCommand(NULL_PARAMETER)
+        raise RefusedCommand(Dg645Error.NULL_PARAMETER)
     try:
         value = kind(text)
     except ValueError:
-        raise RefusedCommand(BAD_FLOAT if kind is float else BAD_INTEGER) from None
+        raise RefusedCommand(Dg645Error.BAD_FLOAT if kind is float else Dg645Error.BAD_INTEGER) from None
     if not math.isfinite(value):
-        raise RefusedCommand(BAD_FLOAT)
+        raise RefusedCommand(Dg645Error.BAD_FLOAT)
     return value
 
 

@@ -15,8 +15,7 @@ from simulate.iiccd.effect_bounds.noise_budget import MISSED, UNTOUCHED, Map, No
 from simulate.iiccd.grid import DRAW_MARGIN_PX, SCENE_MARGIN_PX
 from simulate.iiccd.pattern import GRANULARITY_MM
 from simulate.iiccd.stage_image import StageImage
-from simulate.iiccd.transfer import HaloBlur
-from simulate.iiccd.video import Video
+from simulate.iiccd.transfer import HaloBlur, VideoFilter
 
 # Level that one normal number in a thousand exceeds.
 ONE_IN_A_THOUSAND = 3.09
@@ -203,7 +202,7 @@ def _dark_pattern(picture: NoiseBudget) -> float:
 
 def _video(picture: NoiseBudget) -> dict[str, float]:
     video = picture.camera.video()
-    if not isinstance(video, Video):
+    if not isinstance(video.low_pass, VideoFilter):
         return {}
     n, late = picture.expected, video.sync_jitter_px
     beside = np.pad(n, ((0, 0), (1, 1)), mode="edge")

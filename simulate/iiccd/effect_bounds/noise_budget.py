@@ -25,7 +25,6 @@ from simulate.iiccd.grid import DRAW_MARGIN_PX, SCENE_MARGIN_PX
 from simulate.iiccd.microchannel import MicrochannelPlate
 from simulate.iiccd.stage_image import StageImage
 from simulate.iiccd.transfer import StageBlur, product
-from simulate.iiccd.video import Video
 
 # Chance that the largest of a pattern's random numbers lies beyond the one that bounds take.
 MISSED = 0.1
@@ -185,8 +184,7 @@ class NoiseBudget:
     @cached_property
     def line_noise_e(self) -> float:
         """Offset common to a line, e-."""
-        video = self.camera.video()
-        return video.line_noise_dn * self.step_e if isinstance(video, Video) else 0.0
+        return self.camera.video().line_noise_dn * self.step_e
 
     @cached_property
     def electronics(self) -> float:

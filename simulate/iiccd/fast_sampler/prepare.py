@@ -19,7 +19,7 @@ from simulate.iiccd.microchannel import MicrochannelPlate
 from simulate.iiccd.phosphor import PhosphorDecay
 from simulate.iiccd.stage_image import StageImage
 from simulate.iiccd.transfer import StageBlur
-from simulate.iiccd.video import DigitalBackEnd, Video
+from simulate.iiccd.video import Video
 
 # Light that has not come out after the fields that are remembered is less than this share.
 FORGOTTEN = 1e-3
@@ -49,7 +49,7 @@ class CameraStages:
     collection: Chain
     afterglow: PhosphorDecay
     ccd: Ccd
-    video: Video | DigitalBackEnd
+    video: Video
     fields: int
 
     @property
@@ -63,7 +63,7 @@ class CameraStages:
         plate, ccd, video = (chain.part(name, name).stages[0] for name in ("microchannel plate", "ccd", "video"))
         afterglow = chain.part("afterglow", "afterglow").stages[0]
         assert isinstance(plate, MicrochannelPlate) and isinstance(ccd, Ccd) and isinstance(afterglow, PhosphorDecay)
-        assert isinstance(video, Video | DigitalBackEnd)
+        assert isinstance(video, Video)
         return cls(
             plate=plate,
             behind_plate=chain.part("phosphor", "taper"),
@@ -206,7 +206,7 @@ def _ratio(
     return np.divide(out, into, out=np.full(out.shape, average), where=into > 1e-9 * max(float(into.max()), 1e-300))
 
 
-def _impulse(video: Video | DigitalBackEnd) -> tuple[float, ...]:
+def _impulse(video: Video) -> tuple[float, ...]:
     """The filter along a line as it matters, (tap,)."""
     taps = video.low_pass.impulse_response()
     return tuple(float(tap) for tap in taps[: np.flatnonzero(np.abs(taps) > SHORTEST_TAP)[-1] + 1])
@@ -258,8 +258,8 @@ def readout_of(stages: CameraStages, scene: StaticScene) -> Readout:
         counted=counted,
         held=ccd.held if overflows else None,
         impulse=np.array(_impulse(video), np.float32),
-        jitter_px=video.sync_jitter_px if isinstance(video, Video) else 0.0,
-        line_noise_dn=video.line_noise_dn if isinstance(video, Video) else 0.0,
+        jitter_px=video.sync_jitter_px,
+        line_noise_dn=video.line_noise_dn,
         gain_dn_per_e=video.conversion_gain_dn_per_e * video.gain,
         black_dn=video.black_level_dn,
         gamma=video.gamma,
