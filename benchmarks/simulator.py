@@ -63,10 +63,9 @@ def seconds_a_frame(level: float, *, threads: int = 1, tier: Tier | None = None,
     """Median time of a frame of the shipped camera, geometry and local depletion on, nothing left out, s."""
     from labdata.conditions import Conditions
     from labdata.sensors import load_sensor
-    from simulate.cameras import camera_from_description
     from simulate.iiccd import sampler_choice
     from simulate.iiccd.camera import IntensifiedCamera
-    from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons
+    from simulate.iiccd.scene_to_photoelectrons import camera_from_description, mcp_input_from_photoelectrons
 
     sensor = load_sensor("pulnix-ag5745ef3")
     camera = camera_from_description(sensor)

@@ -9,10 +9,9 @@ import numpy as np
 from labdata.conditions import Conditions
 from labdata.sensor import Sensor
 from labdata.sensors import load_camera
-from simulate.cameras import camera_from_description
 from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.sensor_for_renderer import render_sensor_of
-from simulate.outdoor_rendering import OutdoorRendering
+from simulate.iiccd.scene_to_photoelectrons import camera_from_description
+from simulate.outdoor_rendering import OutdoorRendering, render_sensor_of
 from simulate.radiance.lamps import KINDS
 from simulate.radiance.materials.library import material, material_names
 from simulate.radiance.outdoor.description.camera import SceneCamera

@@ -49,7 +49,7 @@ def acquire(
         from charact.cli.benches import acquire_session
         from charact.cli.plan_files import load_plan
         from labdata.serialiser import from_toml
-        from simulate.virtual_bench.fault_script import FaultScript
+        from simulate.virtual_bench.rehearsal import FaultScript
 
         session = acquire_session(
             load_plan(plan),

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from drivers.interface import Camera, Operator
     from drivers.serial_lines.line import InstrumentLine
     from simulate.virtual_bench.bench import VirtualBench
-    from simulate.virtual_bench.fault_script import FaultScript
+    from simulate.virtual_bench.rehearsal import FaultScript
 
 SAFETY_LOG = "safety.jsonl"
 DOSE = "dose.jsonl"

@@ -203,7 +203,7 @@ def _of_scene(asked: SimulationRequest, description: "Description", conditions: 
 
 def night_of(asked: SimulationRequest, description: "Description", conditions: Conditions) -> "OutdoorRendering":
     """Return the scene out of doors that a source is, before its camera; another kind of source is refused."""
-    from simulate.cameras import camera_from_description
+    from simulate.iiccd.scene_to_photoelectrons import camera_from_description
     from simulate.outdoor_rendering import OutdoorRendering
     from simulate.radiance.outdoor.description.scene import OutdoorScene
     from simulate.radiance.scene import load_scene
@@ -223,8 +223,7 @@ def _of_night(
     conditions: Conditions,
     progress: Progress,
 ) -> Shot:
-    from simulate.cameras import camera_from_description
-    from simulate.iiccd.scene_to_photoelectrons import photoelectrons_from_radiance
+    from simulate.iiccd.scene_to_photoelectrons import camera_from_description, photoelectrons_from_radiance
     from simulate.outdoor_rendering import OutdoorRendering
 
     _no_bench(asked, conditions)
@@ -277,8 +276,7 @@ def _select_effects(
     """Return the camera without what this light does not need, and the fields of the shot that say so."""
     from simulate.effect_selection import EffectSelection
     from simulate.iiccd.camera import IntensifiedCamera
-    from simulate.iiccd.effect_bounds.camera_effects import select_camera_effects
-    from simulate.iiccd.effect_bounds.effects import bound_effects
+    from simulate.iiccd.effect_bounds.camera_effects import bound_effects, select_camera_effects
     from simulate.iiccd.effect_bounds.noise_budget import NoiseBudget, per_pixel
 
     exact = asked.tolerance is None
@@ -293,8 +291,7 @@ def _select_effects(
 
 def _of_picture(asked: SimulationRequest, description: "Description", conditions: Conditions) -> Shot:
     from charact.cli.image_source import photoelectrons_of
-    from simulate.cameras import camera_from_description
-    from simulate.iiccd.scene_to_photoelectrons import photoelectrons_from_image
+    from simulate.iiccd.scene_to_photoelectrons import camera_from_description, photoelectrons_from_image
 
     camera = camera_from_description(description)
     image, notes = photoelectrons_of(
@@ -312,8 +309,7 @@ def _of_picture(asked: SimulationRequest, description: "Description", conditions
 
 def _of_cube(asked: SimulationRequest, description: "Description", conditions: Conditions) -> Shot:
     from charact.cli.image_source import cube_of
-    from simulate.cameras import camera_from_description
-    from simulate.iiccd.scene_to_photoelectrons import photoelectrons_from_radiance
+    from simulate.iiccd.scene_to_photoelectrons import camera_from_description, photoelectrons_from_radiance
 
     _no_picture(asked)
     camera = camera_from_description(description)

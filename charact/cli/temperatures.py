@@ -52,7 +52,7 @@ def temperatures(
         from labdata.atomic_write import write_atomically
         from labdata.conditions import Conditions
         from labdata.errors import BadInput
-        from simulate.cameras import camera_from_description
+        from simulate.iiccd.scene_to_photoelectrons import camera_from_description
         from simulate.outdoor_rendering import OutdoorRendering
         from simulate.radiance.scene import LabScene, load_scene
         from simulate.thermal.temperatures import temperatures_of
