@@ -1,9 +1,9 @@
-"""Halo and blooming around a point source that is far too bright."""
+"""Halo and blooming of overexposed point sources and illuminated edges."""
 
 from dataclasses import replace
 
 from charact.bloom.defects import with_sound_pixels
-from charact.bloom.findings import add_findings
+from charact.bloom.extent_measurements import add_findings
 from charact.method import Context, choose
 from labdata.errors import BadInput
 from labdata.measurement import Result
@@ -45,7 +45,7 @@ def measure(session: Session, *, method: str = "auto", within_percent: float = 2
 
 
 def _with_findings(result: Result, notes: tuple[str, ...] = ()) -> Result:
-    """Return a result whose flags come with their effects and remedies."""
+    """Add the effect and the remedy of each flag to a result."""
     forms = result.evidence.get("bloom-forms", {}).get("table", [])
     effects = {"model-misfit": f"rings are off by {forms[0]['off_percent']:.2g} % of their light"} if forms else {}
     out = (add_findings(one.with_(notes=(*one.notes, *notes)), effects) for one in result.measurements)

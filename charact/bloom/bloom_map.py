@@ -1,23 +1,19 @@
-"""Which share of every pixel's signal is blooming: light that entered the camera somewhere else.
-
-Blooming is said once, by where light belongs: the light in a pixel that entered farther than `near_px` from it, plus
-charge that ran into it. Halo and veiling glare are all but wholly of that kind, the wings of the core as far as they
-reach beyond `near_px`, and what a clipped pixel holds beyond its own light is, too. The rest is the picture as sharp as
-the camera makes it, and blur within `near_px` is resolution, which the MTF tells. Who joins two pictures needs just
-this: how much of what a pixel shows speaks of the scene there, and not of the lamp beside it. It needs no dividing line
-between a core's wings and a halo, which no data draw.
-"""
+"""Bloom map: fraction of every pixel's signal that entered the camera elsewhere."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from charact.bloom.clipped_sources import ClippedSource, find_clipped_sources
-from charact.bloom.lattice import FrameGrid, profiles, radial
-from charact.bloom.posterior_psf import PosteriorPsf, nodes
+from charact.bloom.posterior_psf import FrameGrid, PosteriorPsf, nodes, profiles, radial, spread_of
+from charact.method import Context
 from labdata.errors import BadInput
+from labdata.frames import FrameStack
+from labdata.measurement import Posterior, Result
+from labdata.session import Session, StackEntry
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -45,7 +41,7 @@ CLIPPED_SHARE = 0.985
 
 @dataclass(frozen=True, kw_only=True)
 class BloomMap:
-    """The share of every pixel's signal that is blooming.
+    """Fraction of every pixel's signal that is blooming.
 
     Parameters
     ----------
@@ -79,7 +75,7 @@ class BloomMap:
 
     @property
     def unknown(self) -> Mask:
-        """Pixels of which nothing is said."""
+        """Pixels without a result."""
         return np.isnan(self.fraction)
 
 
@@ -95,7 +91,7 @@ def bloom_map(
     most_draws: int = MOST_DRAWS,
     rng: np.random.Generator,
 ) -> BloomMap:
-    """Return the share of every pixel's signal that is blooming.
+    """Return the fraction of every pixel's signal that is blooming.
 
     Parameters
     ----------
@@ -132,7 +128,7 @@ def bloom_map(
     median.
     """
     _check(signal, near_px=near_px, pitch_ratio=pitch_ratio, clip_dn=clip_dn)
-    image, spread = np.asarray(signal, np.float32), spread.thinned(most_draws)
+    image, spread = np.asarray(signal, np.float32), spread.subsample(most_draws)
     noise = pixel_noise(image) if noise_dn is None else np.broadcast_to(np.asarray(noise_dn, np.float32), image.shape)
     if clipped is None:
         clipped = np.zeros(image.shape, bool) if clip_dn is None else image >= CLIPPED_SHARE * clip_dn
@@ -150,10 +146,10 @@ def bloom_map(
     variance = np.maximum(square / count - mean**2, 0.0) + of_noise**2 + LEAST_SD**2
     unknown = image < LIT * noise
     for source in sources:
-        if source.known and source.shape == "patch":
+        if source.has_known_signal and source.shape == "patch":
             rows, cols = np.divmod(source.region, lattice.shape[1])
             variance += PATCH_SD**2 * (_within(rows, cols, PATCH_MARGIN_PX, lattice) & ~clipped)
-        if not source.known:
+        if not source.has_known_signal:
             unknown |= _contaminated_pixels(source, image, spread.centre(), lattice, halo_px)
     return BloomMap(
         fraction=np.where(unknown, np.nan, mean).astype(np.float32),
@@ -177,7 +173,7 @@ def _check(signal: NDArray, *, clip_dn: float | None, **positive: float) -> None
 
 
 def pixel_noise(image: NDArray) -> NDArray[np.float32]:
-    """Standard deviation of every pixel's noise, DN, shape (row, col): its variance grows in proportion to the light.
+    """Estimate every pixel's noise, DN, shape (row, col); its variance is linear in the signal.
 
     Found from second differences along rows, of pixels so far apart that blur does not tie their noise, in groups of
     like light.
@@ -197,17 +193,22 @@ def pixel_noise(image: NDArray) -> NDArray[np.float32]:
 
 
 def _draws(
-    image: NDArray, clipped: Mask, clip_dn: float | None, sources: tuple[ClippedSource, ...], spread: PosteriorPsf, lattice: FrameGrid,
+    image: NDArray,
+    clipped: Mask,
+    clip_dn: float | None,
+    sources: tuple[ClippedSource, ...],
+    spread: PosteriorPsf,
+    lattice: FrameGrid,
     near_px: float,
-) -> Iterator[tuple[NDArray, NDArray]]:  # fmt: skip
-    """Light that does not belong, and all light, of every pixel, draw by draw."""
+) -> Iterator[tuple[NDArray, NDArray]]:
+    """Blooming and total signal of every pixel, draw by draw."""
     background, glare = float(np.median(image)), np.asarray(spread.glare_fraction)
     tables = _Tables(
         whole=spread.transfer(lattice.frequency),
         near=spread.transfer(nodes()[0]) @ _near_transform(lattice.frequency, near_px),
         profile=(profiles(spread) * lattice.pitch_ratio).astype(np.float32),
     )
-    known = [source for source in sources if source.known]
+    known = [source for source in sources if source.has_known_signal]
     prints = [_footprint(source, lattice) for source in known]
     for draw in range(len(spread)):
         hidden, hidden_near = np.zeros_like(image), np.zeros_like(image)
@@ -223,7 +224,7 @@ def _draws(
                      float(rest.sum()) + background * image.size, light, image.size)  # fmt: skip
         whole, near = tables.whole[draw], tables.near[draw]
         ratio = (near * whole + LEAST_TRANSFER**2) / (whole**2 + LEAST_TRANSFER**2)
-        belongs = lattice.filtered(lattice.forward_transform(rest), ratio) + np.float32(ratio[0] * (background - veil))
+        belongs = lattice.filter(lattice.forward_transform(rest), ratio) + np.float32(ratio[0] * (background - veil))
         total = image
         if clipped.any():
             total = np.where(clipped, np.maximum(hidden + np.float32(background), np.float32(clip_dn or 0.0)), image)
@@ -232,7 +233,7 @@ def _draws(
 
 @dataclass(frozen=True, kw_only=True)
 class _Tables:
-    """Of every draw: transfer of all light and of that which stays near, against frequency; density over distance."""
+    """Per draw: transfer functions of the whole PSF and of its part near the centre, and PSF by distance."""
 
     whole: Array
     near: Array
@@ -240,13 +241,13 @@ class _Tables:
 
 
 def _veil(glare: float, area: float, rest: float, hidden: float, pixels: int) -> float:
-    """Glare in every pixel, DN, of a frame with so much light outside and inside of clipped sources."""
+    """Veiling glare per pixel, DN, for given signals outside and inside of clipped sources."""
     outside = rest / (1.0 - glare + glare * min(1.0, pixels / area))
     return glare * (outside + hidden) / area
 
 
 def _footprint(source: ClippedSource, lattice: FrameGrid) -> tuple[slice, slice, NDArray[np.float32] | None]:
-    """Where a source's light lands, and the distances from it there; None for a patch, which lands anywhere."""
+    """Pixels lit by a source, and their distances from it; None for a patch, which covers the frame."""
     if source.shape != "point":
         return slice(None), slice(None), None
     rows, cols = lattice.around(source.row, source.col)
@@ -261,15 +262,17 @@ def _of_source(
     lattice: FrameGrid,
     near_px: float,
 ) -> tuple[NDArray, NDArray]:
-    """What one unit of a source's light leaves in the frame, all of it and what belongs where it is."""
+    """Image of a unit source: in total, and the part that belongs to its pixels."""
     if radius is None:
-        return lattice.patch(source.lit, tables.whole[draw]), lattice.patch(source.lit, tables.near[draw])
+        return lattice.patch(source.illuminated_pixels, tables.whole[draw]), lattice.patch(
+            source.illuminated_pixels, tables.near[draw]
+        )
     found = radial(radius, tables.profile[draw])
     return found, found * (radius <= near_px)
 
 
 def _near_transform(frequency: Array, near_px: float) -> Array:
-    """Takes a transfer on `nodes` to the transform of its spread's part within a distance, shape (node, frequency)."""
+    """Matrix from a transfer function on `nodes` to that of the PSF within a distance, shape (node, frequency)."""
     from scipy.special import j0
 
     steps = 48
@@ -283,7 +286,7 @@ def _near_transform(frequency: Array, near_px: float) -> Array:
 def _contaminated_pixels(
     source: ClippedSource, image: NDArray, one: PosteriorPsf, lattice: FrameGrid, halo_px: float
 ) -> Mask:
-    """Pixels of which a source of unknown light may make up more than `REACHED`: no ring holds less than its light."""
+    """Pixels in which a source of unknown signal may exceed `REACHED` of the total."""
     rows, cols = np.divmod(source.region, lattice.shape[1])
     near, away = _within(rows, cols, halo_px, lattice), lattice.distance(source.row, source.col)
     veil = float(np.asarray(one.glare_fraction)[0]) / (one.glare_area_px or float(image.size))
@@ -293,7 +296,7 @@ def _contaminated_pixels(
         share, least = radial(away, profile), radial(away + SMALLER_PX, profile)
         clear = ~_within(rows, cols, SMALLER_PX + 1.0, lattice)
     else:
-        share = least = lattice.patch(source.lit, one.transfer(lattice.frequency)[0])
+        share = least = lattice.patch(source.illuminated_pixels, one.transfer(lattice.frequency)[0])
         clear = ~_within(rows, cols, PATCH_MARGIN_PX, lattice)
     share, least = np.maximum(share, 0.0) + veil, np.maximum(least, 0.0) + veil
     ring = (away / RING_PX).astype(int).ravel()
@@ -305,7 +308,7 @@ def _contaminated_pixels(
 
 
 def _within(rows: NDArray, cols: NDArray, reach: float, lattice: FrameGrid) -> Mask:
-    """Pixels within a distance of any of some pixels."""
+    """Pixels within a distance of given pixels."""
     from scipy import ndimage
 
     away = np.ones(lattice.shape, bool)
@@ -315,8 +318,127 @@ def _within(rows: NDArray, cols: NDArray, reach: float, lattice: FrameGrid) -> M
 
 
 def _near_border(lattice: FrameGrid, halo_px: float) -> Mask:
-    """Pixels nearer to the border than the halo is wide."""
+    """Pixels closer to the border than the halo radius."""
     out = np.ones(lattice.shape, bool)
     down, across = int(np.ceil(halo_px / lattice.pitch_ratio)), int(np.ceil(halo_px))
     out[down : lattice.shape[0] - down, across : lattice.shape[1] - across] = False
     return out
+
+
+# Share of the frames at the highest code from which on the mean of a pixel says less than its light.
+CLIPPED_FRAMES = 0.02
+
+
+def spread_from(result: Result, *, area_px: float, pitch_ratio: float = 1.0, rng: np.random.Generator) -> PosteriorPsf:
+    """Return the point spread functions described by the measurements of a point series.
+
+    Parameters
+    ----------
+    result
+        Of `charact.bloom.measure`.
+    area_px
+        Pixels of a frame, over which the veiling glare is spread.
+    pitch_ratio
+        Row pitch over column pitch.
+    rng
+        Generator of the glare's draws.
+
+    Raises
+    ------
+    BadInput
+        If no method gave the posterior of core and halo.
+    """
+    posterior = _posterior(result)
+    found = [m for m in result.find("veiling_glare") if m.value is not None and m.interval68 is not None]
+    glare = np.zeros(len(posterior.draws))
+    if found and found[0].value is not None and found[0].interval68 is not None:
+        low, high = found[0].interval68
+        glare = 0.01 * np.clip(rng.normal(found[0].value, 0.5 * (high - low), len(glare)), 0.0, 99.0)
+    return spread_of(posterior, pitch_ratio=pitch_ratio, glare_fraction=glare, glare_area_px=area_px)
+
+
+def _posterior(result: Result) -> Posterior:
+    """The posterior of core and halo."""
+    for one in result.find("halo_fraction") + result.find("halo_diameter"):
+        if one.posterior is not None and "halo_fraction" in one.posterior.names:
+            return one.posterior
+    reasons = [str(m.reason) for m in result.find("halo_diameter") if m.reason]
+    raise BadInput(f"a bloom map needs the halo of a point series: {'; '.join(reasons) or 'none was measured'}")
+
+
+def map_of(session: Session, result: Result, *, label: str | None = None, context: Context) -> tuple[BloomMap, NDArray]:
+    """Return the bloom map of a stack's mean frame, and that frame above dark, shape (row, col), DN.
+
+    Parameters
+    ----------
+    session
+        Session with the stack, a point series and, better, darks.
+    result
+        What `charact.bloom.measure` found in it.
+    label
+        Stack; None: the scene, else the point source with most light.
+    context
+        Seed, full scale and pitches.
+
+    Raises
+    ------
+    BadInput
+        If there is no such stack, or the session told no halo.
+    """
+    entry = _entry(session, label)
+    stack = entry.read()
+    full = _full_scale(stack, context)
+    dark = _dark_dn(session, entry, stack)
+    rng = np.random.default_rng(context.seed)
+    signal = stack.data.mean(axis=0, dtype=np.float64) - dark
+    spread = spread_from(result, area_px=float(signal.size), pitch_ratio=context.pitch_ratio, rng=rng)
+    clipped = (stack.data >= full).mean(axis=0) > CLIPPED_FRAMES
+    found = bloom_map(signal, spread, clip_dn=full - dark, clipped=clipped, pitch_ratio=context.pitch_ratio, rng=rng)
+    return found, signal
+
+
+def _entry(session: Session, label: str | None) -> StackEntry:
+    """The requested stack, or the default one."""
+    if label is not None:
+        found = [entry for entry in session.stacks if entry.label == label]
+        if not found:
+            names = ", ".join(entry.label for entry in session.stacks)
+            raise BadInput(f"the stack of a map must be one of {names}, got {label!r}")
+        return found[0]
+    scenes = session.of_kind("scene")
+    found = scenes or session.of_kind("point")
+    if not found:
+        raise BadInput("a bloom map needs a stack of kind scene or point")
+    return max(found, key=lambda entry: (entry.conditions.illuminance_lux or 0.0) * (entry.conditions.gate_ns or 1.0))
+
+
+def _full_scale(stack: FrameStack, context: Context) -> float:
+    told = context.full_scale_dn if context.full_scale_dn is not None else stack.full_scale_dn
+    return float(told if told is not None else stack.data.max())
+
+
+def _dark_dn(session: Session, entry: StackEntry, stack: FrameStack) -> float:
+    """Black level: that of matching darks, as recorded, else the first percentile of the frame, DN."""
+    dark = session.dark_like(entry.conditions)
+    if dark is not None:
+        return dark.read().mean_dn
+    if stack.black_level_dn is not None:
+        return float(stack.black_level_dn)
+    return float(np.percentile(stack.data, 1.0))
+
+
+def evidence_of(found: BloomMap, signal: NDArray) -> dict[str, Any]:
+    """Figure data of a map for `charact.report.bloom_images.bloom_map`."""
+    return {
+        "figure": "bloom-map",
+        "signal_dn": signal,
+        "fraction": found.fraction,
+        "sd": found.sd,
+        "clipped": found.clipped,
+        "near_px": found.near_px,
+        "sources": [
+            {"row": s.row, "col": s.col, "shape": s.shape, "known": s.has_known_signal, "reason": s.reason,
+             "light_dn_px": float(np.median(s.light_dn_px))}
+            for s in found.sources
+        ],
+    }  # fmt: skip

@@ -1,16 +1,14 @@
-"""What lies along columns and not around the source: charge that overflows from full wells, and smear of reading.
-
-Optics, tube and glare are round: at equal distance a source lights what is above it as it lights what is beside it.
-Only the detector, which moves charge along columns, makes the one brighter than the other.
-"""
+"""Column artefacts: streaks of overflowing wells, smear, and the noise of the mean frame around them."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.bloom.point_stack import PointStack
+from charact.bloom.point_stack import DETECTED, PointStack
 from charact.method import Context
+from labdata.measurement import Measurement, make_refusal, measurement_from_sd
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -35,7 +33,7 @@ HARMLESS = 30.0
 
 @dataclass(frozen=True, kw_only=True)
 class ColumnArtefacts:
-    """Light above and below a source beyond what lies at the same distance to its left and right.
+    """Signal above and below a source in excess of that at the same distance left and right.
 
     Parameters
     ----------
@@ -60,7 +58,7 @@ class ColumnArtefacts:
 
 
 def column_artefact_mask(spot: PointStack, context: Context) -> Mask:
-    """Tell the pixels of a stack's mean frame that overflow or smear has made brighter.
+    """Return the pixels of a mean frame that column blooming or smear has brightened.
 
     Parameters
     ----------
@@ -101,7 +99,7 @@ def column_artefact_mask(spot: PointStack, context: Context) -> Mask:
 
 
 def compare_columns(spot: PointStack, context: Context, *, half_width_px: int | None = None) -> ColumnArtefacts:
-    """Compare the columns near the source with what lies at the same distance beside it.
+    """Compare the columns near the source with pixels at the same distance left and right.
 
     Parameters
     ----------
@@ -131,7 +129,7 @@ def compare_columns(spot: PointStack, context: Context, *, half_width_px: int | 
 
 
 def _half_width(spot: PointStack) -> int:
-    """Columns on either side that may spill or smear: those that are bright in the source's own rows, and some more."""
+    """Columns on either side that may overflow or smear: those bright in the source's rows, with a margin."""
     row, col = round(spot.row), round(spot.col)
     near = spot.image[max(0, row - 1) : row + 2].mean(axis=0)
     bright = near - spot.dark_dn > 0.5 * min(near.max() - spot.dark_dn, 0.5 * (spot.full_scale_dn - spot.dark_dn))
@@ -141,7 +139,7 @@ def _half_width(spot: PointStack) -> int:
 
 
 def _horizontal_profile(image: Array, dx: Array, dy: Array, radius: Array) -> tuple[Array, Array]:
-    """Mean and scatter of pixels at each whole distance left and right of the source; where they differ, the fainter's.
+    """Mean and scatter of pixels by distance left and right of the source; the fainter side where they differ.
 
     Only what is nearer in rows than in columns counts, for there no column of the source passes.
     """
@@ -174,7 +172,7 @@ def _horizontal_profile(image: Array, dx: Array, dy: Array, radius: Array) -> tu
 
 
 def _block_factor(image: Array) -> float:
-    """How much the noise of neighbouring rows adds up: noise shared by them, and columns that differ."""
+    """Variance of the mean of neighbouring rows over that of independent rows."""
     rows = image.shape[0] // BLOCK_ROWS * BLOCK_ROWS
     if rows < 4 * BLOCK_ROWS or image.shape[1] < 4:
         return 2.0
@@ -186,7 +184,7 @@ def _block_factor(image: Array) -> float:
 
 
 def _reach(found: ColumnArtefacts, side: int) -> tuple[Array, Array]:
-    """How far each column stays brighter on one side of the source than what is beside it, px, 0 where it does not.
+    """Distance over which each column stays brighter than its surroundings on one side, px, and its significance.
 
     And by how many standard errors it does so on average in the outer half of its rows; NaN where there are too few.
     """
@@ -211,7 +209,7 @@ def _reach(found: ColumnArtefacts, side: int) -> tuple[Array, Array]:
 
 
 def _around(bright: Mask, place: int) -> Mask:
-    """Those of a row of yes and no that hang together with a place, which may itself be off by one."""
+    """The run of true values through a position, which may be off by one."""
     out = np.zeros(bright.shape, bool)
     near = [one for one in (place, place - 1, place + 1) if 0 <= one < len(bright) and bright[one]]
     if not near:
@@ -226,6 +224,248 @@ def _around(bright: Mask, place: int) -> Mask:
 
 
 def _shift_columns(values: Array, by: int) -> Array:
+    """Shift an array by one column; the first or last column becomes zero."""
     out = np.roll(values, by, axis=-1)
     out[..., 0 if by > 0 else -1] = 0.0
     return out
+
+
+# Pixels along a side of the patches whose means scatter as light does, blur after the gain or not.
+PATCH_PX = 6
+# Share of the columns nearest to the source that are left out: its halo and its column lie there.
+NEAR_SHARE = 0.6
+# Light over dark below which noise tells nothing of light, DN.
+LEAST_LIGHT_DN = 0.5
+ROUNDING_VARIANCE = 1.0 / 12.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeanFrameNoise:
+    """Noise of a mean frame.
+
+    Parameters
+    ----------
+    floor_variance
+        Variance of a pixel of the background, DN^2.
+    per_light
+        Variance of a pixel over its light, DN; 0 where the background holds too little light to tell.
+    neighbours
+        Variance of the sum of many neighbouring pixels over that of as many independent ones, dimensionless.
+    background_dn
+        Level of the background over dark, DN.
+    """
+
+    floor_variance: float
+    per_light: float
+    neighbours: float
+    background_dn: float
+
+    def pixel_variance(self, light_dn: float) -> float:
+        """Variance of a pixel at a signal above dark, DN^2."""
+        return self.floor_variance + self.per_light * max(light_dn - self.background_dn, 0.0)
+
+    def sum_variance(self, light_dn: float) -> float:
+        """Variance of the total signal of a spot, DN^2."""
+        return self.neighbours * self.per_light * max(light_dn, 0.0)
+
+
+def grain_of(image: Array, col: float, dark_dn: float) -> MeanFrameNoise:
+    """Estimate the noise of a mean frame far from a source.
+
+    Parameters
+    ----------
+    image
+        Mean frame, shape (row, col), DN.
+    col
+        Column of the source, px.
+    dark_dn
+        Level without light, DN.
+
+    Notes
+    -----
+    The scatter of patches is that of frames and of fixed pattern alike: both make one frame differ from its truth.
+    """
+    rows, cols = (n // PATCH_PX * PATCH_PX for n in image.shape)
+    tiles = image[:rows, :cols].reshape(rows // PATCH_PX, PATCH_PX, cols // PATCH_PX, PATCH_PX)
+    patches = tiles.mean(axis=(1, 3))
+    along = np.abs(PATCH_PX * (np.arange(patches.shape[1]) + 0.5) - col)
+    far = np.flatnonzero(along >= np.quantile(along, NEAR_SHARE))
+    # Differences of neighbours leave gradients out, medians other sources.
+    pairs = far[:-1][np.diff(far) == 1]
+    patch = 0.5 * _robust(patches[:, pairs + 1] - patches[:, pairs]) ** 2
+    single = float(np.median(tiles.var(axis=(1, 3), ddof=1)[:, far])) + patch
+    floor = max(single, 0.1 * ROUNDING_VARIANCE)
+    background = float(np.median(patches[:, far])) - dark_dn
+    told = background > LEAST_LIGHT_DN
+    return MeanFrameNoise(
+        floor_variance=floor,
+        per_light=floor / background if told else 0.0,
+        neighbours=float(np.clip(PATCH_PX**2 * patch / floor, 1.0, 12.0)),
+        background_dn=max(background, 0.0),
+    )
+
+
+def _robust(values: Array) -> float:
+    """Standard deviation from the median of absolute values."""
+    return 1.4826 * float(np.median(np.abs(values))) if values.size else 0.0
+
+
+# A column of full wells is at least this share of full scale brighter than what lies beside the source ...
+LEAST_SHARE = 0.2
+# ... where the source's own light is no more than this share of it.
+STREAK_ROUND_SHARE = 0.15
+LEAST_ROWS = 3
+# Light even from top to bottom is a streak from this share of full scale on: digitisers see that of full wells.
+FULL_SHARE = 0.5
+# Longer columns may be streaks, as long as their charge.
+SPILL_ROWS = 12
+# Counting whole rows: an even error of half a row at either end, whatever the noise.
+COUNTING_PX = 2.0 / np.sqrt(12.0) / np.sqrt(2.0)
+# Distance from the middle between two columns within which either may be the source's, px.
+COLUMN_PX = 0.15
+# Rows by which a streak may be longer above than below, and share of its length.
+UNEVEN_PX, UNEVEN_SHARE = 4.0, 0.2
+
+
+@dataclass(frozen=True, kw_only=True)
+class Streak:
+    """Streak of one source.
+
+    Parameters
+    ----------
+    length_px, length_sd_px
+        Rows of the source's column at or above half of full scale, the core counted, and their standard error; 0 where
+        none is.
+    overflows
+        Whether wells overflow: the column is bright far beyond what lies at the same distance beside the source.
+    level_dn, level_sd_dn
+        Level over dark at which the wells are full, DN; NaN where none overflow.
+    clipped
+        Whether that level is the highest code, so that the wells hold at least so much.
+    meets_border, uneven
+        Whether the streak ends at the frame's border; whether it is longer on one side, as no overflow is.
+    """
+
+    length_px: float
+    length_sd_px: float
+    overflows: bool
+    level_dn: float
+    level_sd_dn: float
+    clipped: bool
+    meets_border: bool
+    uneven: bool
+
+
+def streak_of(spot: PointStack, context: Context) -> Streak:
+    """Measure the column of a source.
+
+    Notes
+    -----
+    Charge beyond the full well goes half up and half down until every well holds it, so that the column is full to
+    sharp ends, the last pixels partly filled. Rows count as far as the noise leaves it sure that their mean is above
+    the level. In interlaced frames the two fields overflow each by itself: near the ends every second row counts.
+    """
+    found = compare_columns(spot, context)
+    grain = grain_of(spot.image, spot.col, spot.dark_dn)
+    length, sd = _rows_above(spot, grain, round(spot.col))
+    other = round(spot.col) + (1 if spot.col > round(spot.col) else -1)
+    if 0.5 - abs(spot.col - round(spot.col)) < COLUMN_PX and 0 <= other < spot.image.shape[1]:
+        sd = float(np.hypot(sd, 0.5 * abs(length - _rows_above(spot, grain, other)[0])))
+    above, below = (_full_rows(spot, found, side) for side in (-1, 1))
+    full = np.concatenate([above, below])
+    rows = spot.image.shape[0]
+    meets = bool(len(full)) and bool(full.min() == 0 or full.max() == rows - 1)
+    level = spot.image[full, round(spot.col)] - spot.dark_dn if len(full) else np.full(1, np.nan)
+    value = float(np.median(level))
+    spread = 1.4826 * float(np.median(np.abs(level - value)))
+    error = 1.25 * max(spread, 1.0 / np.sqrt(12.0 * spot.frames)) / np.sqrt(len(level))
+    ends = [float(np.abs(found.row_offset[side]).max()) if len(side) else 0.0 for side in (above, below)]
+    return Streak(
+        length_px=length,
+        length_sd_px=sd,
+        overflows=len(full) >= LEAST_ROWS,
+        level_dn=value,
+        level_sd_dn=error,
+        clipped=len(full) > 0 and value > spot.full_scale_dn - spot.dark_dn - max(1.0, 4.0 * spread),
+        meets_border=meets,
+        uneven=not meets and abs(ends[0] - ends[1]) > UNEVEN_PX + UNEVEN_SHARE * max(ends),
+    )
+
+
+def _rows_above(spot: PointStack, grain: MeanFrameNoise, col: int) -> tuple[float, float]:
+    """Number of rows of a column with a mean at or above half of full scale, and its standard error."""
+    from scipy.special import ndtr
+
+    half = 0.5 * (spot.full_scale_dn - spot.dark_dn)
+    share = ndtr((spot.image[:, col] - spot.dark_dn - half) / np.sqrt(grain.pixel_variance(half)))
+    rows = float(share.sum())
+    counted = float((share * (1.0 - share)).sum()) * grain.neighbours
+    # All light of the column ends up in the streak, so its length scatters as that light does.
+    spilled = float(grain.sum_variance(half * rows)) / (2.0 * half) ** 2 if rows > SPILL_ROWS else 0.0
+    frames = spot.frame_streak_px
+    seen = float(frames.var(ddof=1)) / len(frames) if len(frames) > 1 else 0.0
+    return rows, float(np.sqrt(max(counted, spilled, seen) + COUNTING_PX**2))
+
+
+def _full_rows(spot: PointStack, found: ColumnArtefacts, side: int) -> NDArray[np.int64]:
+    """Rows above (-1) or below (1) the source with full wells; partly filled ends excluded."""
+    outward = np.flatnonzero(found.row_offset * side >= FIRST_ROW_PX)[::side]
+    place = int(np.clip(round(spot.col) - found.first_col, 0, found.sd_dn.shape[1] - 1))
+    excess, light = found.excess_dn[outward, place], found.round_dn[outward, place]
+    if len(outward) < LEAST_ROWS + 1:
+        return outward[:0]
+    top = float(np.sort(excess)[-2])
+    if top < LEAST_SHARE * (spot.full_scale_dn - spot.dark_dn):
+        return outward[:0]
+    # Smear lies evenly on the whole column: what the last rows hold is no streak, unless it is all there is and so
+    # bright that the wells may be full.
+    even = float(np.median(excess[-max(4, len(excess) // 8) :]))
+    if even > 0.5 * top and even < FULL_SHARE * (spot.full_scale_dn - spot.dark_dn):
+        return outward[:0]
+    floor = even if even <= 0.5 * top else 0.0
+    bright = (excess - floor > 0.8 * (top - floor)) & (light < STREAK_ROUND_SHARE * top)
+    return outward[bright]
+
+
+def streak_measurements(spot: PointStack, context: Context, **fields: Any) -> list[Measurement]:
+    """Return length and signal of one stack's streak.
+
+    The length is defined whether wells overflow or not: it is a chord of the bloom then. A level is refused where none
+    overflow, for there is nothing that it would be the level of.
+    """
+    level = spot.dark_dn + 0.5 * (spot.full_scale_dn - spot.dark_dn)
+    common = {"stack": spot.label, **fields}
+    if spot.significance < DETECTED:
+        reason = f"no point source: the brightest spot stands {spot.significance:.1f} standard deviations out, not 8"
+        names = (("streak_length", "px"), ("streak_level", "DN"))
+        return [make_refusal(name, unit, reason, **common) for name, unit in names]
+    streak = streak_of(spot, context)
+    flags = ("window-too-small",) if streak.meets_border or spot.touches_border else ()
+    flags += ("several-targets",) if streak.uneven else ()
+    if streak.length_px < 0.5:
+        reason = f"the source stays below half of full scale, {level:.4g} DN"
+        length = make_refusal("streak_length", "px", reason, **common)
+    else:
+        sd = streak.length_sd_px if spot.dark_known else float(np.hypot(streak.length_sd_px, _lower_rows(spot) / 1.96))
+        length = measurement_from_sd("streak_length", "px", streak.length_px, sd, flags=flags, **common)
+    return [length, _level(streak, flags, **common)]
+
+
+def _lower_rows(spot: PointStack) -> float:
+    """Additional rows of the streak if the black level is 0 instead of the frame's median."""
+    column = spot.image[:, int(np.clip(round(spot.col), 0, spot.image.shape[1] - 1))]
+    return float((column >= 0.5 * spot.full_scale_dn).sum()) - spot.streak_px
+
+
+def _level(streak: Streak, flags: tuple[str, ...], **common: Any) -> Measurement:
+    if not streak.overflows:
+        reason = "no wells overflow: above and below the source it is no brighter than beside it"
+        return make_refusal("streak_level", "DN", reason, **common)
+    if streak.clipped and streak.meets_border:
+        reason = "the column is at the highest code up to the frame's border: a streak and smear look alike there"
+        return make_refusal("streak_level", "DN", reason, **common)
+    if streak.clipped:
+        flags += ("clipped",)
+        note = "the wells hold at least so much: the streak is at the highest code"
+        common["notes"] = (*common.get("notes", ()), note)
+    return measurement_from_sd("streak_level", "DN", streak.level_dn, streak.level_sd_dn, flags=flags, **common)

@@ -1,18 +1,11 @@
-"""Where the light around a source falls through a level: a smooth contour fitted to the pixels next to it.
-
-The mean frame frays where the light falls slowly, and pixels are coarse where it falls fast. So the logarithm of what
-the signal is above its surroundings is fitted near the contour by a polynomial of the distance with the first two
-harmonics of the direction, the data being the signal as the highest code cuts it; the contour and its area follow
-without counting pixels.
-"""
+"""Contour of a source's signal at a threshold, fitted to the adjacent pixels."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.bloom.pixel_noise import PixelNoise, mean_with_clipping
-from charact.bloom.polar import Polar
+from charact.bloom.source_view import PixelNoise, Polar, mean_with_clipping
 
 Array = NDArray[np.float64]
 
@@ -41,7 +34,7 @@ DIRECTIONS = np.linspace(-np.pi, np.pi, 72, endpoint=False)
 
 @dataclass(frozen=True, kw_only=True)
 class Contour:
-    """A closed contour around a source.
+    """Closed contour around a source.
 
     Parameters
     ----------
@@ -68,14 +61,24 @@ class Contour:
         return polar.radius <= np.interp(angle, DIRECTIONS, self.radius, period=2 * np.pi)
 
     def shift(self) -> tuple[float, float]:
-        """How far its middle lies from where it was looked for, rows and columns, column pitches."""
+        """Offset of the centre of the contour from the assumed one, rows and columns, column pitches."""
         down, along = (2.0 * float((self.radius * wave(DIRECTIONS)).mean()) for wave in (np.sin, np.cos))
         return down, along
 
 
-def fit_contour(signal: Array, polar: Polar, profile: tuple[Array, Array], level: float, radius: float, noise: PixelNoise,
-                top: float, sectors: NDArray[np.bool_], *, width: float = 1.0) -> Contour | None:  # fmt: skip
-    """Fit the contour of a level near a radius; None where the pixels there do not fall through it.
+def fit_contour(
+    signal: Array,
+    polar: Polar,
+    profile: tuple[Array, Array],
+    level: float,
+    radius: float,
+    noise: PixelNoise,
+    top: float,
+    sectors: NDArray[np.bool_],
+    *,
+    width: float = 1.0,
+) -> Contour | None:
+    """Fit the contour at a threshold near a radius; None where the pixels there do not cross it.
 
     Parameters
     ----------
@@ -132,14 +135,14 @@ def fit_contour(signal: Array, polar: Polar, profile: tuple[Array, Array], level
 
 
 def _surroundings(profile: tuple[Array, Array], level: float, radius: float) -> float:
-    """Level that the light falls towards just outside, DN over dark: that of a halo or of the background."""
+    """Signal just outside the contour, DN above dark: halo or background."""
     outside = (profile[0] > radius) & (profile[0] < radius + SURROUNDINGS_PX)
     return float(np.clip(SURROUNDINGS_SHARE * profile[1][outside].min(initial=level), 0.0, 0.8 * level))
 
 
 def _near(polar: Polar, profile: tuple[Array, Array], levels: tuple[float, float], radius: float,
           sectors: NDArray[np.bool_], widths: tuple[float, float]) -> NDArray[np.bool_]:  # fmt: skip
-    """Pixels whose ring is near the radius and whose signal is near the level."""
+    """Pixels with a ring near the radius and a signal near the threshold."""
     (level, base), (width, nearest) = levels, widths
     apart = np.abs(polar.radius - radius)
     pixels = (apart < max(width * HALF_WIDTH_PX, width * 0.08 * radius, nearest)) & sectors[polar.sector]
@@ -150,7 +153,7 @@ def _near(polar: Polar, profile: tuple[Array, Array], levels: tuple[float, float
 
 
 def _terms(radius: float, pixels: int, *, bends: bool, round_only: bool) -> tuple[str, ...]:
-    """Which terms the pixels next to a contour of this radius can tell: a small one is round, a part of one as well."""
+    """Select the terms that the pixels near a contour of this radius can determine."""
     if radius <= 2.0 or pixels < 20:
         return FEW if pixels >= 8 else FEW[:2]
     return FEW + (BENT if bends else ()) + (() if round_only else OVAL)
@@ -160,20 +163,20 @@ FEW, BENT, OVAL = ("1", "t", "x", "y"), ("tt",), ("xx-yy", "2xy")
 
 
 def _basis(x: Array, y: Array, terms: tuple[str, ...]) -> Array:
-    """Terms of the squared distance t over the radius's less 1, and of the direction; shape (.., term)."""
+    """Terms in the relative squared distance, (r/r0)^2 - 1, and in the direction, shape (.., term)."""
     t = x**2 + y**2 - 1.0
     known = {"1": np.ones_like(x), "t": t, "x": x, "y": y, "tt": t**2, "xx-yy": x**2 - y**2, "2xy": 2 * x * y}
     return np.stack([known[term] for term in terms], axis=-1)
 
 
 def _scatter(scores: Array, tied: float) -> Array:
-    """Scatter of the sum of scores, from pixels whose noise is tied."""
+    """Covariance of the sum of scores of pixels with correlated noise."""
     spare = max(len(scores) - min(scores.shape[1], len(scores) - 1), 1)
     return scores.T @ scores * tied * len(scores) / spare
 
 
 def _solve_contour(beta: Array, covariance: Array, radius: float, terms: tuple[str, ...]) -> Contour | None:
-    """Follow the fitted signal to the level in every direction, with the errors that follow from its coefficients'."""
+    """Solve for the contour radius in every direction, and propagate the covariance of the coefficients."""
     t = np.zeros(len(DIRECTIONS))
     bend = float(beta[terms.index("tt")]) if "tt" in terms else 0.0
     for _ in range(NEWTON_STEPS):
@@ -200,6 +203,6 @@ def _solve_contour(beta: Array, covariance: Array, radius: float, terms: tuple[s
 
 
 def _along(t: Array, terms: tuple[str, ...]) -> Array:
-    """Terms in every direction at the squared distances t, shape (direction, term)."""
+    """Terms in every direction at squared distances t, shape (direction, term)."""
     reach = np.sqrt(np.maximum(1.0 + t, 0.05))
     return _basis(reach * np.cos(DIRECTIONS), reach * np.sin(DIRECTIONS), terms)

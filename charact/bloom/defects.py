@@ -1,7 +1,4 @@
-"""Stuck, hot and blinking pixels and particle hits in a point series, replaced by their neighbours.
-
-No optics lights one pixel and leaves its neighbours dark, and darks show no source: what does is the detector's.
-"""
+"""Defective pixels and particle hits in a point series, replaced by their neighbours' mean."""
 
 from dataclasses import dataclass, fields, replace
 
@@ -25,7 +22,7 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, kw_only=True)
 class SoundEntry(StackEntry):
-    """A stack whose misbehaving pixels are read as the mean of their neighbours.
+    """Stack that is read with its defective pixels replaced.
 
     Parameters
     ----------
@@ -39,13 +36,13 @@ class SoundEntry(StackEntry):
     bad: Mask
 
     def read(self, plane: str | None = None) -> FrameStack:
-        """Return the frames, misbehaving pixels replaced."""
+        """Return the frames with defective pixels replaced."""
         stack = self.entry.read() if plane is None else self.entry.read(plane)
         return replace(stack, data=replace_bad_pixels(np.asarray(stack.data), self.bad))
 
 
 def with_sound_pixels(session: Session) -> tuple[Session, int]:
-    """Return a session whose darks and point stacks read without misbehaving pixels, and the number of those pixels.
+    """Return a session whose darks and point stacks are read without defective pixels, and the number of those pixels.
 
     Parameters
     ----------
@@ -73,7 +70,7 @@ def bad_pixels(entry: StackEntry, shape: tuple[int, ...]) -> Mask:
 
 
 def _hot(session: Session) -> Mask:
-    """Pixels that stand out of a dark and of the faintest point stack: pulses of a tube stand out of one of both."""
+    """Pixels that stand out of a dark and of the faintest point stack; pulses stand out of one of them only."""
     points = sorted(session.of_kind("point"), key=lambda entry: entry.conditions.illuminance_lux or 0.0)
     darks = session.of_kind("dark")
     if not points or not darks:
@@ -112,7 +109,7 @@ def lone_pixels(image: Array) -> Mask:
 
 
 def _excess(image: Array) -> tuple[Array, float]:
-    """Difference of each pixel from the median about it, and its robust standard deviation, DN."""
+    """Difference of each pixel from its local median, and its robust standard deviation, DN."""
     import cv2
 
     excess = image - cv2.medianBlur(image.astype(np.float32), 5).astype(np.float64)
@@ -120,7 +117,7 @@ def _excess(image: Array) -> tuple[Array, float]:
 
 
 def replace_bad_pixels(data: NDArray, bad: Mask) -> NDArray:
-    """Return frames whose bad pixels hold the mean of their sound neighbours, shape (frame, row, col)."""
+    """Replace bad pixels by the mean of their sound neighbours, shape (frame, row, col)."""
     if not bad.any():
         return data
     out = data.copy()

@@ -1,9 +1,4 @@
-"""How far light reaches: the area around a source at or above a level, of the picture behind the noise.
-
-A point source is round but for what pulls it: charge that spills along columns, another source. Rings tell where the
-light first falls through the level and how surely, a contour fitted there how large the area is, and sectors that are
-pulled are counted pixel by pixel.
-"""
+"""Bloom extent: area around a source at or above a signal threshold, noise removed."""
 
 from dataclasses import dataclass, replace
 from statistics import NormalDist
@@ -12,9 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.bloom.contour import CUT_SHARE, Contour, fit_contour
-from charact.bloom.pixel_noise import mean_with_clipping
-from charact.bloom.polar import SECTORS
-from charact.bloom.source_view import SourceView
+from charact.bloom.source_view import SECTORS, SourceView, mean_with_clipping
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -49,7 +42,7 @@ NORMAL = np.asarray([NormalDist().inv_cdf((n + 0.5) / DRAWS) for n in range(DRAW
 
 @dataclass(frozen=True, kw_only=True)
 class Extent:
-    """The region around a source at or above a level.
+    """Region around a source at or above a threshold.
 
     Parameters
     ----------
@@ -79,17 +72,17 @@ class Extent:
 
     @property
     def diameter_px(self) -> float:
-        """Diameter of the circle of equal area, column pitches."""
+        """Equal-area diameter, column pitches."""
         return float(2.0 * np.sqrt(self.area / np.pi))
 
     @property
     def has_contour(self) -> bool:
-        """Whether the noise leaves one contour."""
+        """Whether the noise permits a single contour."""
         return self.contour is not None
 
 
 def extent_at(view: SourceView, level_dn: float, *, level_sd: float = 0.0, seed: int = 0) -> Extent | None:
-    """Return the region around the source at or above a level; None where the source does not reach it.
+    """Return the region around the source at or above a threshold; None where the source stays below it.
 
     Parameters
     ----------
@@ -138,7 +131,7 @@ def extent_at(view: SourceView, level_dn: float, *, level_sd: float = 0.0, seed:
 
 
 def contour_at(view: SourceView, level: float) -> tuple[Contour, bool] | None:
-    """Return the contour of a level over dark, DN, and whether no sector is pulled; None where there is none."""
+    """Return the contour at a threshold above dark, DN, and whether it covers all sectors; None without a contour."""
     visible = float(mean_with_clipping(np.array([level]), view.noise, view.top)[0][0])
     first = _crossings(view.profile[0], view.profile[1][None], visible)[0]
     if np.isinf(first):
@@ -151,7 +144,7 @@ def contour_at(view: SourceView, level: float) -> tuple[Contour, bool] | None:
 
 
 def _crossings(radius: Array, means: Array, level: Array | float) -> Array:
-    """Radius where each profile first falls below a level, shape (draw,); inf where it never does."""
+    """Radius where each profile first falls below a threshold, shape (draw,); inf where it never does."""
     level = np.broadcast_to(np.asarray(level, float).reshape(-1, 1), (len(means), 1))
     below = means < level
     never = ~below.any(axis=1)
@@ -164,7 +157,7 @@ def _crossings(radius: Array, means: Array, level: Array | float) -> Array:
 
 
 def _component(view: SourceView, above: Mask) -> Mask:
-    """The part of a mask that hangs together with the source."""
+    """The connected part of a mask that contains the source."""
     from scipy import ndimage
 
     labels = np.asarray(ndimage.label(above)[0])  # pyright: ignore[reportIndexIssue]
@@ -173,7 +166,7 @@ def _component(view: SourceView, above: Mask) -> Mask:
 
 
 def _find_pulled_sectors(view: SourceView, visible: float, first: float) -> Mask:
-    """Sectors in which the region reaches clearly farther than rings say, shape (sector,)."""
+    """Find the sectors in which the region extends clearly beyond its rings, shape (sector,)."""
     if np.isinf(first):
         return np.zeros(SECTORS, bool)
     sure = visible + 2.0 * float(view.noise.sd(visible)) / np.sqrt(view.noise.frames)
@@ -187,7 +180,7 @@ def _find_pulled_sectors(view: SourceView, visible: float, first: float) -> Mask
 
 
 def _along_columns(view: SourceView, visible: float, beyond: float) -> Mask:
-    """Sectors through which columns near the source stay at a level for most of their length, shape (sector,)."""
+    """Sectors with columns near the source that are mostly above the threshold, shape (sector,)."""
     out = np.zeros(SECTORS, bool)
     for col in np.flatnonzero(np.abs(view.polar.dx[0]) < COLUMNS_PX):
         for side in (-1.0, 1.0):
@@ -198,7 +191,7 @@ def _along_columns(view: SourceView, visible: float, beyond: float) -> Mask:
 
 
 def _refine_contour(view: SourceView, level: float, radius: float, sectors: Mask) -> Contour | None:
-    """The contour fitted where the rings fall through the level, then where it was found."""
+    """Fit the contour at the rings' crossing, then again at the radius of the fit."""
     found, width = None, 1.0
     for _ in range(4):
         fitted = fit_contour(
@@ -222,7 +215,7 @@ def _refine_contour(view: SourceView, level: float, radius: float, sectors: Mask
 def _extent_from_contour(
     view: SourceView, level_dn: float, visible: float, contour: Contour, sectors: Mask, level_sd: float
 ) -> Extent:
-    """The contour's area, with pixels counted instead where sectors are pulled."""
+    """Area inside the contour, with pixels counted in the sectors that extend beyond it."""
     inside = contour.inside(view.polar)
     area, variance, region = contour.area, contour.area_sd**2, inside
     if not sectors.all():
@@ -251,7 +244,7 @@ def _extent_from_contour(
 
 
 def _extent_from_crossings(view: SourceView, level_dn: float, crossings: Array) -> Extent:
-    """A level within the noise of a plateau: the rings' crossings are all that is known."""
+    """Extent at a threshold within the noise of a plateau, from the crossings of the rings alone."""
     finite = np.minimum(crossings, float(view.rings.radius[-1]))
     radius = float(np.median(finite))
     return Extent(
@@ -266,7 +259,7 @@ def _extent_from_crossings(view: SourceView, level_dn: float, crossings: Array) 
 
 
 def _extent_from_pixels(view: SourceView, level_dn: float, visible: float) -> Extent | None:
-    """A region that is not round at all, or as large as the frame: its pixels."""
+    """Extent of a region that is not round, or as large as the frame, by counting pixels."""
     noise = float(view.noise.sd(visible)) / np.sqrt(view.noise.frames)
     # Smoothing saves faint contours from fraying, and would wear away sharp narrow streaks.
     picture = view.signal if noise < SHARP * visible else view.smooth

@@ -1,18 +1,80 @@
-"""Extents of every stack as measurements: bloom diameters, ellipticity, saturated area, streak length."""
+"""Measurements of every stack: bloom diameters, axis ratio, saturated area, streak; flags with their findings."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from charact.bloom.column_artefacts import streak_measurements
 from charact.bloom.extent import Extent
 from charact.bloom.point_stack import DETECTED, PointStack
-from charact.bloom.polar import SECTORS
-from charact.bloom.shape import ellipticity
-from charact.bloom.streak import streak_measurements
+from charact.bloom.series_consistency import check_consistency
+from charact.bloom.smear import smear_measurement
+from charact.bloom.source_view import SECTORS
 from charact.method import Context
-from labdata.measurement import Measurement, Provenance, make_measurement, make_refusal, measurement_from_draws
+from labdata.flags import Finding
+from labdata.measurement import (
+    Interval,
+    Measurement,
+    Provenance,
+    Result,
+    make_measurement,
+    make_refusal,
+    measurement_from_draws,
+)
 from labdata.sensor import Sensor
+from labdata.session import Session
+
+# Fewer pixels than this have no shape.
+FEWEST = 12
+# Sectors of a shallow contour scatter less than its axes do; and no fit of a smooth contour is rounder than this.
+WIDER, LEAST_SD = 1.3, 0.004
+
+
+def ellipticity(extent: Extent, *, row_pitch: float) -> tuple[float, Interval, Interval] | None:
+    """Return minor over major axis of a region with its 68 and 95 % intervals; None where it is too small.
+
+    Parameters
+    ----------
+    extent
+        The region.
+    row_pitch
+        Row pitch over column pitch.
+
+    Notes
+    -----
+    A contour tells the axes without pixels: those of an ellipse whose squared radius has the second harmonic
+    1 + e cos 2(phi - phi_0) are as 1 - e/2 to 1 + e/2. Noise alone gives a positive e, so its mean square is taken off.
+    Regions with a streak or another source have the axes of the ellipse of equal second moments.
+    """
+    if extent.region.sum() < FEWEST:
+        return None
+    if extent.contour is not None and not extent.pulled:
+        oval = float(np.hypot(*extent.contour.oval))
+        sd = float(np.hypot(WIDER * extent.contour.oval_sd, LEAST_SD))
+        centre = float(np.sqrt(max(oval**2 - sd**2, 0.0)))
+        return _around(centre, sd)
+    from skimage import measure
+
+    found = measure.regionprops(extent.region.astype(np.uint8), spacing=(row_pitch, 1.0))[0]
+    major = float(found.axis_major_length)
+    value = float(found.axis_minor_length) / major if major > 0 else 1.0
+    # A row of pixels more or less at either end.
+    sd = (0.5 + value * 0.5) / max(major, 1.0)
+    low, high = ((value - k * sd, min(value + k * sd, 1.0)) for k in (0.994, 1.96))
+    return value, low, high
+
+
+def _around(oval: float, sd: float) -> tuple[float, Interval, Interval]:
+    """Axis ratio for a second harmonic, and the intervals due to its uncertainty; never above 1."""
+
+    def ratio(e: float) -> float:
+        return (1.0 - 0.5 * max(e, 0.0)) / (1.0 + 0.5 * max(e, 0.0))
+
+    low, high = ((ratio(oval + k * sd), ratio(oval - k * sd)) for k in (0.994, 1.96))
+    return ratio(oval), low, high
+
 
 # Standard deviation of the number of pixels inside a circle thrown at random over them, over the root of its radius.
 COUNTING = 0.84
@@ -30,7 +92,7 @@ LEVELS = {
 
 def bloom_measurements(spots: tuple[PointStack, ...], *, square: bool, sensor: Sensor | None = None,
                        **fields: Any) -> list[Measurement]:  # fmt: skip
-    """Return the extents of every stack, refused where the source does not reach their level.
+    """Return the extents of every stack, refused where the source stays below the threshold.
 
     Parameters
     ----------
@@ -57,7 +119,7 @@ def bloom_measurements(spots: tuple[PointStack, ...], *, square: bool, sensor: S
 
 
 def flags_of(spot: PointStack, extent: Extent) -> tuple[str, ...]:
-    """What is to be distrusted of an extent."""
+    """Return the quality flags of a bloom extent."""
     flags = quantisation_flags(spot)
     flags += ("window-too-small",) if extent.touches_border else ()
     wide = float(np.diff(np.quantile(extent.draws, [0.025, 0.975]))[0]) > max(VAGUE_PX, VAGUE * extent.diameter_px)
@@ -72,12 +134,12 @@ def flags_of(spot: PointStack, extent: Extent) -> tuple[str, ...]:
 
 
 def quantisation_flags(spot: PointStack) -> tuple[str, ...]:
-    """Whether rounding to so few codes moves where light falls through a level, and eats what is faint."""
+    """Flag stacks whose few grey values shift threshold crossings and hide faint signal."""
     return ("quantised",) if spot.full_scale_dn - spot.dark_dn < LEAST_CODES else ()
 
 
 def _reason(spot: PointStack, name: str) -> str:
-    """Why a stack has no region at a level."""
+    """Refusal reason of a stack without a region at a threshold."""
     if spot.significance < DETECTED:
         return f"no point source: the brightest spot stands {spot.significance:.1f} standard deviations out of 8 needed"
     level = {"bloom_diameter": spot.half_dn, "bloom_diameter_clip": spot.full_scale_dn}.get(name)
@@ -87,7 +149,7 @@ def _reason(spot: PointStack, name: str) -> str:
         return "the dark level is unknown, and so is the background over it: a dark frame tells it"
     if not spot.light.even:
         return "the light still falls at the border of the frame: the background behind the source is not seen"
-    if not spot.light.lit:
+    if not spot.light.is_illuminated:
         return f"there is no background to take twice: {spot.light.level_dn:.2g} DN over dark"
     return f"the source stays below {LEVELS[name]}, {spot.dark_dn + 2 * spot.light.level_dn:.4g} DN"
 
@@ -101,12 +163,13 @@ def _diameter(name: str, spot: PointStack, extent: Extent | None, **common: Any)
 
 
 def _measurement_from_draws(name: str, unit: str, value: float, draws: Any, **common: Any) -> Measurement:
-    """A value with the quantiles of its draws, which may lean to one side of it but never leave it out."""
+    """Measurement with the quantiles of its draws; the intervals include the value."""
     drawn = measurement_from_draws(name, unit, draws, **common)
     low68, high68 = drawn.interval68 or (value, value)
     low95, high95 = drawn.interval95 or (value, value)
-    return make_measurement(name, unit, value, (min(low68, value), max(high68, value)), (min(low95, value), max(high95, value)),
-                    **common)  # fmt: skip
+    return make_measurement(
+        name, unit, value, (min(low68, value), max(high68, value)), (min(low95, value), max(high95, value)), **common
+    )
 
 
 def _ellipticity(spot: PointStack, **common: Any) -> Measurement:
@@ -121,7 +184,7 @@ def _ellipticity(spot: PointStack, **common: Any) -> Measurement:
 
 
 def _areas_at_full_scale(spot: PointStack, sensor: Sensor | None, **common: Any) -> list[Measurement]:
-    """Area of the pixels at the highest code, in pixels, and at the cathode and in the field of view where known."""
+    """Area at full scale in pixels and, if known, at the photocathode and in the field of view."""
     units = {"px": 1.0}
     if sensor is not None:
         side_mm = float(sensor.ccd.pitch_x_um) * 1e-3 * float(sensor.taper.demagnification)
@@ -135,8 +198,12 @@ def _areas_at_full_scale(spot: PointStack, sensor: Sensor | None, **common: Any)
         value, draws = float(spot.clip.region.sum()), draws - np.median(draws) + spot.clip.region.sum()
     whole = COUNTING * (value / np.pi) ** 0.25 * np.random.default_rng(SECTORS).standard_normal(len(draws))
     flags = flags_of(spot, spot.clip)
-    return [_measurement_from_draws("saturated_area", unit, value * one, np.maximum(draws + whole, 0.0) * one, flags=flags, **common)
-            for unit, one in units.items()]  # fmt: skip
+    return [
+        _measurement_from_draws(
+            "saturated_area", unit, value * one, np.maximum(draws + whole, 0.0) * one, flags=flags, **common
+        )
+        for unit, one in units.items()
+    ]
 
 
 def provenance(context, **settings: Any) -> Provenance:
@@ -148,7 +215,7 @@ def provenance(context, **settings: Any) -> Provenance:
 
 
 def overload_of_stacks(spots: tuple[PointStack, ...]) -> list[float | None]:
-    """How many times each source is brighter than one whose peak just meets full scale; None where light is unknown."""
+    """Overload of each source: its signal over the signal that reaches full scale; None where unknown."""
     light = [_light(spot) for spot in spots]
     clear = [
         (value, spot)
@@ -170,7 +237,7 @@ def _light(spot: PointStack) -> float | None:
 
 
 def series_evidence(spots: tuple[PointStack, ...], halos: dict[str, float] | None = None) -> dict[str, Any]:
-    """Bloom diameter, streak and each level's own halo against the light, for the report."""
+    """Bloom diameter, streak and halo diameter by overload, for the report."""
     overload = overload_of_stacks(spots)
     known = all(value is not None for value in overload)
     return {
@@ -187,3 +254,88 @@ def series_evidence(spots: tuple[PointStack, ...], halos: dict[str, float] | Non
         "dark_dn": [spot.dark_dn for spot in spots],
         "full_scale_dn": [spot.full_scale_dn for spot in spots],
     }
+
+
+def add_common_measurements(
+    session: Session,
+    spots: tuple[PointStack, ...],
+    of_series: list[Measurement],
+    evidence: dict[str, Any],
+    *,
+    context: Context,
+    **fields: Any,
+) -> Result:
+    """Add extents, streaks, background depressions and consistency flags to the measurements of a series.
+
+    Parameters
+    ----------
+    session, spots
+        The session and its point sources.
+    of_series, evidence
+        Measurements of the method, of all stacks together or with their stack's label, and what the report draws.
+    context
+        What the method was told.
+    fields
+        Method and provenance.
+    """
+    steady = check_consistency(session, spots, context, **fields)
+    smear, of_smear = smear_measurement(spots, context, **fields)
+    extents = bloom_measurements(spots, square=context.sensor is None, sensor=context.sensor, **fields)
+    said = [*of_series, smear, *extents]
+    told = [_add_flags(one, steady.flags.get(one.stack or "", steady.halo_flags)) for one in said]
+    own = evidence.get("halo-constancy")
+    halos = dict(zip(own["label"], own["halo_diameter_px"], strict=True)) if own else {}
+    drawn = {"bloom-series": series_evidence(spots, halos)} | evidence | of_smear | steady.evidence
+    return Result(measurements=(*told, *steady.measurements), evidence=drawn)
+
+
+def _add_flags(measurement: Measurement, flags: tuple[str, ...]) -> Measurement:
+    return measurement if measurement.status == "refused" else measurement.with_(flags=flags)
+
+
+# What settles each flag that this room raises.
+REMEDIES = {
+    "model-misfit": "a frame with one round source alone in it, and a level between those that differ",
+    "prior-bound": "a level whose core is not cut at full scale",
+    "window-too-small": "a larger frame, or the source nearer to its middle",
+    "several-targets": "one source in the frame, or --roi about one of them",
+    "quantised": "a higher camera gain or more bits, so that noise exceeds a code",
+    "low-signal": "more frames, or more light",
+    "unlike-conditions": "darks and point stacks taken at the same gain, gate and exposure",
+    "agc": "automatic gain and brightness control switched off",
+    "drift": "a source and a lamp at rest, or fewer frames a stack",
+    "lag": "a pause after the source goes out, and stacks of a source that stays on",
+    "dark-mismatch": "dark frames taken with the point stacks, at the same gain, gate and exposure",
+    "clipped": "a level whose streak stays below full scale",
+    "extrapolated": "a second level that shows smear",
+    "nonlinear": "stated light that follows the lamp",
+    "gradient": "a mask without leaks, or a frame of the mask with its pinhole closed",
+    "not-converged": "another --seed, or more frames",
+}
+
+
+def add_findings(measurement: Measurement, effects: Mapping[str, str] | None = None) -> Measurement:
+    """Add effect and remedy of each flag to a measurement.
+
+    Parameters
+    ----------
+    measurement
+        Of this room; a refused one stays as it is.
+    effects
+        Size of the effect by flag, where these data show one; otherwise the interval is the scale.
+    """
+    if measurement.status == "refused" or measurement.value is None:
+        return measurement
+    found = [
+        Finding(flag=flag, effect=(effects or {}).get(flag, _beyond_interval(measurement)), remedy=REMEDIES[flag])
+        for flag in measurement.flags
+    ]
+    return measurement.with_(findings=found)
+
+
+def _beyond_interval(measurement: Measurement) -> str:
+    """Effect of a flag without a measured size."""
+    low, high = measurement.interval95 or (measurement.value, measurement.value)
+    assert low is not None and high is not None
+    unit = "" if measurement.unit == "1" else f" {measurement.unit}"
+    return f"{measurement.quantity} may be off by more than its half interval of {0.5 * (high - low):.3g}{unit}"

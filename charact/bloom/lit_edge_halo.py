@@ -1,12 +1,13 @@
-"""Blooming beside extended sources: the halo of a lamp-lit door measured along its edge, all levels together."""
+"""Halo beside an illuminated edge, fitted to the strips of all source levels."""
 
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import cache
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.bloom.lit_edge_halo_fit import BESIDES, EdgeHaloLikelihood, EdgeHaloOptimum, optimise_edge_halo, problem_of
+from charact.bloom import transfer
 from charact.bloom.lit_edge_profile import DARK_PX, LitEdgeLine, Strips, edge_line, strips_of
 from charact.method import Context, register
 from charact.posterior import importance_sample, laplace
@@ -15,6 +16,243 @@ from labdata.measurement import Measurement, Posterior, Provenance, Result, make
 from labdata.session import Session, StackEntry
 
 Array = NDArray[np.float64]
+
+NAMES = ("halo_diameter", "elastic_share", "halo_fraction", "edge_offset", "core_spread")
+UNITS = ("px", "1", "1", "px", "px2")
+GAUSSIAN = len(NAMES)
+LEAST_DIAMETER_PX = 12.0
+MOST_FRACTION = 0.6
+# Beyond 0..1 by a little: a wall at 0 would push the diameter of a halo without rim to one side.
+ELASTIC_SHARE = (-0.15, 1.15)
+SPREAD_PX2 = (0.05, 25.0)
+# Share of the light over the background by which a model of straight edges may be off in a strip.
+MODEL_SHARE = 0.004
+# Frequencies: enough for 160 px from the edge.
+HIGHEST_CY_PER_PX, NODES = 0.75, 280
+# Starts that are followed to their peak.
+CLIMBS = 2
+Core = Literal["gaussian", "tube", "moffat"]
+# What a core has besides its Gaussian: name, unit, bounds, first guess, and mean and standard deviation of a prior.
+# Image tubes at large; a Moffat wing whose light is spread as (1 + r^2/a^2)^-b.
+BESIDES: dict[Core, tuple[tuple[str, str, tuple[float, float], float, tuple[float, float] | None], ...]] = {
+    "gaussian": (),
+    "tube": (
+        ("core_frequency", "cy/px", (0.03, 2.0), 0.4, (0.4, 0.3)),
+        ("core_exponent", "1", (0.7, 2.5), 1.3, (1.3, 0.3)),
+    ),
+    "moffat": (
+        ("wing_share", "1", (0.0, 0.7), 0.1, None),
+        ("wing_radius", "px", (0.7, 12.0), 3.0, None),
+        ("wing_exponent", "1", (1.2, 4.0), 2.0, None),
+    ),
+}
+
+
+@cache
+def nodes() -> tuple[Array, Array]:
+    """Frequencies, cy/px, and weights of the integral over a transfer function (Gauss-Legendre)."""
+    node, weight = np.polynomial.legendre.leggauss(NODES)
+    return 0.5 * HIGHEST_CY_PER_PX * (node + 1.0), 0.5 * HIGHEST_CY_PER_PX * weight
+
+
+@dataclass(frozen=True, kw_only=True)
+class EdgeHaloLikelihood:
+    """Likelihood of the whitened strips of all stacks of one edge.
+
+    Parameters
+    ----------
+    strips
+        Levels.
+    width_px
+        Width of the lit area, column pitches; inf for a half plane.
+    walls
+        Bounds of the parameters that every core has, shape (parameter, 2).
+    white
+        For each level the matrix that whitens its used strips.
+    waves
+        For each level sine and cosine of every frequency at its strips, shape (frequency, strip).
+    core
+        Family of the core.
+    halo
+        Whether there is a halo.
+    """
+
+    strips: tuple[Strips, ...]
+    width_px: float
+    walls: Array
+    white: tuple[Array, ...]
+    waves: tuple[tuple[Array, Array], ...]
+    core: Core = "gaussian"
+    halo: bool = True
+
+    @property
+    def bounds(self) -> Array:
+        """Bounds of the parameters, shape (parameter, 2)."""
+        return np.array([*self.walls, *(bounds for _, _, bounds, _, _ in BESIDES[self.core])])
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return (*NAMES, *(name for name, *_ in BESIDES[self.core]))
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units of the parameters."""
+        return (*UNITS, *(unit for _, unit, *_ in BESIDES[self.core]))
+
+    def log_probability(self, points: Array) -> Array:
+        """Log-posterior with the optimum signal and background of every stack, shape (point,)."""
+        inside = np.all((points >= self.bounds[:, 0]) & (points <= self.bounds[:, 1]), axis=1)
+        safe = np.where(inside[:, None], points, self.bounds.mean(axis=1))
+        total = -0.5 * (self._prior_residuals(safe) ** 2).sum(axis=1)
+        for one, strips in enumerate(self.strips):
+            chi2, amplitudes = self.fit_level(one, safe)
+            total = total - 0.5 * (chi2 + self._short(strips, amplitudes) ** 2)
+        return np.where(inside, total, -np.inf)
+
+    def residuals(self, points: Array) -> Array:
+        """Normalised residuals, those of the prior last, shape (point, number)."""
+        out = [self._prior_residuals(points)]
+        for one, strips in enumerate(self.strips):
+            _, amplitudes = self.fit_level(one, points)
+            model = amplitudes[:, :1] * self.shape(one, points)[:, strips.used] + amplitudes[:, 1:]
+            out += [(strips.mean_dn[strips.used] - model) @ self.white[one].T, self._short(strips, amplitudes)[:, None]]
+        return np.concatenate(out, axis=1)
+
+    def _short(self, strips: Strips, amplitudes: Array) -> Array:
+        """Normalised shortfall of a clipped side below full scale."""
+        short = np.maximum(strips.least_light_dn - amplitudes[:, 0], 0.0)
+        return short / max(0.03 * strips.least_light_dn, 1e-9)
+
+    def _prior_residuals(self, points: Array) -> Array:
+        known = [(place, *prior) for place, (*_, prior) in enumerate(BESIDES[self.core], GAUSSIAN) if prior]
+        return np.array([(points[:, place] - mean) / sd for place, mean, sd in known]).reshape(-1, len(points)).T
+
+    def fit_level(self, one: int, points: Array) -> tuple[Array, Array]:
+        """Chi squared of one stack, shape (point,), and its signal and background, (point, 2)."""
+        strips = self.strips[one]
+        shape = self.shape(one, points)[:, strips.used]
+        data = self.white[one] @ strips.mean_dn[strips.used]
+        light = shape @ self.white[one].T
+        flat = self.white[one].sum(axis=1)
+        aa, ab, bb = (light**2).sum(axis=1), light @ flat, float(flat @ flat)
+        ad, bd = light @ data, float(flat @ data)
+        determinant = np.maximum(aa * bb - ab**2, 1e-12 * aa * bb)
+        level, ground = (bb * ad - ab * bd) / determinant, (aa * bd - ab * ad) / determinant
+        chi2 = float(data @ data) - level * ad - ground * bd
+        return chi2, np.stack([level, ground], axis=1)
+
+    def shape(self, one: int, points: Array) -> Array:
+        """Profile across an edge of unit signal, shape (point, strip)."""
+        diameter, elastic, fraction, offset, _ = points[:, :GAUSSIAN].T
+        frequency = nodes()[0]
+        blur = self._core(points) * np.sinc(frequency)
+        if self.halo:
+            halo = transfer.disc(frequency, diameter, transfer.backscatter_profile(elastic))
+            blur = blur * (1.0 - fraction[:, None] + fraction[:, None] * halo)
+        near = self._step(one, blur, offset)
+        if not np.isfinite(self.width_px):
+            return near
+        return near - self._step(one, blur, -self.width_px - offset)
+
+    def _core(self, points: Array) -> Array:
+        """Transfer function of the core, shape (point, frequency)."""
+        frequency, spread = nodes()[0], points[:, GAUSSIAN - 1]
+        core = transfer.gaussian(frequency, spread)
+        if self.core == "tube":
+            return core * transfer.tube(frequency, *points[:, GAUSSIAN:].T)
+        if self.core == "gaussian":
+            return core
+        share, radius, power = points[:, GAUSSIAN:].T
+        return core * (1.0 - share[:, None]) + share[:, None] * transfer.moffat(frequency, radius, power)
+
+    def _step(self, one: int, blur: Array, at: Array) -> Array:
+        """Step response at given offsets: 1/2 - integral of T sin(2 pi f (x - x0)) / pi f."""
+        sine, cosine = self.waves[one]
+        frequency, weight = nodes()
+        turn = 2.0 * np.pi * frequency * at[:, None]
+        return 0.5 - (blur * weight * np.cos(turn) / (np.pi * frequency)) @ sine + (
+            blur * weight * np.sin(turn) / (np.pi * frequency)
+        ) @ cosine  # fmt: skip
+
+
+def problem_of(
+    strips: tuple[Strips, ...], *, width_px: float, room_px: float, offset_px: tuple[float, float]
+) -> EdgeHaloLikelihood:
+    """Whiten strips and set the bounds, for a Gaussian core with halo."""
+    white, waves = [], []
+    for one in strips:
+        above = one.mean_dn[one.used] - np.median(one.mean_dn[one.used][-8:])
+        covariance = one.covariance() + np.diag((MODEL_SHARE * above) ** 2)
+        white.append(np.linalg.inv(np.linalg.cholesky(covariance)))
+        turn = 2.0 * np.pi * np.outer(nodes()[0], one.distance_px)
+        waves.append((np.sin(turn), np.cos(turn)))
+    widest = max(2.0 * room_px, LEAST_DIAMETER_PX + 4.0)
+    walls = [[LEAST_DIAMETER_PX, widest], ELASTIC_SHARE, [0.0, MOST_FRACTION], offset_px, SPREAD_PX2]
+    return EdgeHaloLikelihood(
+        strips=strips, width_px=width_px, walls=np.array(walls), white=tuple(white), waves=tuple(waves)
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class EdgeHaloOptimum:
+    """Best fit: point, (parameter,), covariance, (parameter, parameter), and log-probability."""
+
+    point: Array
+    covariance: Array
+    log_probability: float
+
+
+def optimise_edge_halo(problem: EdgeHaloLikelihood, *, diameter_px: float | None = None) -> EdgeHaloOptimum:
+    """Return the best fit from several start diameters, since the disc edge causes many local optima.
+
+    `diameter_px` holds the diameter there.
+    """
+    low, high = problem.bounds[0]
+    offset = 0.5 * problem.bounds[3].sum()
+    diameters = np.linspace(low + 2, high - 2, 24) if problem.halo else np.array([0.5 * (low + high)])
+    if diameter_px is not None:
+        diameters = np.array([diameter_px])
+    starts = np.array([[d, w, 0.1, offset, s] for d in diameters for w in (0.3, 0.8) for s in (1.0, 3.0)])
+    besides = [first for *_, first, _ in BESIDES[problem.core]]
+    points = np.concatenate([starts, np.tile(besides, (len(starts), 1))], axis=1)
+    order = np.argsort(problem.log_probability(points))[::-1]
+    free = np.ones(points.shape[1], bool)
+    free[0] = problem.halo and diameter_px is None
+    free[1:3] = problem.halo
+    return max(
+        (_optimise_from(problem, points[one], free) for one in order[:CLIMBS]), key=lambda peak: peak.log_probability
+    )
+
+
+def _optimise_from(problem: EdgeHaloLikelihood, start: Array, free: NDArray[np.bool_]) -> EdgeHaloOptimum:
+    """Optimise the free parameters by least squares; covariance from the Jacobian."""
+    from scipy.optimize import least_squares
+
+    def all_parameters(points: Array) -> Array:
+        out = np.broadcast_to(start, (len(points), len(start))).copy()
+        out[:, free] = points
+        return out
+
+    low, high = problem.bounds[free].T
+    step = 1e-4 * (high - low)
+
+    def slopes(point: Array) -> Array:
+        # Inside the walls on either side.
+        sign = np.where(point + step > high, -1.0, 1.0)
+        left = problem.residuals(all_parameters(np.concatenate([point[None], point + np.diag(sign * step)])))
+        return ((left[1:] - left[0]) / (sign * step)[:, None]).T
+
+    first = np.clip(start[free], low + step, high - step)
+    found = least_squares(lambda point: problem.residuals(all_parameters(point[None]))[0], first, jac=slopes,  # pyright: ignore[reportArgumentType]
+                          bounds=(low, high), x_scale=high - low, max_nfev=40)  # fmt: skip
+    point = all_parameters(found.x[None])[0]
+    covariance = np.zeros((len(start), len(start)))
+    covariance[np.ix_(free, free)] = np.linalg.pinv(found.jac.T @ found.jac + np.diag(((high - low) / 2.0) ** -2.0))
+    return EdgeHaloOptimum(
+        point=point, covariance=covariance, log_probability=float(problem.log_probability(point[None])[0])
+    )
+
 
 METHOD = "lit-edge"
 QUANTITIES = (("halo_diameter", "px"), ("halo_fraction", "1"))
@@ -42,7 +280,7 @@ RIVAL = 10.0
     "with one level that is not cut.",
 )
 def measure_lit_edge(session: Session, *, context: Context) -> Result:
-    """Measure diameter and share of the halo from the edges of a session.
+    """Measure diameter and fraction of the halo from the edges of a session.
 
     Parameters
     ----------
@@ -80,8 +318,11 @@ def _measure(
     posterior = _posterior(found.problem, found.peak, context)
     diameter, fraction = _average_models(found, posterior, context)
     if diameter.std() > VAGUE * float(np.median(diameter)):
-        return _refuse_all("the edge tells the halo's diameter to no better than a tenth: a fainter level, not cut, says "
-                        "where the edge is", fields), evidence  # fmt: skip
+        return _refuse_all(
+            "the edge tells the halo's diameter to no better than a tenth: a fainter level, not cut, says "
+            "where the edge is",
+            fields,
+        ), evidence
     flags = tuple(flag for flag in posterior.flags if flag != "prior-bound") + _misfit(found)
     flags += ("window-too-small",) if float(np.median(diameter)) > 2 * WHOLE * _room(line) else ()
     notes = ("the row pitch is unknown: pixels are taken as square",) if context.sensor is None else ()
@@ -109,7 +350,7 @@ def _provenance(context: Context) -> Provenance:
 
 
 def _levels(session: Session, context: Context) -> tuple[LitEdgeLine, tuple[Strips, ...]] | str:
-    """The edge, found where it is sharpest, and the strips of every level."""
+    """The edge, located in the best stack, and the strips of every stack."""
     entries = session.of_kind("edge")
     if not entries:
         raise BadInput("blooming beside an edge needs stacks of kind edge")
@@ -135,7 +376,7 @@ def _levels(session: Session, context: Context) -> tuple[LitEdgeLine, tuple[Stri
 
 
 def _frame(entry: StackEntry, session: Session, context: Context) -> tuple[Array, str, float, float]:
-    """Mean frame, label, dark level and highest code of a stack."""
+    """Mean frame, label, dark level and full scale of a stack."""
     stack = entry.read()
     full = context.full_scale_dn if context.full_scale_dn is not None else stack.full_scale_dn
     dark, image = session.dark_like(entry.conditions), stack.data.mean(axis=0, dtype=np.float64)
@@ -148,7 +389,7 @@ def _frame(entry: StackEntry, session: Session, context: Context) -> tuple[Array
 
 @dataclass(frozen=True, kw_only=True)
 class _Found:
-    """The best fit with a halo, and by how much the criterion prefers it to the best without."""
+    """Best fit with a halo, and its gain in the information criterion over the best fit without."""
 
     problem: EdgeHaloLikelihood
     peak: EdgeHaloOptimum
@@ -157,7 +398,7 @@ class _Found:
 
 
 def _select_model(strips: tuple[Strips, ...], line: LitEdgeLine) -> _Found:
-    """Fit cores of all families with and without a halo; the Bayesian information criterion chooses."""
+    """Fit all cores with and without a halo; select by the Bayesian information criterion."""
     offset = OFFSET_OF_CUT_PX if all(one.cut for one in strips) else OFFSET_PX
     number = float(np.log(sum(one.used.sum() for one in strips)))
     plain = problem_of(strips, width_px=line.width_px, room_px=_room(line), offset_px=offset)
@@ -178,7 +419,7 @@ def _room(line: LitEdgeLine) -> float:
 
 
 def _refusal_reason(found: _Found, line: LitEdgeLine) -> str:
-    """Why no halo is told, or nothing."""
+    """Refusal reason, or an empty string."""
     if found.gain < GAIN:
         return "the light beside the edge falls as a core's alone: no halo is visible"
     problem, diameter = found.problem, found.peak.point[0]
@@ -220,17 +461,17 @@ def _misfit(found: _Found) -> tuple[str, ...]:
     from scipy.stats import chi2
 
     problem, point = found.problem, found.peak.point
-    total = sum(float(problem.fitted(one, point[None])[0][0]) for one in range(len(problem.strips)))
+    total = sum(float(problem.fit_level(one, point[None])[0][0]) for one in range(len(problem.strips)))
     freedom = sum(int(one.used.sum()) - 2 for one in problem.strips) - len(point)
     return ("model-misfit",) if chi2.sf(total, max(freedom, 1)) < MISFIT else ()
 
 
 def _evidence(found: _Found, strips: tuple[Strips, ...]) -> dict[str, Any]:
-    """Strips of every level with the model."""
+    """Strips of every stack with the model."""
     point, problem = found.peak.point[None], found.problem
     model = []
     for one in range(len(strips)):
-        light, ground = problem.fitted(one, point)[1][0]
+        light, ground = problem.fit_level(one, point)[1][0]
         model.append((light * problem.shape(one, point)[0] + ground).tolist())
     return {
         "figure": "lit-edge",

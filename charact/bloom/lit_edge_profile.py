@@ -1,4 +1,4 @@
-"""The edge of a lit area: where it runs, and the brightness across it as the mean of strips along it."""
+"""Illuminated edge: its line, and the mean signal of strips parallel to it."""
 
 from dataclasses import dataclass
 
@@ -21,7 +21,7 @@ LINEAR_SHARE, PIXEL_SHARE = 0.75, 0.95
 
 @dataclass(frozen=True, kw_only=True)
 class LitEdgeLine:
-    """A straight edge: column `at` + `slope` * row of the frame, or of the transposed frame for an edge along a row.
+    """Straight edge: column `at` + `slope` * row of the frame, or of the transposed frame for an edge along a row.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ class LitEdgeLine:
 
 @dataclass(frozen=True, kw_only=True)
 class Strips:
-    """Brightness across an edge.
+    """Mean signal by distance from an edge.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ class Strips:
 
 
 def edge_line(image: NDArray, level_dn: float, pitch_ratio: float) -> LitEdgeLine | str:
-    """Return the straight edge of the lit area that has most room beside it, or why there is none.
+    """Return the straight edge of the illuminated area with most dark room, or a refusal reason.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def edge_line(image: NDArray, level_dn: float, pitch_ratio: float) -> LitEdgeLin
 
 def _side(image: NDArray, lit: NDArray[np.bool_], level: float, *, upright: bool, side: int, pitch_ratio: float
           ) -> LitEdgeLine | None:  # fmt: skip
-    """The edge on one side of a lit area, whose rows cross the level there."""
+    """The edge on one side of an illuminated area."""
     crossing, opposite = _crossings(image, lit, level, side), _crossings(image, lit, level, -side)
     rows = np.flatnonzero(np.isfinite(crossing))
     if len(rows) < LEAST_ROWS:
@@ -165,7 +165,7 @@ def _side(image: NDArray, lit: NDArray[np.bool_], level: float, *, upright: bool
 
 
 def _crossings(image: NDArray, lit: NDArray[np.bool_], level: float, side: int) -> Array:
-    """Column at which each row leaves the lit area on one side, NaN where it does not inside the frame."""
+    """Column at which each row leaves the illuminated area on one side; NaN where it does not."""
     values, mask = (image, lit) if side > 0 else (image[:, ::-1], lit[:, ::-1])
     width = values.shape[1]
     last = width - 1 - np.argmax(mask[:, ::-1], axis=1)
@@ -178,7 +178,7 @@ def _crossings(image: NDArray, lit: NDArray[np.bool_], level: float, side: int) 
 
 
 def _line(x: Array, y: Array) -> tuple[float, float]:
-    """Slope and intercept from medians: of all pairs half the data apart."""
+    """Slope and intercept by medians of pairs half the data apart."""
     half = len(x) // 2
     slope = float(np.median((y[half:] - y[: len(y) - half]) / (x[half:] - x[: len(x) - half])))
     return slope, float(np.median(y - slope * x))
@@ -218,13 +218,20 @@ def strips_of(
     used = np.ones(len(mean), bool)
     if over.any():
         used[: int(np.flatnonzero(over)[-1]) + 1] = False
-    return Strips(label=label, distance_px=where, mean_dn=mean, sd_dn=np.maximum(np.sqrt(_geometric_mean(variance)), 1e-3),
-                  correlation=_correlation(rest, where), used=used, cut=bool(over.any()),
-                  least_light_dn=full_dn - dark_dn if over.any() else 0.0)  # fmt: skip
+    return Strips(
+        label=label,
+        distance_px=where,
+        mean_dn=mean,
+        sd_dn=np.maximum(np.sqrt(_geometric_mean(variance)), 1e-3),
+        correlation=_correlation(rest, where),
+        used=used,
+        cut=bool(over.any()),
+        least_light_dn=full_dn - dark_dn if over.any() else 0.0,
+    )
 
 
 def _geometric_mean(variance: Array) -> Array:
-    """Geometric mean over five strips, for parts are few."""
+    """Geometric mean over five strips, since the parts are few."""
     padded = np.pad(np.log(np.maximum(variance, 1e-8)), 2, mode="edge")
     return np.exp(np.convolve(padded, np.full(5, 0.2), mode="valid") + 0.08)
 

@@ -1,7 +1,8 @@
-"""One stack of a point source frame by frame: background, place and light of the source, and noise at each level."""
+"""Frame-by-frame analysis of a point stack: background, source position and signal, noise, drift and switch-off."""
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 from charact.bloom.point_stack import PointStack
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
+from labdata.measurement import Measurement, make_refusal, measurement_from_draws
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -33,7 +35,7 @@ CUT_PIXELS, STEEP_SHARE = 0.02, 0.3
 
 @dataclass(frozen=True, kw_only=True)
 class FrameSeries:
-    """What the frames of one stack show one after the other.
+    """Frame-by-frame statistics of one stack.
 
     Parameters
     ----------
@@ -74,7 +76,7 @@ class FrameSeries:
 
 
 def frame_series(spot: PointStack, stack: FrameStack, row_pitch: float) -> FrameSeries:
-    """Follow one stack from frame to frame.
+    """Analyse one stack frame by frame.
 
     Parameters
     ----------
@@ -121,7 +123,7 @@ def _tiles(image: NDArray) -> Array:
 
 
 def _far_tiles(mean: Array, radius: Array, along: Array) -> Mask:
-    """Tiles far from the source and its columns that hold nothing but background."""
+    """Tiles far from the source and its columns that contain only background."""
     far, level = _tiles(radius), _tiles(mean)
     beside = _tiles(along) > COLUMNS_PX
     take = beside & (far >= np.quantile(far[beside] if beside.any() else far, 1.0 - FAR_SHARE))
@@ -132,7 +134,7 @@ def _far_tiles(mean: Array, radius: Array, along: Array) -> Mask:
 
 
 def _centres(data: NDArray, mean: Array, noise_dn: float, spot: PointStack) -> Array:
-    """Middle of what is brighter than half the peak, or half of full scale, in each frame."""
+    """Centre of the pixels brighter than half the peak, or than half of full scale, in each frame."""
     row, col = round(spot.row), round(spot.col)
     span = spot.full_scale_dn - spot.dark_dn
     near = mean[max(0, row - 2) : row + 3, max(0, col - 2) : col + 3]
@@ -145,7 +147,7 @@ def _centres(data: NDArray, mean: Array, noise_dn: float, spot: PointStack) -> A
 
 
 def _middles(data: NDArray, threshold: float, most: float, begin: tuple[int, int], end: tuple[int, ...]) -> Array:
-    """Middle of what lies above a threshold inside a window of each frame, NaN where nothing does."""
+    """Centre of the signal above a threshold inside a window of each frame; NaN where there is none."""
     first, left = max(0, begin[0]), max(0, begin[1])
     cut = data[:, first : end[0], left : end[1]].astype(np.float64)
     weight = np.clip(cut - threshold, 0.0, most)
@@ -158,7 +160,7 @@ def _middles(data: NDArray, threshold: float, most: float, begin: tuple[int, int
 def _light(
     data: NDArray, mean: Array, radius: Array, background: Array, tiles: Mask, spot: PointStack
 ) -> tuple[Array, float]:
-    """Light of pixels that are neither cut in any frame nor faint, over its mean, and the noise of dark ones in it."""
+    """Signal of the source's unclipped, bright pixels by frame, relative to the mean frame, and its noise."""
     floor = float(background.mean()) + spot.dark_dn
     over = mean - floor
     cut = (data >= spot.dark_dn + CUT_SHARE * (spot.full_scale_dn - spot.dark_dn)).any(axis=0)
@@ -177,7 +179,7 @@ def _light(
 def _noise(
     data: NDArray, mean: Array, variance: Array, radius: Array, angle: Array, tiles: Mask, spot: PointStack
 ) -> dict[str, Array]:
-    """Level, variance in time and its error of the background and of rings of about equal level."""
+    """Signal, temporal variance and its standard error of the background and of groups of rings."""
     ring = radius.astype(int)
     count = np.maximum(np.bincount(ring.ravel()), 1)
     # Rings are chosen by the mean of all their pixels: choosing pixels by their own would prefer odd ones.
@@ -204,3 +206,115 @@ def _noise(
         found.append((float(mean[take].mean()) - spot.dark_dn, float(variance[take].mean()), error))
     light, spread, error = np.array(found).T
     return {"noise_level_dn": light, "noise_variance": spread, "noise_variance_sd": error}
+
+
+# Chance of taking noise for a trend, and the least travel (px) and change of level (share) over a stack that do harm.
+CHANCE = 1e-4
+LEAST_TRAVEL_PX, LEAST_CHANGE = 0.3, 0.05
+LEAST_FRAMES = 3
+
+
+def travel_px(watched: FrameSeries) -> float:
+    """Motion of the source from the first frame to the last, px; 0 where not significant."""
+    row, col = watched.centre_px.T
+    return float(np.hypot(_trend(row, LEAST_TRAVEL_PX), _trend(col, LEAST_TRAVEL_PX)))
+
+
+def relative_drift(watched: FrameSeries) -> float:
+    """Relative drift of source signal or background through the stack; 0 where not significant."""
+    background = watched.background_by_frame_dn
+    level = abs(float(background.mean()))
+    dim = _trend(background, LEAST_CHANGE * max(level, 1.0)) / max(level, 1.0)
+    return max(dim, _trend(watched.light_by_frame, LEAST_CHANGE))
+
+
+def _trend(values: Array, least: float) -> float:
+    """Change of a straight-line fit over successive values; 0 if not significant or below the limit."""
+    from scipy.stats import t
+
+    count = len(values)
+    if count < LEAST_FRAMES or not np.isfinite(values).all():
+        return 0.0
+    place = np.arange(count) - 0.5 * (count - 1)
+    slope = float(place @ values / (place @ place))
+    rest = values - values.mean() - slope * place
+    error = np.sqrt(max(float(rest @ rest), 1e-12) / (count - 2) / (place @ place))
+    run = abs(slope) * (count - 1)
+    seen = 2.0 * float(t.sf(abs(slope) / error, count - 2)) < CHANCE
+    return run if seen and run > least else 0.0
+
+
+# Shares of the source's light to which it is to fall, by quantity.
+SHARES = {"recovery_time_10": 0.1, "recovery_time_1": 0.01}
+# Share of the brightest frame above which the source is on; below it in all later frames it is out.
+ON_SHARE = 0.6
+LEAST_ON, LEAST_OUT = 2, 2
+# Standard deviations of the lit frames, and their least share of the light, by which a frame has begun to fade.
+FADED, LEAST_SCATTER = 4.0, 0.005
+# Noise over the share to be read at which it can still be read.
+NOISE_SHARE = 0.35
+DRAWS = 2000
+
+
+def frames_before_switch_off(watched: FrameSeries) -> int | None:
+    """Return the number of frames before the source is switched off; None where it is not."""
+    light = watched.light_by_frame
+    if len(light) < LEAST_ON + LEAST_OUT or not np.isfinite(light).all() or light.max() <= 0:
+        return None
+    on = light > ON_SHARE * light.max()
+    count = int(np.argmin(on)) if not on.all() else len(on)
+    if count < LEAST_ON or count > len(on) - LEAST_OUT or on[count:].any() or light[-1] > 0.5 * light[:count].mean():
+        return None
+    # Frames that have begun to fade are no longer lit ones.
+    early = light[: max(LEAST_ON, count // 2)]
+    least = early.mean() - FADED * max(float(early.std(ddof=1)), LEAST_SCATTER * float(early.mean()))
+    while count > LEAST_ON and light[count - 1] < least:
+        count -= 1
+    return count
+
+
+def recoveries(watched: tuple[FrameSeries, ...], seed: int, **fields: Any) -> list[Measurement]:
+    """Return the times until 10 % and 1 % of the source signal remain, for each stack with a switch-off.
+
+    Notes
+    -----
+    When it went out is known to lie between two frames: the interval holds it. Between frames the light falls like an
+    exponential. Pixels that the lit source saturates are left out.
+    """
+    found = [(one, count) for one in watched if (count := frames_before_switch_off(one)) is not None]
+    if not found:
+        reason = "no stack shows the source going out: it must be lit in two frames at least and out in all that follow"
+        return [make_refusal(name, "s", reason, **fields) for name in SHARES]
+    return [_time(one, count, name, seed, **fields) for one, count in found for name in SHARES]
+
+
+def _time(watched: FrameSeries, count: int, name: str, seed: int, **fields: Any) -> Measurement:
+    common = {"stack": watched.label, **fields}
+    if len(watched.time_s) == 0:
+        return make_refusal(name, "s", "the times of the frames are unknown", **common)
+    share, lit = SHARES[name], float(watched.light_by_frame[:count].mean())
+    noise = watched.light_noise / lit
+    if noise > NOISE_SHARE * share:
+        reason = f"noise is {100 * noise:.2g} % of the source's light: {100 * share:g} % cannot be told from none"
+        return make_refusal(name, "s", reason, **common)
+    left = watched.light_by_frame[count:] / lit
+    if left[-1] > share - 2.0 * noise:
+        reason = f"at the end of the stack {100 * max(left[-1], 0.0):.2g} % of the light is left"
+        return make_refusal(name, "s", reason, **common)
+    rng = np.random.default_rng(seed)
+    draws = np.array([_crossing(watched.time_s, left, count, share, noise, rng) for _ in range(DRAWS)])
+    return measurement_from_draws(name, "s", draws[np.isfinite(draws)], **common)
+
+
+def _crossing(time_s: Array, left: Array, count: int, share: float, noise: float, rng: np.random.Generator) -> float:
+    """One draw of the time from switch-off to a fraction of the signal."""
+    out = float(rng.uniform(time_s[count - 1], time_s[count]))
+    times = np.concatenate([[out], time_s[count:]])
+    light = np.concatenate([[1.0], left + noise * rng.standard_normal(len(left))])
+    below = np.flatnonzero(light < share)
+    if not len(below):
+        return float("nan")
+    last = int(below[0])
+    high, low = np.log(light[last - 1]), np.log(max(light[last], 0.1 * share))
+    part = (high - np.log(share)) / (high - low)
+    return float(times[last - 1] + part * (times[last] - times[last - 1]) - out)

@@ -1,20 +1,174 @@
-"""Where the point source is, how bright it stands against its surroundings, and how far it blooms."""
+"""Position, detection and bloom extents of the point source in a stack."""
 
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.bloom.background import Background, background_of
-from charact.bloom.extent import Extent, extent_at
-from charact.bloom.source_position import NEAR_PX, SourcePosition, brightest, is_bright_at, middle, others
-from charact.bloom.source_view import view_of
+from charact.bloom.extent import Extent, contour_at, extent_at
+from charact.bloom.source_view import Background, SourceView, background_of, view_of
 from charact.method import Context
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
 from labdata.session import Session, StackEntry
 
 Array = NDArray[np.float64]
+
+# Width of the smoothing that finds a source, px, and of its near surroundings in widths of the smoothing.
+SMOOTHING_PX = 1.5
+SURROUNDINGS = 3.0
+# Every other row and column tells a median as well.
+THIN = 2
+# Rounding leaves a background without noise: its steps are the least spread, DN.
+LEAST_SPREAD_DN = 0.05
+# Farthest that the middle of a contour may lie from where the source was found, px.
+FARTHEST_PX = 10.0
+# Places nearer than this are one, px; a source that stands out by less than so many errors has no place of its own.
+NEAR_PX, CLEAR = 1.5, 16.0
+# A source besides the brightest: its height over full scale and in standard errors, and how far apart it lies, px.
+OTHER_SHARE, OTHER_ERRORS, APART_PX = 0.04, 16.0, 6
+# It falls off to every side by this share of its height within its own radius and this distance, px.
+FALLS_SHARE, FALLS_PX = 0.4, 4.0
+DIRECTIONS = 16
+
+
+@dataclass(frozen=True, kw_only=True)
+class SourcePosition:
+    """Position of a point source in a frame, px.
+
+    Parameters
+    ----------
+    row, col
+        Its middle, px.
+    significance
+        How many standard deviations it stands above its surroundings.
+    cut
+        Whether its peak is at the highest code, so that one source may pass for another.
+    settled
+        Whether it is the middle of a whole contour.
+    """
+
+    row: float
+    col: float
+    significance: float
+    cut: bool = False
+    settled: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contrast:
+    """Smoothed mean frame, its difference from the local surroundings, and the spread of that difference, DN."""
+
+    smooth: Array
+    difference: Array
+    spread: float
+
+
+def contrast_of(image: Array) -> Contrast:
+    """Compute the contrast in which small sources stand out."""
+    from scipy import ndimage
+
+    smooth = np.asarray(ndimage.gaussian_filter(image, SMOOTHING_PX))
+    difference = smooth - np.asarray(ndimage.gaussian_filter(image, SURROUNDINGS * SMOOTHING_PX))
+    some = difference[::THIN, ::THIN]
+    spread = 1.4826 * float(np.median(np.abs(some - np.median(some))))
+    return Contrast(smooth=smooth, difference=difference, spread=max(spread, LEAST_SPREAD_DN))
+
+
+def brightest(image: Array, region: tuple[int, int, int, int] | None) -> SourcePosition:
+    """Return the position with the highest contrast, moved to the centre of its connected bright region."""
+    from scipy import ndimage
+
+    found = contrast_of(image)
+    window = np.zeros(image.shape, bool)
+    if region is None:
+        window[:] = True
+    else:
+        row, col, height, width = region
+        window[row : row + height, col : col + width] = True
+    top = np.unravel_index(int(np.argmax(np.where(window, found.difference, -np.inf))), image.shape)
+    significance = float(found.difference[top] / found.spread)
+    floor = float(np.median(image[::THIN, ::THIN]))
+    above = found.smooth > floor + 0.5 * (found.smooth[top] - floor)
+    labels = np.asarray(ndimage.label(above)[0])  # pyright: ignore[reportIndexIssue]
+    rows, cols = np.nonzero(labels == labels[top]) if labels[top] else (np.array([top[0]]), np.array([top[1]]))
+    # Medians: a streak has few pixels beside the blob, and lies even about it.
+    return SourcePosition(row=float(np.median(rows)), col=float(np.median(cols)), significance=significance)
+
+
+def middle(view: SourceView, row: float, col: float) -> tuple[float, float, bool] | None:
+    """Return the centre of the contour at half height, and whether no sector is excluded; None without a contour.
+
+    None where there is no contour.
+
+    What sectors say that a streak or another source pulls is left out, and cut codes lie inside the contour.
+    """
+    profile = view.profile[1]
+    floor = float(np.median(profile))
+    level = floor + 0.5 * (min(float(profile[:2].max()), view.top) - floor)
+    found = contour_at(view, level) if level > 0 else None
+    if found is None:
+        return None
+    contour, whole = found
+    down, along = contour.shift()
+    if np.hypot(down, along) > FARTHEST_PX:
+        return None
+    return row + down / view.polar.row_pitch, col + along, whole
+
+
+def is_bright_at(image: Array, own: SourcePosition, other: SourcePosition) -> bool:
+    """Whether another position is within a pixel or two, or as bright as the source detected here."""
+    if np.hypot(own.row - other.row, own.col - other.col) < NEAR_PX or own.significance < CLEAR:
+        return True
+    floor = float(np.median(image[::THIN, ::THIN]))
+    here, there = (_patch(image, place) - floor for place in (own, other))
+    return there > 0.7 * here
+
+
+def _patch(image: Array, place: SourcePosition) -> float:
+    """Mean of the 3 x 3 pixels at a position."""
+    row, col = round(place.row), round(place.col)
+    return float(image[max(0, row - 1) : row + 2, max(0, col - 1) : col + 2].mean())
+
+
+def others(image: Array, place: SourcePosition, span_dn: float, row_pitch: float) -> tuple[SourcePosition, ...]:
+    """Return further sources in a frame, brightest first; they fall off in every direction, unlike streaks.
+
+    Parameters
+    ----------
+    image
+        Mean frame, shape (row, col), DN.
+    place
+        The source already known.
+    span_dn
+        Full scale over dark, DN.
+    row_pitch
+        Row pitch over column pitch.
+    """
+    from skimage.feature import peak_local_max
+
+    found = contrast_of(image)
+    least = max(OTHER_SHARE * span_dn, OTHER_ERRORS * found.spread)
+    peaks = peak_local_max(found.difference, min_distance=APART_PX, threshold_abs=least, exclude_border=False)
+    own = np.hypot((peaks[:, 0] - place.row) * row_pitch, peaks[:, 1] - place.col)
+    held = [
+        SourcePosition(row=float(row), col=float(col), significance=float(found.difference[row, col] / found.spread))
+        for (row, col), apart in zip(peaks, own, strict=True)
+        if apart > APART_PX
+        and _falls_off(found.smooth, int(row), int(col), float(found.difference[row, col]), row_pitch)
+    ]
+    return tuple(sorted(held, key=lambda one: -one.significance))
+
+
+def _falls_off(smooth: Array, row: int, col: int, height: float, row_pitch: float) -> bool:
+    """Whether the signal around a peak is lower in every direction."""
+    angle = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    reach = FALLS_PX + SMOOTHING_PX
+    rows = np.rint(row + reach * np.sin(angle) / row_pitch).astype(int)
+    cols = np.rint(col + reach * np.cos(angle)).astype(int)
+    inside = (rows >= 0) & (rows < smooth.shape[0]) & (cols >= 0) & (cols < smooth.shape[1])
+    return bool(np.all(smooth[row, col] - smooth[rows[inside], cols[inside]] > FALLS_SHARE * height))
+
 
 # Standard errors by which the smoothed source must stand above its surroundings.
 DETECTED = 8.0
@@ -81,12 +235,12 @@ class PointStack:
 
     @property
     def half_dn(self) -> float:
-        """Half of full scale over dark, DN."""
+        """Half of full scale above dark, DN."""
         return self.dark_dn + 0.5 * (self.full_scale_dn - self.dark_dn)
 
     @property
     def bloom_px(self) -> float:
-        """Bloom diameter at half of full scale, column pitches; 0 where the source stays below."""
+        """Bloom diameter at half of full scale, column pitches; 0 where the source stays below it."""
         return 0.0 if self.half is None else self.half.diameter_px
 
     @property
@@ -97,12 +251,12 @@ class PointStack:
 
     @property
     def touches_border(self) -> bool:
-        """Whether the bloom runs into the frame's border."""
+        """Whether the bloom extends to the border of the frame."""
         return self.half is not None and self.half.touches_border
 
 
 def read_point_stacks(session: Session, *, context: Context) -> tuple[PointStack, ...]:
-    """Read every point stack, one at a time, twice: the stacks agree on where the source is before it is measured."""
+    """Read all point stacks one at a time, in two passes: locate the sources, then measure them."""
     levels = {dark.label: dark.read().mean_dn for dark in session.of_kind("dark")}
 
     def dark_of(entry: StackEntry) -> float | None:
@@ -124,13 +278,13 @@ def read_point_stacks(session: Session, *, context: Context) -> tuple[PointStack
 
 
 def _place(entry: StackEntry, dark: float | None, context: Context) -> SourcePosition:
-    """Find the source of one stack."""
+    """Locate the source of one stack."""
     stack = entry.read()
     return place_of(stack, entry.target.region, _level(stack, dark), full_scale_of(stack, context), context)
 
 
 def place_of(stack: FrameStack, region, dark_dn: float, full_scale_dn: float, context: Context) -> SourcePosition:
-    """Find the source of a stack, and the middle of its contour where it has one."""
+    """Locate the source of a stack, at the centre of its contour where it has one."""
     found = brightest(stack.data.mean(axis=0, dtype=np.float64), region)
     if found.significance < DETECTED:
         return found
@@ -151,12 +305,12 @@ def place_of(stack: FrameStack, region, dark_dn: float, full_scale_dn: float, co
 
 
 def _inside(row: float, col: float, shape: tuple[int, ...]) -> bool:
-    """Whether a place lies in the frame: the contour of a bloom that runs out of it may have its middle elsewhere."""
+    """Whether a position lies inside the frame; the contour of a cropped bloom may be centred outside."""
     return -0.5 <= row < shape[0] - 0.5 and -0.5 <= col < shape[1] - 0.5
 
 
 def common_position(own: SourcePosition, places: list[SourcePosition], image: Array) -> SourcePosition:
-    """The place that the stacks share, unless this one's light is elsewhere.
+    """Return the position common to the stacks, unless this stack's source is elsewhere.
 
     The clearest stack knows it best, for there the source is neither faint nor a blob. Where two blobs have run into
     one, the shared place still lies inside; where the source has moved, it does not. Places come in the order of the
@@ -173,24 +327,25 @@ def common_position(own: SourcePosition, places: list[SourcePosition], image: Ar
 
 
 def full_scale_of(stack: FrameStack, context: Context) -> float:
-    """Highest code: as told, as recorded, else the highest value seen."""
+    """Return full scale: as configured, as recorded, else the largest value in the stack, DN."""
     told = context.full_scale_dn if context.full_scale_dn is not None else stack.full_scale_dn
     return told if told is not None else float(stack.data.max())
 
 
 def _dark_or_black_level(stack: FrameStack, dark: float | None) -> float | None:
+    """Return the dark level as measured, else as recorded; None if unknown."""
     return dark if dark is not None else stack.black_level_dn
 
 
 def _level(stack: FrameStack, dark: float | None) -> float:
-    """Level without light: measured, recorded, or else what most pixels show."""
+    """Return the black level: measured, recorded, else the median of the mean frame, DN."""
     recorded = _dark_or_black_level(stack, dark)
     return float(np.median(stack.data.mean(axis=0, dtype=np.float64))) if recorded is None else recorded
 
 
 def spot_of(entry: StackEntry, stack: FrameStack, dark: float | None, place: SourcePosition, context: Context,
             behind: list[tuple[Conditions, Background]]) -> PointStack:  # fmt: skip
-    """Statistics of one stack.
+    """Measure position, extents and background of one stack.
 
     Parameters
     ----------
@@ -219,7 +374,7 @@ def spot_of(entry: StackEntry, stack: FrameStack, dark: float | None, place: Sou
             draws = found["half"].draws if lowest is None else np.concatenate([found["half"].draws, lowest.draws])
             found["half"] = replace(found["half"], draws=draws)
         found["clip"] = extent_at(view, full - HALF_STEP_DN, seed=context.seed)
-        if light.lit and light.even:
+        if light.is_illuminated and light.even:
             found["background"] = extent_at(
                 view, level + 2.0 * light.level_dn, level_sd=2.0 * light.sd_dn, seed=context.seed
             )

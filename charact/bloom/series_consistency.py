@@ -1,28 +1,146 @@
-"""Whether the stacks of a point series belong together, and the frames of each: gain, dark, place and light at rest.
-
-What a bright source does to the rest of the picture and to later frames is measured here; where it spoils the numbers
-of a stack, or of the halo that all stacks share, flags say so.
-"""
+"""Consistency of a point series: gain, dark level, source position and signal across stacks and frames."""
 
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from charact.bloom.background_depression import (
-    dark_level_error,
-    depressions,
-    faintest,
-    has_background_fallen,
-    is_dark_inconsistent,
+from charact.bloom.over_time import (
+    FrameSeries,
+    frame_series,
+    frames_before_switch_off,
+    recoveries,
+    relative_drift,
+    travel_px,
 )
-from charact.bloom.over_time import FrameSeries, frame_series
 from charact.bloom.point_stack import DETECTED, PointStack
-from charact.bloom.recovery import frames_before_switch_off, recoveries
-from charact.bloom.stationarity import relative_drift, travel_px
 from charact.method import Context
-from labdata.measurement import Measurement
+from labdata.measurement import Measurement, make_refusal, measurement_from_sd
 from labdata.session import Session
+
+Array = NDArray[np.float64]
+
+# Standard errors at which a fall of the background, or a dark that does not fit, is seen.
+SEEN = 4.0
+# Background over dark, in its standard errors and in DN, below which its fall has no decibels.
+LEAST_ERRORS, LEAST_DN = 10.0, 0.2
+# Least misfit of a dark that does harm, DN and share of the background.
+HARM_DN, HARM_SHARE = 0.3, 0.1
+# Relative error of a variance beyond its scatter: the gain of a plate falls a little with the light.
+VARIANCE_SHARE = 0.03
+# Variance below which rounding makes noise no straight line of the light (EMVA 1288), DN^2.
+QUANTISED = 0.24
+SETTINGS = ("mcp_v", "camera_gain_db", "gate_ns", "exposure_s", "em_gain", "gain_control")
+BOUND = "glare of the source raises the background: the gain fell by at least so much"
+DECIBEL = 20.0 / np.log(10.0)
+
+
+def alike(one: FrameSeries, other: FrameSeries) -> bool:
+    """Whether two stacks were taken at the same settings."""
+    return all(getattr(one.conditions, name) == getattr(other.conditions, name) for name in SETTINGS)
+
+
+def faintest(watched: tuple[FrameSeries, ...], stack: FrameSeries) -> FrameSeries:
+    """The stack of least illuminance at the same settings."""
+    return min((one for one in watched if alike(one, stack)), key=lambda one: one.conditions.illuminance_lux or 0.0)
+
+
+def has_background_fallen(reference: FrameSeries, stack: FrameSeries) -> bool:
+    """Whether a stack's background lies below the reference's; independent of the dark level."""
+    fall = reference.background_dn + reference.dark_dn - stack.background_dn - stack.dark_dn
+    return fall > SEEN * np.hypot(reference.background_sd_dn, stack.background_sd_dn)
+
+
+def depressions(
+    watched: tuple[FrameSeries, ...], flags: dict[str, tuple[str, ...]], **fields: Any
+) -> list[Measurement]:
+    """Return the fall of each stack's background below that of the faintest stack at the same settings, dB.
+
+    Notes
+    -----
+    20 log10(B0 / B). An automatic gain lowers the background of a bright frame, glare of the source raises it: the gain
+    fell by at least so much. Where the background rises there is nothing but glare to be told, and it is refused.
+    """
+    out: list[Measurement] = []
+    for one in watched:
+        reference = faintest(watched, one)
+        common: dict[str, Any] = {"stack": one.label, **fields}
+        if one is reference:
+            continue
+        reason = _reason(reference, one)
+        if reason is not None:
+            out.append(make_refusal("background_depression", "dB", reason, **common))
+            continue
+        value = DECIBEL * float(np.log(reference.background_dn / one.background_dn))
+        parts = [each.background_sd_dn / each.background_dn for each in (reference, one)]
+        sd = DECIBEL * float(np.hypot(parts[0], parts[1]))
+        # A fall is what this number measures: it is no reason to distrust it.
+        told = tuple(flag for flag in flags.get(one.label, ()) if flag != "agc")
+        told += () if one.dark_known else ("no-darks",)
+        common["notes"] = (*common.get("notes", ()), BOUND)
+        out.append(measurement_from_sd("background_depression", "dB", value, sd, flags=told, **common))
+    return out
+
+
+def _reason(reference: FrameSeries, stack: FrameSeries) -> str | None:
+    for one in (reference, stack):
+        if one.background_dn < max(LEAST_ERRORS * one.background_sd_dn, LEAST_DN):
+            return f"the background of {one.label} is {one.background_dn:.3g} DN over dark: too faint to see it fall"
+    if has_background_fallen(stack, reference):
+        return "the background is brighter than that of the faintest stack: the source's own light lies on it"
+    return None
+
+
+def dark_level_error(stacks: tuple[FrameSeries, ...], dark_variance: float | None) -> tuple[float, float] | None:
+    """Return the black level above the dark frames' mean and its standard error, DN; None if not measurable.
+
+    Parameters
+    ----------
+    stacks
+        Those that the dark belongs to, their source at rest.
+    dark_variance
+        Variance of the dark frames in time, DN^2.
+
+    Notes
+    -----
+    Noise in time grows with the light from that of darkness on. The level at which its line, drawn through background
+    and halo, comes down to the noise of the dark frames is the level without light, whatever the dark frames' mean.
+    """
+    if dark_variance is None or dark_variance < QUANTISED:
+        return None
+    found = [one for one in (_without_light(stack, dark_variance) for stack in stacks) if one is not None]
+    if not found:
+        return None
+    level, sd = np.array(found).T
+    weight = 1.0 / sd**2
+    mean = float(weight @ level / weight.sum())
+    scatter = float(np.sqrt(weight @ (level - mean) ** 2 / max(len(level) - 1, 1)))
+    return mean, float(max(scatter, 1.0) / np.sqrt(weight.sum()))
+
+
+def _without_light(stack: FrameSeries, dark_variance: float) -> tuple[float, float] | None:
+    """Signal above dark at which a stack's variance equals that of the dark frames, and its standard error."""
+    if len(stack.noise_level_dn) < 2:
+        return None
+    level, variance = stack.noise_level_dn, stack.noise_variance - dark_variance
+    sd = np.hypot(stack.noise_variance_sd, VARIANCE_SHARE * stack.noise_variance)
+    design = np.stack([level, np.ones_like(level)], axis=1) / sd[:, None]
+    covariance = np.linalg.inv(design.T @ design)
+    slope, offset = covariance @ design.T @ (variance / sd)
+    if not slope > 5.0 * np.sqrt(covariance[0, 0]):
+        return None
+    gradient = np.array([offset / slope**2, -1.0 / slope])
+    return float(-offset / slope), float(np.sqrt(gradient @ covariance @ gradient))
+
+
+def is_dark_inconsistent(misfit: tuple[float, float] | None, background_dn: float) -> bool:
+    """Whether a dark is wrong by more than its error, and by enough to move a contour."""
+    if misfit is None:
+        return False
+    off, sd = misfit
+    return abs(off) > max(SEEN * sd, HARM_DN, HARM_SHARE * abs(background_dn))
+
 
 # Least side of a frame that holds a source and a background beside it, px.
 LEAST_SIDE_PX = 24
@@ -30,7 +148,7 @@ LEAST_SIDE_PX = 24
 
 @dataclass(frozen=True, kw_only=True)
 class SeriesConsistency:
-    """What does not stay as it is in a series.
+    """Inconsistencies of a series.
 
     Parameters
     ----------
@@ -48,14 +166,14 @@ class SeriesConsistency:
 
     @property
     def halo_flags(self) -> tuple[str, ...]:
-        """Flags of what all stacks share."""
+        """Flags of the quantities common to all stacks."""
         return tuple(sorted({flag for flags in self.flags.values() for flag in flags}))
 
 
 def check_consistency(
     session: Session, spots: tuple[PointStack, ...], context: Context, **fields: Any
 ) -> SeriesConsistency:
-    """Follow a series from stack to stack and from frame to frame.
+    """Check a series from stack to stack and from frame to frame.
 
     Parameters
     ----------
@@ -91,7 +209,7 @@ def check_consistency(
 
 
 def _in_time(watched: FrameSeries) -> tuple[str, ...]:
-    """Flags of one stack's frames."""
+    """Flags of one stack from its own frames."""
     if travel_px(watched) > 0:
         return ("drift",)
     if frames_before_switch_off(watched) is not None:
@@ -102,7 +220,7 @@ def _in_time(watched: FrameSeries) -> tuple[str, ...]:
 def _between(
     watched: tuple[FrameSeries, ...], flags: dict[str, tuple[str, ...]], dark_variance: float | None
 ) -> dict[str, tuple[str, ...]]:
-    """Flags of each stack that the others tell."""
+    """Flags of each stack by comparison with the others."""
     out: dict[str, tuple[str, ...]] = {}
     # A source that moves in one stack may do so, less clearly, in others, and what moves varies as noise does.
     rest = not any("drift" in told for told in flags.values())
@@ -118,7 +236,7 @@ def _between(
 
 
 def _dark_variance(session: Session) -> float | None:
-    """Variance in time of the dark frames, DN^2; None where there are not two."""
+    """Temporal variance of the dark frames, DN^2; None with fewer than two frames."""
     variances = [
         float(stack.data.var(axis=0, ddof=1, dtype=np.float64).mean())
         for entry in session.of_kind("dark")
@@ -143,4 +261,5 @@ def _evidence(watched: tuple[FrameSeries, ...], flags: dict[str, tuple[str, ...]
 
 
 def _finite_or_none(values: np.ndarray) -> list[float | None]:
+    """Return values as floats, None where not finite."""
     return [float(value) if np.isfinite(value) else None for value in values]

@@ -1,4 +1,4 @@
-"""Halo, core and glare from one forward model of all levels of a point series, cut codes counted as what they are."""
+"""Forward model of a point series: halo, core and glare from all stacks, clipping included in the model."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -6,15 +6,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.bloom.common_measurements import add_common_measurements
-from charact.bloom.extent_measurements import provenance, quantisation_flags
-from charact.bloom.halo_edge_step import STEP_SEEN, first_radius
+from charact.bloom.extent_measurements import add_common_measurements, provenance, quantisation_flags
+from charact.bloom.halo_edge_step import STEP_SEEN, first_radius, profile_of, reach_of
 from charact.bloom.point_stack import DETECTED, PointStack, read_point_stacks
-from charact.bloom.profile import profile_of, reach_of
 from charact.bloom.series.extent_comparison import MISFIT, compare_extents
-from charact.bloom.series.figure_data import forms_evidence, profile_evidence
-from charact.bloom.series.halo_checks import MISFIT_SHARE, halo_refusal_reason, is_uneven, own_diameters
-from charact.bloom.series.model_selection import FittedHaloModel, candidates
+from charact.bloom.series.levenberg_marquardt import optimise
+from charact.bloom.series.likelihood import RingSeries, select_levels
+from charact.bloom.series.model_selection import (
+    MISFIT_SHARE,
+    FittedHaloModel,
+    candidates,
+    halo_refusal_reason,
+    is_uneven,
+    own_diameters,
+)
 from charact.bloom.series.ring_series import build_ring_series
 from charact.bloom.series.series_measurements import (
     OF_THE_HALO,
@@ -34,6 +39,108 @@ from labdata.session import Session
 
 Array = NDArray[np.float64]
 
+# Forms that are cross-validated.
+VALIDATED = 3
+
+
+def profile_evidence(
+    best: FittedHaloModel, posterior: Posterior, own: tuple[Array, Array, Array] | None
+) -> dict[str, Any]:
+    """Ring means of all stacks with the selected model, normalised residuals, and each stack's own halo."""
+    series, point = best.problem.series, best.peak.point[None]
+    model = best.problem.rings(point)[..., 0]
+    solved = best.problem.solve_amplitudes(point)
+    sd = np.sqrt(np.diagonal(series.covariance(best.problem.misfit), axis1=1, axis2=2))
+    data: dict[str, Any] = {
+        "figure": "point-profile",
+        "label": list(series.labels),
+        "radius_px": [series.radius_px.tolist()] * len(series.labels),
+        "mean_dn": series.data.tolist(),
+        "sd_dn": sd.tolist(),
+        "used": (~series.cut).tolist(),
+        "model_dn": model.tolist(),
+        "residual_sd": ((series.data - model) / sd).tolist(),
+        "full_scale_dn": series.full_dn,
+        "light_dn_px2": solved.amplitudes[:, 0, 0].tolist(),
+        "background_dn": solved.amplitudes[:, 1, 0].tolist(),
+        "form": best.name,
+        "model_share": best.problem.misfit.share,
+        "core_share": best.problem.misfit.core,
+        "chi2": float(solved.chi2.sum()),
+        "freedom": int(series.data.size - 2 * len(series.data) - len(best.peak.point)),
+        "halo_diameter_px": None,
+    }
+    if own is None:
+        return {"point-profile": data}
+    data |= {
+        "halo_diameter_px": float(np.median(posterior["halo_diameter"])),
+        "elastic_share": float(np.median(posterior["elastic_share"])),
+        "halo_share": [float(np.median(posterior["halo_fraction"]))] * len(series.labels),
+    }
+    return {"point-profile": data, "halo-constancy": _constancy(series, posterior, own)}
+
+
+def _constancy(series: RingSeries, posterior: Posterior, own: tuple[Array, Array, Array]) -> dict[str, Any]:
+    """Halo diameter of each stack and of all, as figure data."""
+    seen = np.isfinite(own[0])
+    diameter, sd = own[0][seen], np.maximum(own[1][seen], 1e-6)
+    joint = float(np.median(posterior["halo_diameter"]))
+    return {
+        "figure": "halo-constancy",
+        "label": [label for label, one in zip(series.labels, seen, strict=True) if one],
+        "halo_diameter_px": diameter.tolist(),
+        "interval95_px": np.stack([diameter - 1.96 * sd, diameter + 1.96 * sd], axis=1).tolist(),
+        "significance": own[2][seen].tolist(),
+        "joint_px": joint,
+        "joint_elastic_share": float(np.median(posterior["elastic_share"])),
+        "chi2_of_constancy": float((((diameter - joint) / sd) ** 2).sum()),
+        "freedom": max(0, len(diameter) - 1),
+    }
+
+
+def forms_evidence(forms: list[FittedHaloModel], *, quick: bool) -> dict[str, Any]:
+    """Information criterion of every fitted model, and its cross-validation."""
+    foretold = (
+        [None] * len(forms) if quick else [cross_validate(one) for one in forms[:VALIDATED]] + [None] * len(forms)
+    )
+    least = forms[0].bic
+    rows = [
+        {
+            "form": one.name,
+            "parameters": len(one.form.names),
+            "log_likelihood": one.log_likelihood,
+            "bic_over_best": one.bic - least,
+            "off_percent": 100.0 * one.problem.misfit.share,
+            "core_off_percent": 100.0 * one.problem.misfit.core,
+            "foretold_chi2_per_ring": value,
+        }
+        for one, value in zip(forms, foretold, strict=False)
+    ]
+    return {"bloom-forms": {"table": rows}}
+
+
+def cross_validate(candidate: FittedHaloModel) -> float | None:
+    """Reduced chi squared of stacks that a model was not fitted to; None with one stack.
+
+    Every second level is left out, then the others: core and halo come from the one half, each level's own light and
+    background from itself.
+    """
+    series = candidate.problem.series
+    count = len(series.labels)
+    if count < 2:
+        return None
+    total = 0.0
+    for fold in (0, 1):
+        seen = np.arange(count) % 2 == fold
+        peak = optimise(replace(candidate.problem, series=select_levels(series, seen)), candidate.peak.point)
+        total += float(
+            replace(candidate.problem, series=select_levels(series, ~seen))
+            .solve_amplitudes(peak.point[None])
+            .chi2.sum()
+        )
+    return total / series.data.size
+
+
 METHOD = "series-forward"
 EXTENTS = ("bloom_diameter", "bloom_diameter_background", "bloom_diameter_clip")
 # Share of the farthest ring beyond which a halo is not seen whole.
@@ -51,7 +158,7 @@ CONSTANT = 1e-4
     scope="A round source whose halo has an edge that rises above the noise in one level at least; at any saturation.",
 )
 def series_forward(session: Session, *, context: Context) -> Result:
-    """Measure halo, encircled light, glare, bloom diameters and streaks of a point series.
+    """Measure halo, encircled energy, glare, bloom diameters and streaks of a point series.
 
     Parameters
     ----------
@@ -75,7 +182,7 @@ def series_forward(session: Session, *, context: Context) -> Result:
 
 @dataclass(frozen=True, kw_only=True)
 class _SeriesResult:
-    """What a series says of all its stacks together, and by which form of which stacks."""
+    """Measurements common to all stacks, with the selected model and its stacks."""
 
     measurements: list[Measurement]
     evidence: dict[str, Any]
@@ -84,7 +191,7 @@ class _SeriesResult:
 
 
 def _compare_extents(result: Result, best: FittedHaloModel, group: tuple[PointStack, ...]) -> Result:
-    """Hold extents against the fitted light; where that fits no ring, none that it shows is sure."""
+    """Compare measured extents with the fitted signal; flag them where the fit is poor."""
     if best.problem.misfit.share <= MISFIT_SHARE and not is_uneven(best.problem.series):
         return replace(result, measurements=compare_extents(best, group, result.measurements))
     labels = {one.label for one in group}
@@ -98,7 +205,7 @@ def _compare_extents(result: Result, best: FittedHaloModel, group: tuple[PointSt
 def _analyse_series(
     session: Session, spots: tuple[PointStack, ...], context: Context, fields: dict[str, Any]
 ) -> _SeriesResult:
-    """What the series says, and what the report draws of it."""
+    """Measurements and figure data of a series."""
     clear = tuple(spot for spot in spots if spot.significance > DETECTED)
     if not clear:
         return _SeriesResult(
@@ -139,7 +246,7 @@ def _refuse_halo(reason: str, fields: dict[str, Any]) -> list[Measurement]:
 
 
 def _posterior(best: FittedHaloModel, context: Context) -> Posterior:
-    """Draws of the best form's parameters."""
+    """Posterior draws of the selected model's parameters."""
     asked: dict[str, Any] = {
         "names": best.form.names,
         "units": best.form.units,
@@ -157,7 +264,7 @@ def _posterior(best: FittedHaloModel, context: Context) -> Posterior:
 
 
 def _is_cut(best: FittedHaloModel, gaussian: Posterior) -> bool:
-    """Whether bounds cut a Gaussian so that its peak is not the middle of its diameters: its width says little then."""
+    """Whether bounds truncate the Gaussian approximation so that its width is unreliable."""
     if best.form.halo != "disc":
         return False
     diameter = gaussian["halo_diameter"]
@@ -166,7 +273,7 @@ def _is_cut(best: FittedHaloModel, gaussian: Posterior) -> bool:
 
 
 def _flags(best: FittedHaloModel, posterior: Posterior, own: tuple[Array, Array, Array] | None) -> tuple[str, ...]:
-    """What speaks against the numbers; bounds of nuisance parameters harm nothing."""
+    """Flags of the series; bounds of nuisance parameters are ignored."""
     from scipy.stats import chi2
 
     flags = tuple(flag for flag in posterior.flags if flag != "prior-bound")

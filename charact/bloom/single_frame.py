@@ -1,30 +1,106 @@
-"""What one frame of a point source says by itself, without darks, without its light and without other levels.
-
-Extents are there in any frame; a halo's edge only where the rings step; all that compares levels is refused, each with
-the sentence that says what would give it.
-"""
+"""Bloom quantities of a single frame of a point source, without darks and other source levels."""
 
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from charact.bloom.defects import with_sound_pixels
-from charact.bloom.encircled_energy import REACH_PX, SHARES, ring_energy_radii
-from charact.bloom.extent_measurements import bloom_measurements, provenance, series_evidence
-from charact.bloom.findings import add_findings
-from charact.bloom.halo_edge_step import STEP_SEEN, edge_radius
-from charact.bloom.point_stack import DETECTED, PointStack, read_point_stacks, spot_of
-from charact.bloom.profile import profile_of, reach_of
-from charact.bloom.source_position import SourcePosition
-from charact.bloom.source_view import view_of
+from charact.bloom.extent import DRAWS
+from charact.bloom.extent_measurements import add_findings, bloom_measurements, provenance, series_evidence
+from charact.bloom.halo_edge_step import STEP_SEEN, edge_radius, profile_of, reach_of
+from charact.bloom.point_stack import DETECTED, PointStack, SourcePosition, read_point_stacks, spot_of
+from charact.bloom.source_view import SECTORS, Background, SourceView, view_of
 from charact.method import Context
 from charact.method.stopwatch import with_timing
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
 from labdata.measurement import Measurement, Result, make_refusal, measurement_from_draws, measurement_from_sd
 from labdata.session import Session, StackEntry
+
+Array = NDArray[np.float64]
+
+SHARES = (0.5, 0.9)
+# Farthest ring that is summed, px: beyond it a halo has ended, and the background's error grows with the area.
+REACH_PX = 45.0
+# Within this radius the light is followed between pixels, in steps and directions, px.
+NEAR_PX, STEP_PX, ANGLES = 12, 0.25, 48
+# Share of full scale above which pixels may have been cut, and standard error of the whole light that is too much.
+CUT_SHARE = 0.97
+LEAST_KNOWN = 0.1
+
+
+def ring_energy_radii(view: SourceView, background: Background, *, seed: int) -> dict[float, Array] | str:
+    """Return draws of the encircled-energy radii for each of `SHARES`, column pitches; or a refusal reason.
+
+    Parameters
+    ----------
+    view
+        Mean frame as seen from the source.
+    background
+        Light that is not the source's.
+    seed
+        Seed of the draws.
+
+    Notes
+    -----
+    The whole light is that inside the largest ring of the frame, or within `REACH_PX`: wings beyond are not counted,
+    and the error of the background counts over the whole area.
+    """
+    top = float((view.signal[view.polar.radius < view.rings.radius[-1]]).max())
+    if top > CUT_SHARE * view.top:
+        return "the source's core is cut at the highest code, so that its light is not known: a fainter level tells it"
+    if not background.even:
+        return "the light still falls at the border of the frame: a wider frame holds the source's light"
+    border = (view.polar.radius[edge].min() for edge in (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1]))
+    rings = max(int(min(*border, REACH_PX)), 1)
+    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(seed)
+    sd = view.noise.sd(view.profile[1]) / np.sqrt(view.noise.frames)
+    area = np.diff(np.pi * np.arange(rings + 1.0) ** 2)
+    mean = view.rings.mean()[:rings]
+    noise = view.rings.draws(sd, DRAWS, rng, np.ones(SECTORS, bool))[:, :rings] - mean
+    noise -= background.sd_dn * rng.standard_normal((DRAWS, 1))
+    radius, held = _cumulative_light(view, mean - background.level_dn, area, background.level_dn)
+    off = np.concatenate([np.zeros((DRAWS, 1)), np.cumsum(noise * area, axis=1)], axis=1)
+    draws = held + np.array([np.interp(radius, np.arange(rings + 1.0), one) for one in off])
+    whole = draws[:, -1]
+    if np.std(whole) > LEAST_KNOWN * np.mean(whole):
+        return (
+            f"the source's light is known to {np.std(whole) / abs(np.mean(whole)):.0%} only: more frames would tell it"
+        )
+    return {share: np.array([_first(one / one[-1], radius, share) for one in draws]) for share in SHARES}
+
+
+def _cumulative_light(view: SourceView, light: Array, area: Array, floor: float) -> tuple[Array, Array]:
+    """Radii and encircled signal: by spline interpolation near the source, by rings beyond."""
+    from scipy import ndimage
+
+    near = min(NEAR_PX, len(light))
+    fine = np.arange(0.0, near + STEP_PX / 2, STEP_PX)
+    angle = 2.0 * np.pi * (np.arange(ANGLES) + 0.5) / ANGLES
+    middle = fine[1:] - 0.5 * STEP_PX
+    row, col = _centre(view)
+    places = [row + middle[:, None] * np.sin(angle) / view.polar.row_pitch, col + middle[:, None] * np.cos(angle)]
+    profile = ndimage.map_coordinates(view.signal, places, order=3, mode="nearest").mean(axis=1) - floor
+    inner = np.concatenate([[0.0], np.cumsum(2.0 * np.pi * middle * STEP_PX * profile)])
+    outer = inner[-1] + np.cumsum((light * area)[near:])
+    return np.concatenate([fine, np.arange(near + 1.0, len(light) + 1.0)]), np.concatenate([inner, outer])
+
+
+def _centre(view: SourceView) -> tuple[float, float]:
+    """Centre of the view, px."""
+    return float(-view.polar.dy[0, 0] / view.polar.row_pitch), float(-view.polar.dx[0, 0])
+
+
+def _first(held: Array, radius: Array, share: float) -> float:
+    """Radius at which the encircled signal first reaches a fraction; between radii it grows with the area."""
+    at = max(int(np.argmax(held >= share)), 1)
+    part = (share - held[at - 1]) / max(held[at] - held[at - 1], 1e-12)
+    return float(np.sqrt(radius[at - 1] ** 2 + np.clip(part, 0.0, 1.0) * (radius[at] ** 2 - radius[at - 1] ** 2)))
+
 
 METHOD = "one-frame"
 # The steepest step of a blurred rim lies within about half a pixel of its edge; in one frame nothing confirms it.
@@ -47,7 +123,7 @@ BEYOND_ONE_FRAME = (
 
 
 def bare_session(path: str | Path) -> Session:
-    """Return a session of one stack that shows a point source, from a picture that has no session.
+    """Return a session of one point stack from an image file without a session.
 
     Parameters
     ----------
@@ -61,7 +137,7 @@ def bare_session(path: str | Path) -> Session:
 
 @with_timing
 def measure_frame(session: Session, *, context: Context) -> Result:
-    """Measure what the only stack of a session says by itself, each source in it with its region.
+    """Measure the only stack of a session; each source in it has its own region.
 
     Parameters
     ----------
@@ -102,7 +178,7 @@ def _place(spot: PointStack) -> SourcePosition:
 
 
 def _box(spot: PointStack) -> tuple[int, int, int, int]:
-    """ROW, COL, HEIGHT, WIDTH of the region at half of full scale, or of a few pixels around the place."""
+    """Region (row, col, height, width) at half of full scale, or a few pixels around the source."""
     rows, cols = spot.image.shape
     if spot.half is not None:
         down, along = np.nonzero(spot.half.region)
@@ -134,7 +210,7 @@ def _energy_radii(spot: PointStack, stack: FrameStack, context: Context, fields:
 
 
 def _halo(spot: PointStack, context: Context, fields: dict[str, Any]) -> Measurement:
-    """The halo's edge where the rings step clearly."""
+    """Diameter of the halo where the ring profile has a clear step."""
     common = {"stack": spot.label, **fields}
     if spot.significance < DETECTED:
         return make_refusal("halo_diameter", "px", "no point source stands out of its surroundings", **common)

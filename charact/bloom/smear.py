@@ -1,8 +1,4 @@
-"""Smear: light that falls on the columns while their charge is moved, even from the frame's top to its bottom.
-
-The columns of the core are compared with those to their left and right, in rows that neither the streak nor much of the
-halo reaches; what they hold more, above and below alike, is held against the light that they gather.
-"""
+"""Smear: signal collected by columns during charge transfer, uniform along the column."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -10,10 +6,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.bloom.column_artefacts import ROUNDED_DN, ColumnArtefacts, compare_columns
-from charact.bloom.mean_frame_noise import MeanFrameNoise, grain_of
+from charact.bloom.column_artefacts import (
+    FULL_SHARE,
+    ROUNDED_DN,
+    ColumnArtefacts,
+    MeanFrameNoise,
+    compare_columns,
+    grain_of,
+)
 from charact.bloom.point_stack import DETECTED, PointStack
-from charact.bloom.streak import FULL_SHARE
 from charact.method import Context
 from labdata.measurement import Measurement, make_refusal, measurement_from_sd
 
@@ -48,7 +49,7 @@ NARROW = "the frame is too narrow: there are no columns far from the source to h
 
 @dataclass(frozen=True, kw_only=True)
 class Core:
-    """Columns of the core, and the light that they gather.
+    """Columns of the core, and their signal.
 
     Parameters
     ----------
@@ -69,7 +70,7 @@ class Core:
 
 @dataclass(frozen=True, kw_only=True)
 class Smear:
-    """What one stack holds evenly on the columns of its core.
+    """Uniform column signal of one stack.
 
     Parameters
     ----------
@@ -93,7 +94,7 @@ class Smear:
 def smear_measurement(
     spots: tuple[PointStack, ...], context: Context, **fields: Any
 ) -> tuple[Measurement, dict[str, Any]]:
-    """Return the smear fraction of a series of stacks, and what the report draws of it.
+    """Return the smear fraction of a series of stacks, and its figure data.
 
     Parameters
     ----------
@@ -125,7 +126,7 @@ def smear_measurement(
 
 
 def core_light(spots: tuple[PointStack, ...]) -> float:
-    """Light of the brightest unsaturated stack; 0 where there is none."""
+    """Stated light of the brightest unsaturated stack; 0 where there is none."""
     return max((_light(spot) or 0.0 for spot in spots if _linear(spot)), default=0.0)
 
 
@@ -141,7 +142,7 @@ def _linear(spot: PointStack) -> bool:
 
 
 def core_of(spots: tuple[PointStack, ...], context: Context) -> Core | str:
-    """Sum the light of each column of the brightest unsaturated stack; or say why that cannot be."""
+    """Sum the signal of each column of the brightest unsaturated stack; or return a refusal reason."""
     if not spots:
         return "no point source stands out of its surroundings"
     if any(_light(spot) is None for spot in spots):
@@ -168,7 +169,7 @@ def core_of(spots: tuple[PointStack, ...], context: Context) -> Core | str:
 
 
 def _contrast(image: Array, rows: Mask, half: int, col: int) -> tuple[float, float]:
-    """Mean of the core's columns less that of their neighbours over some rows, and its standard error.
+    """Mean of the core's columns less their neighbours' over some rows, and its standard error.
 
     The error is the scatter of the same difference taken everywhere else along these rows: what rows, columns and
     neighbours share is in it.
@@ -190,7 +191,7 @@ def _contrast(image: Array, rows: Mask, half: int, col: int) -> tuple[float, flo
 
 
 def _smear_of(spot: PointStack, core: Core, context: Context) -> Smear | str:
-    """Even light of one stack's core columns; or why it cannot be told."""
+    """Uniform column signal of one stack; or a refusal reason."""
     col, half = round(spot.col), core.half_width_px
     # Round light is taken away first: across a halo or a wing it is bent enough to pass for a faint column.
     found = compare_columns(spot, context, half_width_px=spot.image.shape[1])
@@ -216,7 +217,7 @@ def _smear_of(spot: PointStack, core: Core, context: Context) -> Smear | str:
 
 
 def _far_rows(found: ColumnArtefacts, middle: slice, grain: MeanFrameNoise) -> Mask:
-    """Rows beyond the streak, without those that the halo makes noisy: what they hold is even."""
+    """Rows beyond the streak and outside the noisy part of the halo."""
     excess = found.excess_dn[:, middle].max(axis=1)
     noise = np.sqrt(grain.floor_variance)
     quiet = found.sd_dn[:, middle].max(axis=1) < NOISY * max(noise, float(np.median(found.sd_dn[[0, -1]])))
@@ -238,7 +239,7 @@ def _far_rows(found: ColumnArtefacts, middle: slice, grain: MeanFrameNoise) -> M
 
 
 def _fraction(found: list[Smear], core: Core, rows: int, **fields: Any) -> Measurement:
-    """Combine stacks; scatter beyond their errors, as of lights that are not quite as stated, widens the interval."""
+    """Combine stacks; scatter beyond their errors widens the interval."""
     light, level, error = np.array([(one.light, one.level_dn, one.level_sd_dn) for one in found]).T
     share, sd = rows * level / (light * core.light_dn), rows * error / (light * core.light_dn)
     seen = level > SEEN * error
@@ -275,7 +276,7 @@ def _between(share: Array, sd: Array) -> float:
 
 
 def _bends(light: Array, share: Array, sd: Array) -> bool:
-    """Whether the share falls or rises steadily with the light: then the light on the columns does not follow it."""
+    """Whether the fraction changes with the light: the column signal is then nonlinear."""
     if len(share) < 2:
         return False
     order = np.argsort(light)

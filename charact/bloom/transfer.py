@@ -1,8 +1,4 @@
-"""Transforms of everything that spreads a point: pixel, core, wing, halo; each 1 at frequency 0.
-
-All take frequencies in cycles per column pitch, shape (frequency,), and parameters by draw, shape (draw,), and give the
-shape (draw, frequency).
-"""
+"""Transfer functions of pixel, core, wing and halo, and radial profiles from them."""
 
 from functools import lru_cache
 
@@ -25,7 +21,7 @@ LEAST_CY_PER_PX = 1e-9
 
 
 def pixel(frequency: Array, pitch_ratio: float) -> Array:
-    """Transform of the pixel's aperture, averaged over all directions, shape (frequency,)."""
+    """Transfer function of the pixel aperture, averaged over all directions, shape (frequency,)."""
     angle = (np.arange(64) + 0.5) * (np.pi / 128)
     across, along = np.cos(angle)[:, None] * frequency, pitch_ratio * np.sin(angle)[:, None] * frequency
     return (np.sinc(across) * np.sinc(along)).mean(axis=0)
@@ -37,7 +33,7 @@ def gaussian(frequency: Array, variance_px2: Array) -> Array:
 
 
 def tube(frequency: Array, cut_off: Array, exponent: Array) -> Array:
-    """exp(-(f/fc)^n), an image tube's (Johnson, SPIE 1979)."""
+    """exp(-(f/fc)^n), an image tube (Johnson, SPIE 1979)."""
     return np.exp(-((frequency / cut_off[:, None]) ** exponent[:, None]))
 
 
@@ -59,12 +55,12 @@ def matern(frequency: Array, sd_px: Array, peak: Array) -> Array:
 
 
 def backscatter_profile(elastic: Array) -> Array:
-    """Return the profile of electrons that bounced off a plate, shape (draw, fraction), by their elastic fraction."""
+    """Return the profile of backscattered electrons, shape (draw, fraction), from their elastic fraction."""
     return np.stack([elastic, 1.0 - elastic, 0.0 * elastic, 0.0 * elastic], axis=-1)
 
 
 def disc(frequency: Array, diameter_px: Array, profile: Array) -> Array:
-    """Transform of a halo's disc, whose light ends at its edge and may take any even profile inside.
+    """Transfer function of a halo disc of finite diameter and any smooth profile.
 
     Parameters
     ----------
@@ -88,7 +84,7 @@ def disc(frequency: Array, diameter_px: Array, profile: Array) -> Array:
 
 @lru_cache(maxsize=1)
 def _disc_table() -> tuple[Array, ...]:
-    """Transforms of a flat disc and of the densities of `PROFILE` at `DISC_ARGUMENTS`."""
+    """Transfer functions of a flat disc and of the densities of `PROFILE` at `DISC_ARGUMENTS`."""
     from scipy.special import comb, gamma, jv, sici
 
     u = np.maximum(DISC_ARGUMENTS, LEAST_CY_PER_PX)
@@ -110,10 +106,40 @@ def _moffat_table() -> Array:
 
 
 def _four(even: Array, value: Array) -> tuple[NDArray[np.intp], Array]:
-    """Four neighbours on an even grid and their weights in a cubic through them, shape (.., 4)."""
+    """Four neighbours on a uniform grid and their cubic interpolation weights, shape (.., 4)."""
     at = (value - even[0]) / (even[1] - even[0])
     first = np.clip(at.astype(np.intp) - 1, 0, len(even) - 4)
     t = at - first
     weight = np.stack([-(t - 1) * (t - 2) * (t - 3) / 6, t * (t - 2) * (t - 3) / 2, -t * (t - 1) * (t - 3) / 2,
                        t * (t - 1) * (t - 2) / 6], axis=-1)  # fmt: skip
     return first[..., None] + np.arange(4), weight
+
+
+# High enough for the sharpest core allowed, and nodes enough for the farthest ring.
+HIGHEST_CY_PER_PX = 1.25
+NODES = 300
+
+
+@lru_cache(maxsize=1)
+def _quadrature() -> tuple[Array, Array]:
+    at, weight = np.polynomial.legendre.leggauss(NODES)
+    return 0.5 * HIGHEST_CY_PER_PX * (at + 1.0), 0.5 * HIGHEST_CY_PER_PX * weight
+
+
+def frequencies() -> Array:
+    """Frequencies of the transforms, cycles per column pitch."""
+    return _quadrature()[0]
+
+
+def onto_nodes(node_px: Array) -> Array:
+    """Return the matrix that takes transforms to light at radii, shape (frequency, node); not to be written to."""
+    return _onto_nodes(np.asarray(node_px, np.float64).tobytes())
+
+
+@lru_cache(maxsize=4)
+def _onto_nodes(nodes: bytes) -> Array:
+    from scipy.special import j0
+
+    node_px = np.frombuffer(nodes)
+    frequency, weight = (one[:, None] for one in _quadrature())
+    return 2.0 * np.pi * frequency * weight * j0(2.0 * np.pi * frequency * node_px)

@@ -1,24 +1,20 @@
-"""What the fit's camera model predicts for each measured quantity, for many parameter draws at once.
-
-`Values` maps a parameter's path ("tube.mtf_exponent") to its draws, shape (n,). Every function returns one number, or
-one row of numbers, for each draw. The formulas are the fit's own: see `charact.fit.transfer` and `charact.fit.video`.
-"""
+"""Quantities predicted by the camera model, for many parameter draws at once."""
 
 from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import j1, sici
 
-from charact.fit import transfer, video
+Array = NDArray[np.float64]
 
 Values = Mapping[str, NDArray[np.float64]]
-Array = NDArray[np.float64]
 
 ELEMENTARY_CHARGE_C = 1.602176634e-19
 
 
 def mtf(values: Values, across: ArrayLike, along: ArrayLike = 0.0) -> Array:
-    """Return the MTF of the whole camera, normalised to the light that entered.
+    """Return the system MTF.
 
     Parameters
     ----------
@@ -39,23 +35,21 @@ def mtf(values: Values, across: ArrayLike, along: ArrayLike = 0.0) -> Array:
     detector = _per_mm_at_detector(values, fx, fy)
     cathode = detector / _column(values, "taper.demagnification")
     share = _column(values, "photocathode.halo_fraction")
-    halo = transfer.halo_transfer(
+    halo = halo_transfer(
         cathode, _column(values, "photocathode.gap_mm"), _column(values, "photocathode.halo_elastic_share")
     )
-    lens = transfer.lens_transfer(
-        cathode, _column(values, "optics.aberration_blur_um"), _column(values, "optics.f_number")
-    )
+    lens = lens_transfer(cathode, _column(values, "optics.aberration_blur_um"), _column(values, "optics.f_number"))
     before = lens * ((1.0 - share) + share * halo)
     return before * _tube(values, cathode, 1.0) * _coupling(values, detector) * _readout(values, fx, fy)
 
 
 def blur_factor(values: Values, gain_dn_per_pe: Array) -> Array:
-    """Return variance over covariance sum of the noise of a field, shape (n,), dimensionless; see `noise_shape`."""
+    """Return the blur factor of a field's noise, shape (n,), dimensionless; see `noise_shape`."""
     return noise_shape(values, gain_dn_per_pe)[0]
 
 
 def noise_shape(values: Values, gain_dn_per_pe: Array) -> tuple[Array, Array]:
-    """Return blur factor and correlation of neighbours in a row of the noise of a field, shape (n,), dimensionless.
+    """Return blur factor and horizontal neighbour correlation of a field's noise, shape (n,), dimensionless.
 
     Notes
     -----
@@ -66,14 +60,14 @@ def noise_shape(values: Values, gain_dn_per_pe: Array) -> tuple[Array, Array]:
     k F^2 and K.
     """
     weights = _video_weights(values)
-    across = transfer.aperture_transfer(_ACROSS) * video.video_filter_transfer(weights, _ACROSS)
+    across = aperture_transfer(_ACROSS) * video_filter_transfer(weights, _ACROSS)
     detector = _per_mm_at_detector(values, *(plane.ravel() for plane in np.meshgrid(_ACROSS, _ALONG / 2.0)))
     cathode = detector / _column(values, "taper.demagnification")
     after = _tube(values, cathode, _column(values, "tube.post_gain_share")) * _coupling(values, detector)
-    down = transfer.aperture_transfer(_ALONG) ** 2 * _ALONG_WEIGHT
+    down = aperture_transfer(_ALONG) ** 2 * _ALONG_WEIGHT
     columns = down @ after.reshape(-1, _ALONG.size, _ACROSS.size) ** 2
     power = 4.0 * columns * across**2 * _ACROSS_WEIGHT
-    electron = values["video.conversion_gain_dn_per_e"]
+    electron = values["conversion_gain_dn_per_e"]
     event = gain_dn_per_pe * excess_noise_factor(values)
     variance, neighbour = (
         (event * pulses + electron * filtered) / (event + electron)
@@ -92,7 +86,7 @@ def excess_noise_factor(values: Values) -> Array:
 
 
 def photoelectron_gain(values: Values, mcp_v: ArrayLike, reference_v: float) -> Array:
-    """Return k, the mean signal of one photoelectron (the undetected counted), shape (n,), DN.
+    """Return k, the mean signal per photoelectron, undetected ones included, shape (n,), DN.
 
     Notes
     -----
@@ -101,13 +95,13 @@ def photoelectron_gain(values: Values, mcp_v: ArrayLike, reference_v: float) -> 
     gain follows the plate's voltage as (V/V0)^m.
     """
     electrons = values["taper.transmission"] * values["ccd.quantum_efficiency"]
-    return _photons_per_pe(values, mcp_v, reference_v) * electrons * values["video.conversion_gain_dn_per_e"]
+    return _photons_per_pe(values, mcp_v, reference_v) * electrons * values["conversion_gain_dn_per_e"]
 
 
 def covariance_gain(values: Values, gain_dn_per_pe: Array) -> Array:
     """Return K + k F^2 at the gain k per photoelectron, shape (n,), DN."""
     event = gain_dn_per_pe * excess_noise_factor(values)
-    return values["video.conversion_gain_dn_per_e"] + event
+    return values["conversion_gain_dn_per_e"] + event
 
 
 def photoelectrons(values: Values, illuminance_lux: ArrayLike, gate_s: ArrayLike) -> Array:
@@ -123,7 +117,7 @@ def background_rate(values: Values) -> Array:
 def mcp_load(
     values: Values, illuminance_lux: ArrayLike, gate_s: ArrayLike, mcp_v: ArrayLike, reference_v: float
 ) -> Array:
-    """Return the plate's mean output current over the one at which its gain has halved, shape (n,).
+    """Return the mean MCP output current over the current at half gain, shape (n,).
 
     Notes
     -----
@@ -133,11 +127,11 @@ def mcp_load(
     cathode_a_per_cm2 = np.asarray(illuminance_lux) * 1e-4 * _electrons_per_lumen(values) * ELEMENTARY_CHARGE_C
     limit = values["microchannel_plate.strip_current_ua_per_cm2"] * 1e-6
     limit = limit * values["microchannel_plate.saturation_fraction"]
-    return cathode_a_per_cm2 * per_pe * np.asarray(gate_s) * values["video.field_rate_hz"] / limit
+    return cathode_a_per_cm2 * per_pe * np.asarray(gate_s) * values["field_rate_hz"] / limit
 
 
 def dark_variance(values: Values, gain_dn_per_pe: Array, blur: Array, gate_s: float) -> Array:
-    """Return the temporal variance of a dark frame: reading, rounding and what scintillates, shape (n,), DN^2.
+    """Return the temporal variance of a dark frame, shape (n,), DN^2.
 
     Notes
     -----
@@ -146,8 +140,8 @@ def dark_variance(values: Values, gain_dn_per_pe: Array, blur: Array, gate_s: fl
     screen glows over several fields.
     """
     filtered = np.sum(_video_weights(values) ** 2, axis=1)
-    dark_e = 2.0 * values["ccd.dark_current_e_per_s"] / values["video.field_rate_hz"]
-    reading = values["video.conversion_gain_dn_per_e"] ** 2 * (values["ccd.read_noise_e"] ** 2 + dark_e) * filtered
+    dark_e = 2.0 * values["ccd.dark_current_e_per_s"] / values["field_rate_hz"]
+    reading = values["conversion_gain_dn_per_e"] ** 2 * (values["ccd.read_noise_e"] ** 2 + dark_e) * filtered
     events = background_rate(values) * gate_s
     pulses = covariance_gain(values, gain_dn_per_pe) * gain_dn_per_pe * events * blur
     return reading + pulses * lag_noise_fraction(values, gate_s) + 1.0 / 12.0
@@ -166,14 +160,14 @@ def ion_variance(values: Values, gain_dn_per_pe: Array, blur: Array, gate_s: flo
 
 
 def lag_noise_fraction(values: Values, gate_s: float) -> Array:
-    """Return the share of a field's scintillation variance left by a screen that glows on, shape (n,).
+    """Return the fraction of a field's scintillation variance that remains with phosphor decay, shape (n,).
 
     Notes
     -----
     Mean over the arrival of a pulse, anywhere in the gate at the start of a field, of sum_j l_j^2; l_j is the share of
     its light that comes out in the j-th field after it, of two exponential components.
     """
-    field_s = 1.0 / values["video.field_rate_hz"][:, None, None]
+    field_s = 1.0 / values["field_rate_hz"][:, None, None]
     fast = values["phosphor.fast_fraction"]
     light = np.stack([fast * values["phosphor.fast_decay_ms"], (1.0 - fast) * values["phosphor.slow_decay_ms"]])
     decay_s = [values[f"phosphor.{name}_decay_ms"][:, None, None] * 1e-3 for name in ("fast", "slow")]
@@ -189,7 +183,7 @@ def lag_noise_fraction(values: Values, gate_s: float) -> Array:
 
 
 def halo_diameter_px(values: Values) -> Array:
-    """Return the halo's diameter before any blur, four gaps seen through the taper, column pitches, shape (n,)."""
+    """Return the halo diameter before blur, four gaps, column pitches, shape (n,)."""
     pitch_mm = values["ccd.pitch_x_um"] * 1e-3 * values["taper.demagnification"]
     return 4.0 * values["photocathode.gap_mm"] / pitch_mm
 
@@ -205,25 +199,25 @@ def _per_mm_at_detector(values: Values, fx: Array, fy: Array) -> Array:
 
 
 def _tube(values: Values, cathode: Array, share: Array | float) -> Array:
-    return transfer.tube_transfer(
+    return tube_transfer(
         cathode, _column(values, "tube.mtf_frequency_lp_per_mm"), _column(values, "tube.mtf_exponent"), share
     )
 
 
 def _coupling(values: Values, detector: Array) -> Array:
-    return transfer.fibre_transfer(
+    return fibre_transfer(
         detector, _column(values, "taper.fibre_pitch_um"), _column(values, "taper.interface_mtf_lp_per_mm")
     )
 
 
 def _readout(values: Values, fx: Array, fy: Array) -> Array:
-    pixel = transfer.aperture_transfer(fx) * transfer.aperture_transfer(2.0 * fy)
-    return pixel * video.video_filter_transfer(_video_weights(values), fx)
+    pixel = aperture_transfer(fx) * aperture_transfer(2.0 * fy)
+    return pixel * video_filter_transfer(_video_weights(values), fx)
 
 
 def _video_weights(values: Values) -> Array:
-    clock_mhz, order = float(values["video.pixel_clock_mhz"][0]), int(values["video.filter_order"][0])
-    return video.video_filter_weights(values["video.bandwidth_mhz"], clock_mhz, order)
+    clock_mhz, order = float(values["pixel_clock_mhz"][0]), int(values["filter_order"][0])
+    return video_filter_weights(values["bandwidth_mhz"], clock_mhz, order)
 
 
 def _photons_per_pe(values: Values, mcp_v: ArrayLike, reference_v: float) -> Array:
@@ -255,3 +249,95 @@ def _nodes(edges: tuple[float, ...], counts: tuple[int, ...]) -> tuple[Array, Ar
 # Nodes of a quadrant of the frequency plane, cycles per field pixel, as far as fibres and their gaps let anything pass.
 _ACROSS, _ACROSS_WEIGHT = _nodes((0.0, 0.2, 0.8, 2.5), (5, 7, 10))
 _ALONG, _ALONG_WEIGHT = _nodes((0.0, 0.2, 1.0, 2.0, 5.0), (5, 6, 6, 8))
+
+
+MIDDLE_WAVELENGTH_MM = 0.7e-3
+# The largest logarithm whose exponential is still a number: a climb to the peak tries any exponent once.
+LARGEST_LOGARITHM = 700.0
+
+
+def lens_transfer(frequency_per_mm: Array, blur_um: Array, f_number: Array) -> Array:
+    """Return diffraction times exp(-2 (pi f s)^2), a lens with Gaussian aberration blur of width s.
+
+    Notes
+    -----
+    Diffraction of a round pupil, (2/pi)(acos x - x sqrt(1 - x^2)) with x = f wavelength N, falls as 1 - 4x/pi: three
+    per cent where a fast lens is used, for light of the middle of the cathode's band.
+    """
+    x = np.minimum(frequency_per_mm * MIDDLE_WAVELENGTH_MM * f_number, 1.0)
+    diffraction = (2.0 / np.pi) * (np.arccos(x) - x * np.sqrt(1.0 - x**2))
+    return diffraction * np.exp(-2.0 * (np.pi * frequency_per_mm * blur_um * 1e-3) ** 2)
+
+
+def tube_transfer(frequency_per_mm: Array, cut_off_per_mm: Array, exponent: Array, share: Array | float = 1.0) -> Array:
+    """Return exp(-share (f/fc)^n), the part `share` of an image tube's transfer (Johnson's form)."""
+    logarithm = exponent * np.log(np.maximum(frequency_per_mm / cut_off_per_mm, 1e-9))
+    return np.exp(-share * np.exp(np.minimum(logarithm, LARGEST_LOGARITHM)))
+
+
+def halo_transfer(frequency_per_mm: Array, gap_mm: Array, elastic_share: Array) -> Array:
+    """Return the transfer of the halo of back-scattered photoelectrons.
+
+    Notes
+    -----
+    An electron re-emitted under the angle t with the share e of its energy lands at r = 2 e d sin 2t. Emission by the
+    cosine law makes sin^2 t uniform, so that x = r/(2 e d) has the density x/sqrt(1 - x^2) and the Hankel transform
+    sin(u)/u with u = 2 pi f 2 d e. Elastic electrons have e = 1; energies spread evenly give the mean over e in 0..1,
+    Si(u)/u.
+    """
+    argument = 4.0 * np.pi * np.asarray(frequency_per_mm * gap_mm, float)
+    safe = np.maximum(argument, 1e-6)
+    return elastic_share * np.sinc(argument / np.pi) + (1.0 - elastic_share) * sici(safe)[0] / safe
+
+
+def fibre_transfer(frequency_per_mm: Array, pitch_um: Array, interface_per_mm: Array) -> Array:
+    """Return |2 J1(pi p f)/(pi p f)| exp(-(f/f0)^2), a fibre taper with its interfaces; f at the detector."""
+    argument = np.maximum(np.pi * np.asarray(frequency_per_mm * pitch_um, float) * 1e-3, 1e-9)
+    return np.abs(2.0 * j1(argument) / argument) * np.exp(-((frequency_per_mm / interface_per_mm) ** 2))
+
+
+def aperture_transfer(frequency_cy_per_width: Array) -> Array:
+    """Return |sinc f|, an aperture of uniform sensitivity; f in cycles per its width."""
+    return np.abs(np.sinc(frequency_cy_per_width))
+
+
+# Weights beyond this many pixels are below 1e-6 for any bandwidth that a camera of this clock would have.
+LENGTH_PX = 14
+
+
+def video_filter_weights(bandwidth_mhz: Array, clock_mhz: float, order: int, phase: float = 1.0) -> Array:
+    """Return the weights of earlier pixels in one pixel, shape (n, LENGTH_PX), with sum 1.
+
+    Parameters
+    ----------
+    bandwidth_mhz
+        Frequency where the low pass has lost 3 dB, shape (n,), MHz.
+    clock_mhz
+        Pixel clock, MHz.
+    order
+        Order of the Butterworth filter.
+    phase
+        When in its clock a pixel is read, 0 (start) to 1 (end).
+
+    Notes
+    -----
+    Poles p_k = w exp(i pi (2k + order + 1)/(2 order)); step response 1 + sum_k r_k exp(p_k t)/p_k with the residues
+    r_k = w^order / prod_{j != k} (p_k - p_j). A stair that begins j clocks before the pixel read has by then risen to
+    s(j + phase) and, its successor taking over, counts s(j + phase) - s(j + phase - 1).
+    """
+    angle = np.pi * (2.0 * np.arange(order) + order + 1) / (2.0 * order)
+    unit = np.exp(1j * angle)
+    others = np.where(np.eye(order, dtype=bool), 1.0, unit[:, None] - unit[None, :])
+    residue_over_pole = 1.0 / (others.prod(axis=1) * unit)
+    omega = 2.0 * np.pi * np.asarray(bandwidth_mhz, float) / clock_mhz
+    time = np.arange(LENGTH_PX) + phase
+    rise = np.exp(unit[None, :, None] * omega[:, None, None] * time[None, None, :])
+    step = 1.0 + np.einsum("k,nkt->nt", residue_over_pole, rise).real
+    found = np.diff(step, axis=1, prepend=0.0)
+    return found / found.sum(axis=1, keepdims=True)
+
+
+def video_filter_transfer(weight: Array, frequency_cy_per_px: Array) -> Array:
+    """Return |sum_j w_j exp(-2 pi i f j)| of weights (n, pixel) at frequencies (m,), shape (n, m)."""
+    turns = np.exp(-2j * np.pi * np.outer(np.arange(weight.shape[1]), frequency_cy_per_px))
+    return np.abs(weight @ turns)

@@ -1,11 +1,12 @@
-"""What is believed of a sensor before its frames are looked at: the ranges of its description."""
+"""Priors of sensor parameters from a description's ranges, and of their degenerate products."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.fit.predicted_quantities import Values
+from charact.fit.predicted_quantities import Values, excess_noise_factor
 from labdata.parameter import Parameter
 from labdata.sensor import Sensor
 
@@ -46,7 +47,7 @@ HALF_WIDTH95_SD = 1.959964
 
 @dataclass(frozen=True, kw_only=True)
 class SensorPrior:
-    """Independent priors: halves of two Gaussians that meet at the value, so that low..high hold 95 %.
+    """Independent priors: two half-Gaussians that meet at the value, so that low..high contain 95 %.
 
     Parameters
     ----------
@@ -69,7 +70,7 @@ class SensorPrior:
 
     @property
     def sd(self) -> Array:
-        """Standard deviation of each coordinate's prior before the cut, shape (parameter,).
+        """Standard deviation of each coordinate's prior before truncation, shape (parameter,).
 
         Notes
         -----
@@ -79,7 +80,7 @@ class SensorPrior:
         return np.sqrt((1.0 - 2.0 / np.pi) * (above - below) ** 2 + below * above)
 
     def log_density(self, coordinates: Array) -> Array:
-        """Return the logarithm of the prior, not normalised, of coordinates (n, parameter): -inf outside bounds."""
+        """Return the log-prior, not normalised, of coordinates (n, parameter): -inf outside bounds."""
         away = coordinates - self.centre
         z = away / np.where(away < 0, self.sd_below, self.sd_above)
         inside = np.all((coordinates >= self.bounds[:, 0]) & (coordinates <= self.bounds[:, 1]), axis=1)
@@ -106,7 +107,7 @@ class SensorPrior:
 
 
 def prior_of(sensor: Sensor, asked: tuple[str, ...]) -> SensorPrior:
-    """Return the prior of the asked parameters that a sensor's ranges state; an exact one is not asked.
+    """Return the prior of the requested parameters that have a range.
 
     Parameters
     ----------
@@ -129,7 +130,7 @@ def prior_of(sensor: Sensor, asked: tuple[str, ...]) -> SensorPrior:
 
 
 def values_of_description(sensor: Sensor) -> Values:
-    """Return every parameter's own value, shape (1,)."""
+    """Return the description's value of every parameter, shape (1,)."""
     values = {path: np.array([float(parameter)]) for path, parameter in sensor.parameters().items()}
     order = sensor.video.filter_order
     return values if order is None else {**values, "video.filter_order": np.array([float(order)])}
@@ -153,3 +154,110 @@ def _row(path: str, parameter: Parameter) -> tuple[int, float, float, float, flo
     least = 0.1 * (high - low) / HALF_WIDTH95_SD
     below, above = max((value - low) / HALF_WIDTH95_SD, least), max((high - value) / HALF_WIDTH95_SD, least)
     return power, value, below, above, floor, ceiling
+
+
+PRIOR_DRAWS = 4000
+CANDIDATES = 200
+
+
+@dataclass(frozen=True, kw_only=True)
+class Product:
+    """Product of parameters that the data determine.
+
+    Parameters
+    ----------
+    carrier
+        Path of the parameter that carries it.
+    partners
+        Paths of the factors that ride along.
+    factor
+        What the partners multiply the carrier with, from their values, shape (n,).
+    """
+
+    carrier: str
+    partners: tuple[str, ...]
+    factor: Callable[[Values], Array]
+
+
+PRODUCTS = (
+    Product(
+        carrier="tube.luminous_gain",
+        partners=("taper.transmission", "ccd.quantum_efficiency", "video.conversion_gain_dn_per_e"),
+        factor=lambda values: (
+            values["taper.transmission"] * values["ccd.quantum_efficiency"] * values["video.conversion_gain_dn_per_e"]
+        ),
+    ),
+    Product(
+        carrier="photocathode.luminous_sensitivity_ua_per_lm",
+        partners=("microchannel_plate.detection_probability", "microchannel_plate.pulse_height_shape"),
+        factor=lambda values: 1.0 / excess_noise_factor(values),
+    ),
+)
+
+
+def products_of(sensor: Sensor, asked: tuple[str, ...]) -> tuple[Product, ...]:
+    """Return the products whose carrier and partners are all requested and have ranges."""
+    known = sensor.parameters()
+    return tuple(
+        product
+        for product in PRODUCTS
+        if {product.carrier, *product.partners} <= set(asked)
+        and all(known[path].low is not None for path in (product.carrier, *product.partners))
+    )
+
+
+def widen_to_products(sensor: Sensor, products: tuple[Product, ...]) -> Sensor:
+    """Return the description in which every carrier has the range of its product."""
+    return sensor.with_parameters({product.carrier: _whole(sensor, product) for product in products})
+
+
+def distribute_product(sensor: Sensor, product: Product, carried: Array, rng: np.random.Generator) -> dict[str, Array]:
+    """Distribute drawn products over carrier and partners, shape (draw,) each.
+
+    Of many prior draws of the partners, one is taken for each product with the probability that the carrier's own
+    prior gives to what is left for it.
+    """
+    partners, prior = _partners(sensor, product, rng, CANDIDATES * 20)
+    relative = _relative(sensor, product, partners)
+    own = prior_of(sensor, (product.carrier,))
+    pick = np.empty(len(carried), int)
+    for index, whole in enumerate(carried):
+        tried = rng.integers(len(relative), size=CANDIDATES)
+        left = (whole / relative[tried])[:, None]
+        weight = own.log_density(np.log(left) if own.power[0] == 0 else left)
+        weight = np.exp(weight - weight.max())
+        pick[index] = tried[rng.choice(CANDIDATES, p=weight / weight.sum())]
+    return {product.carrier: carried / relative[pick], **{path: partners[path][pick] for path in prior.names}}
+
+
+def _whole(sensor: Sensor, product: Product) -> Parameter:
+    """Return the carrier with the 95 % range of its product, with the partners' values as unity."""
+    rng = np.random.default_rng(0)
+    partners, _ = _partners(sensor, product, rng, PRIOR_DRAWS)
+    carrier = prior_of(sensor, (product.carrier,))
+    own = carrier.parameters(carrier.draw(rng, PRIOR_DRAWS))[:, 0]
+    low, high = np.quantile(own * _relative(sensor, product, partners), (0.025, 0.975))
+    before = sensor.parameters()[product.carrier]
+    return Parameter(
+        value=before.value,
+        low=min(float(low), before.value),
+        high=max(float(high), before.value),
+        standing=before.standing,
+        source=before.source,
+    )
+
+
+def _partners(
+    sensor: Sensor, product: Product, rng: np.random.Generator, count: int
+) -> tuple[dict[str, Array], SensorPrior]:
+    """Return prior draws of the partners by path."""
+    prior = prior_of(sensor, product.partners)
+    drawn = prior.parameters(prior.draw(rng, count))
+    return dict(zip(prior.names, drawn.T, strict=True)), prior
+
+
+def _relative(sensor: Sensor, product: Product, partners: dict[str, Array]) -> Array:
+    """Return the partners' factor over that of their values."""
+    known = sensor.parameters()
+    values = {path: np.array([float(known[path])]) for path in product.partners}
+    return product.factor({**values, **partners}) / product.factor(values)

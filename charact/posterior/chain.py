@@ -18,7 +18,7 @@ from charact.posterior.diagnostics import (
     mixes_well,
     split_r_hat,
 )
-from charact.posterior.ensembles import Ensembles, first_places
+from charact.posterior.ensembles import Ensembles, first_places, walker_moves
 from charact.posterior.laplace import (
     Vectorised,
     bounds_of,
@@ -27,9 +27,7 @@ from charact.posterior.laplace import (
     laplace,
     truncated_gaussian_draws,
 )
-from charact.posterior.moves import walker_moves
-from charact.posterior.normal_scores import NormalScores
-from charact.posterior.probit_transform import ProbitTransform
+from charact.posterior.probit_transform import NormalScores, ProbitTransform
 from labdata.errors import BadInput
 from labdata.measurement import Posterior
 
@@ -159,9 +157,14 @@ def _walkers(asked: int | None, parameters: int) -> int:
 
 
 def _start_ensembles(
-    log_probability: Vectorised, unbounded: Vectorised, open_space: ProbitTransform, places: NDArray, covariance: NDArray,
-    shape: tuple[int, int], seed: int,
-) -> Ensembles:  # fmt: skip
+    log_probability: Vectorised,
+    unbounded: Vectorised,
+    open_space: ProbitTransform,
+    places: NDArray,
+    covariance: NDArray,
+    shape: tuple[int, int],
+    seed: int,
+) -> Ensembles:
     """Start the ensembles around their places, in coordinates without walls."""
     ensembles, walkers = shape
     generators = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(ensembles)]

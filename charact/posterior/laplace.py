@@ -1,17 +1,57 @@
-"""The peak of a log-probability and the Gaussian that its curvature draws there.
-
-Derivatives are differences over a whole stencil, evaluated in one vectorised call; steps are damped Newton steps
-with all dampings tried at once. No optimiser has to be imported, which keeps quick estimates quick.
-"""
+"""Maximum of a log-probability, and draws of its Laplace approximation."""
 
 from collections.abc import Callable
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtri
 
 from charact.posterior.diagnostics import crowds_at_bound
-from charact.posterior.quasi_random import quasi_random_normals
 from labdata.measurement import Posterior
+
+Array = NDArray[np.float64]
+
+# Bases of the sequence's columns; parameters beyond them are drawn at random, for large bases repeat each other.
+BASES = (2, 3, 5, 7, 11, 13)
+# Further points are those of the sequence again, shifted anew.
+LONGEST = 8192
+
+
+def quasi_random_normals(rng: np.random.Generator, count: int, parameters: int) -> Array:
+    """Return quasi-random standard normal numbers, shape (count, parameter), most uniform in the first columns.
+
+    Parameters
+    ----------
+    rng
+        Shifts the sequence, each column by its own amount, and draws what the sequence does not reach.
+
+    Notes
+    -----
+    Halton's sequence (Halton 1960, doi 10.1007/BF01386213), shifted modulo one (Cranley & Patterson 1976,
+    doi 10.1137/0713071), through the inverse of the normal distribution. Any first part of it is even too.
+    """
+    if count > LONGEST:
+        parts = [quasi_random_normals(rng, min(LONGEST, count - done), parameters) for done in range(0, count, LONGEST)]
+        return np.concatenate(parts)
+    even = min(parameters, len(BASES))
+    shares = (_halton()[:count, :even] + rng.random(even)) % 1.0
+    normal = ndtri(np.maximum(shares, np.finfo(float).tiny))
+    return np.concatenate([normal, rng.standard_normal((count, parameters - even))], axis=1)
+
+
+@lru_cache(maxsize=1)
+def _halton() -> Array:
+    """Return the sequence, shape (point, base): the digits of 1, 2, 3... in a base, mirrored at the point."""
+    out = np.zeros((LONGEST, len(BASES)))
+    for column, base in enumerate(BASES):
+        rest, place = np.arange(1, LONGEST + 1), 1.0
+        while rest.any():
+            place /= base
+            rest, digit = np.divmod(rest, base)
+            out[:, column] += place * digit
+    return out
+
 
 Vectorised = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
@@ -23,7 +63,7 @@ DAMPINGS = np.concatenate([[0.0], 10.0 ** np.arange(-4.0, 7.0)])
 def find_maximum(
     log_probability: Vectorised, start: ArrayLike, bounds: ArrayLike | None = None, *, iterations: int = 60
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Climb to the peak of a log-probability near a start.
+    """Find the maximum of a log-probability near a start.
 
     Parameters
     ----------
@@ -84,7 +124,7 @@ def laplace(
     draws: int = 1000,
     flags: tuple[str, ...] = (),
 ) -> Posterior:
-    """Draw from the Gaussian approximation of a posterior at its peak, cut at the bounds.
+    """Draw from the Laplace approximation of a posterior, truncated at the bounds.
 
     Parameters
     ----------
@@ -125,7 +165,7 @@ def laplace(
 def truncated_gaussian_draws(
     rng: np.random.Generator, peak: NDArray, covariance: NDArray, walls: NDArray, draws: int, *, even: bool = False
 ) -> NDArray[np.float64]:
-    """Draw from a Gaussian cut at walls, shape (draw, parameter); a Gaussian beyond its walls piles up on them.
+    """Draw from a Gaussian truncated at its bounds, shape (draw, parameter).
 
     Even draws fill their space evenly, the first parameters most, so that few tell quantiles; others are independent.
     """
@@ -176,7 +216,7 @@ def _steps(
 
 
 def _rescale_steps(steps: NDArray, hessian: NDArray, walls: NDArray) -> NDArray[np.float64]:
-    """Return steps of `STENCIL_SD` standard deviations after a Hessian in units of the last ones."""
+    """Return steps of `STENCIL_SD` standard deviations from a Hessian in units of the last ones."""
     bend = np.maximum(np.abs(np.diag(hessian)), 1e-12)
     wanted = steps * np.clip(STENCIL_SD / np.sqrt(bend), 0.1, 10.0)
     ranges = walls[:, 1] - walls[:, 0]
@@ -211,7 +251,7 @@ def _derivatives(
 def _candidates(
     point: NDArray, gradient: NDArray, hessian: NDArray, steps: NDArray, walls: NDArray
 ) -> NDArray[np.float64]:
-    """Return the points that Newton steps of all dampings reach, kept inside the walls."""
+    """Return the points of Newton steps with all dampings, inside the bounds."""
     blocked = ((point <= walls[:, 0]) & (gradient < 0)) | ((point >= walls[:, 1]) & (gradient > 0))
     free = np.flatnonzero(~blocked)
     if not free.size:
@@ -229,7 +269,7 @@ def _candidates(
 
 
 def _covariance(hessian: NDArray, steps: NDArray, walls: NDArray) -> NDArray[np.float64]:
-    """Return the covariance of the curvature; where it leaves a parameter its whole range, that of its bounds counts.
+    """Return the inverse curvature; bounds act as a Gaussian prior where a parameter is undetermined.
 
     Bounds count as a Gaussian of the variance of their range: what is seen of several parameters together stays seen.
     """

@@ -1,8 +1,4 @@
-"""Posterior predictive checks: whether data look like what the model, with its own posterior, would have given.
-
-A chain that has converged says nothing about the model. Chi squared tells noise larger than stated; runs of one sign
-and residuals like their neighbours tell a mean of the wrong shape, long before chi squared does.
-"""
+"""Posterior predictive checks: comparison of data with replicates from the posterior."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -22,7 +18,7 @@ BLOCK = 1 << 20
 
 @dataclass(frozen=True, kw_only=True)
 class PredictiveCheck:
-    """Probabilities of residuals at least as odd as these, were the model right; each uniform between 0 and 1 then.
+    """Posterior predictive p-values of three discrepancies, uniform between 0 and 1 under the model.
 
     Parameters
     ----------
@@ -43,12 +39,12 @@ class PredictiveCheck:
 
     @property
     def probability(self) -> float:
-        """Probability of the least likely of the three signs, allowing for there being three (Bonferroni)."""
+        """Smallest p-value, corrected for three tests (Bonferroni)."""
         return min(1.0, 3.0 * min(self.chi_squared, self.runs, self.neighbours))
 
     @property
     def flags(self) -> tuple[str, ...]:
-        """`model-misfit` where the model is wrong, else nothing."""
+        """`model-misfit` where the model is rejected."""
         return ("model-misfit",) if self.probability < self.level else ()
 
 
@@ -115,7 +111,7 @@ def predictive_probability(
     *,
     rng: np.random.Generator,
 ) -> float:
-    """Return the share of replicated data that lie further from the model than the data, for noise of any law.
+    """Return the posterior predictive p-value of a discrepancy, for noise of any distribution.
 
     Parameters
     ----------
@@ -156,7 +152,7 @@ def _whitener(noise: Array, size: int) -> Callable[[Array], Array]:
 
 
 def _shrink_by_fit(white: Array, spread: Array) -> Array:
-    """Return white noise (replicate, datum) as it is left after the fit: each direction shrunk to variance 1 - H.
+    """Return white noise (replicate, datum) after a fit: each direction has variance 1 - H.
 
     A direction of which the posterior knows no more than its noise allows has H = 1 at most; scatter of the draws
     beyond that is cut.
@@ -167,7 +163,7 @@ def _shrink_by_fit(white: Array, spread: Array) -> Array:
 
 
 def _discrepancies(residual: Array) -> Array:
-    """Return the three signs of white residuals (data set, datum), shape (sign, data set)."""
+    """Return the three discrepancies of white residuals (data set, datum), shape (discrepancy, data set)."""
     return np.array([_chi_squared(residual), _few_runs(residual), _neighbours(residual)])
 
 

@@ -1,4 +1,4 @@
-"""Draws of a posterior by importance, and by Markov chain where draws by importance are too few to tell it."""
+"""Posterior draws by importance sampling, or by MCMC where the effective sample size is too small."""
 
 from dataclasses import replace
 
@@ -28,7 +28,7 @@ def sample_posterior(
     max_steps: int = 20000,
     effort: float = 1.0,
 ) -> Posterior:
-    """Draw from a posterior of one peak or several near each other, by importance where that is enough.
+    """Draw from a posterior of one mode, or of several close ones, by importance sampling where sufficient.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Measured frames and frames of a sensor description under the same conditions, cut to the same size."""
+"""Measured and simulated frames under the same conditions, cropped to the same size."""
 
 from dataclasses import dataclass, replace
 
@@ -26,7 +26,7 @@ MOST_CLIPPED_SHARE = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class MatchedFrames:
-    """One stack that is laid side by side.
+    """One stack that is compared.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ class MatchedFrames:
 
 @dataclass(frozen=True, kw_only=True)
 class MatchedStacks:
-    """The stacks that a validation uses.
+    """Stacks of a validation.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ class MatchedStacks:
 
 
 def choose(session: Session) -> MatchedStacks:
-    """Choose a dark, up to three flats over the straight part of the range, an edge and pictures of the rest.
+    """Select a dark, up to three flats within the linear range, an edge, and stacks for display.
 
     Raises
     ------
@@ -108,7 +108,7 @@ def choose(session: Session) -> MatchedStacks:
 
 
 def simulate_frames(sensor: Sensor, shots: tuple[MatchedFrames, ...], *, seed: int) -> dict[str, NDArray]:
-    """Return frames of a sensor under the shots' conditions by label, shape (frame, row, col), DN.
+    """Simulate frames of a sensor under the stacks' conditions by label, shape (frame, row, col), DN.
 
     The chip is as small as the cut, and its fixed patterns follow from the sensor's name.
     """
@@ -126,7 +126,7 @@ def simulate_frames(sensor: Sensor, shots: tuple[MatchedFrames, ...], *, seed: i
 
 
 def _shots(session: Session, kind: Kind) -> list[tuple[MatchedFrames, StackEntry]]:
-    """Return the stacks of a kind that have frames enough, as shots."""
+    """Return the stacks of a kind with enough frames."""
     out = []
     for entry in session.of_kind(kind):
         if kind != "dark" and entry.conditions.illuminance_lux is None:
@@ -156,7 +156,7 @@ def _shots(session: Session, kind: Kind) -> list[tuple[MatchedFrames, StackEntry
 
 
 def _cut_shape(entry: StackEntry) -> tuple[int, int]:
-    """Return the rows and columns of a cut."""
+    """Return the rows and columns of a crop."""
     if entry.kind != "edge":
         return SHAPE
     upright = abs(np.cos(np.deg2rad(entry.target.angle_deg or 0.0))) > np.sqrt(0.5)
@@ -164,7 +164,7 @@ def _cut_shape(entry: StackEntry) -> tuple[int, int]:
 
 
 def _corner(target: Target, whole: tuple[int, int], shape: tuple[int, int]) -> tuple[int, int]:
-    """Return the first row and column of a cut about the target's middle; an even row, so that fields keep theirs."""
+    """Return the first row and column of a crop centred on the target; an even row keeps the field parity."""
     row, col, height, width = target.region or (0, 0, *whole)
     top = int(np.clip(round(row + (height - shape[0]) / 2), 0, whole[0] - shape[0]))
     left = int(np.clip(round(col + (width - shape[1]) / 2), 0, whole[1] - shape[1]))
@@ -176,7 +176,7 @@ def _cut(shot: MatchedFrames, stack: FrameStack) -> NDArray:
 
 
 def _flats(session: Session, measured: dict[str, NDArray]) -> tuple[list[MatchedFrames], list[str]]:
-    """Return flats of low, middle and high level, and keep their frames."""
+    """Select flats of low, medium and high signal, and store their frames."""
     sensor = session.sensor
     if sensor is None:
         raise BadInput(f"a validation needs a session of a described sensor, got none in {session.name!r}")

@@ -1,4 +1,4 @@
-"""Is the measured vector one of the simulated ones? A chi-squared with honest uncertainty of the prediction itself."""
+"""Comparison of a measured vector with simulated ones by a bootstrapped chi-squared test."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ REPLICATES = 4000
 
 @dataclass(frozen=True, kw_only=True)
 class Features:
-    """Numbers taken of one set of frames, with their sampling errors.
+    """Numbers from one set of frames, with their sampling covariance.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class Comparison:
 def compare(
     measured: Features, simulated: list[Features], *, rng: np.random.Generator, replicates: int = REPLICATES
 ) -> Comparison:
-    """Compare one measured vector with simulated ones, each of its own posterior draw.
+    """Compare one measured vector with simulated ones, each from its own posterior draw.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def _pool_covariance(sets: list[Features]) -> tuple[Array, int]:
 
 
 def _above(between: Array, within: Array) -> Array:
-    """Return the part of covariances (..., k, k) that exceeds others in the directions where it does."""
+    """Return the excess of covariances (..., k, k) over others, in the directions where it is positive."""
     root = _root(within)
     inverse = np.linalg.inv(root)
     white = inverse @ between @ np.swapaxes(inverse, -1, -2)

@@ -1,4 +1,4 @@
-"""What a validation found: statistics that can fail, two controls, overlays and pictures; kept as JSON and arrays."""
+"""Result of a validation: statistics, controls, overlays and frame pairs, stored as JSON and arrays."""
 
 import json
 from dataclasses import asdict, dataclass, field
@@ -55,7 +55,7 @@ class Statistic:
 
 @dataclass(frozen=True, kw_only=True)
 class ValidationControl:
-    """The same statistics on frames of which the verdict is known beforehand.
+    """The same statistics on frames with a known outcome.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ class ValidationControl:
     statistics: tuple[Statistic, ...]
 
     @property
-    def held(self) -> bool:
+    def passed(self) -> bool:
         """Whether the control came out as it must."""
         passed = all(statistic.passed for statistic in self.statistics)
         return passed if self.name == "null" else not passed
@@ -81,7 +81,7 @@ class ValidationControl:
 
 @dataclass(frozen=True, kw_only=True)
 class FramePair:
-    """A measured frame beside a simulated one under one stretch.
+    """Measured and simulated frame with a common display range.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ class FramePair:
 
 @dataclass(frozen=True, kw_only=True)
 class Validation:
-    """A session beside its simulation.
+    """Comparison of a session with its simulation.
 
     Parameters
     ----------
@@ -143,11 +143,11 @@ class Validation:
     @property
     def passed(self) -> bool:
         """Whether every statistic passed and both controls came out as they must."""
-        return all(s.passed for s in self.statistics) and all(c.held for c in self.controls)
+        return all(s.passed for s in self.statistics) and all(c.passed for c in self.controls)
 
 
 def as_json(validation: Validation) -> dict[str, Any]:
-    """Return all but the pictures as JSON-ready mappings, verdicts included."""
+    """Return all but the frame pairs as JSON-ready mappings."""
     plain = {name: value for name, value in vars(validation).items() if name not in ("pairs", "statistics", "controls")}
     return {
         **plain,
@@ -155,7 +155,12 @@ def as_json(validation: Validation) -> dict[str, Any]:
         "notes": list(validation.notes),
         "statistics": [_statistic(one) for one in validation.statistics],
         "controls": [
-            {"name": c.name, "title": c.title, "held": c.held, "statistics": [_statistic(one) for one in c.statistics]}
+            {
+                "name": c.name,
+                "title": c.title,
+                "held": c.passed,
+                "statistics": [_statistic(one) for one in c.statistics],
+            }
             for c in validation.controls
         ],
         "pairs": [
@@ -165,7 +170,7 @@ def as_json(validation: Validation) -> dict[str, Any]:
 
 
 def save(validation: Validation, folder: str | Path) -> Path:
-    """Keep a validation in a session's folder; return the file of its numbers."""
+    """Write a validation to a session's folder; return the JSON file."""
     folder = Path(folder)
     arrays = {}
     for index, pair in enumerate(validation.pairs):
@@ -177,7 +182,7 @@ def save(validation: Validation, folder: str | Path) -> Path:
 
 
 def load(folder: str | Path) -> Validation | None:
-    """Return the validation kept in a session's folder, or None where there is none.
+    """Return the validation stored in a session's folder, or None where there is none.
 
     Raises
     ------

@@ -1,8 +1,4 @@
-"""Extents read from the frames beside those of the fitted light: two ways to one number that must agree.
-
-Where they do, their mean is told: the frame's contour knows nothing of forms, the fitted light sees all levels and both
-sides of a border that codes cut.
-"""
+"""Comparison of measured bloom diameters with those of the fitted model."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -57,7 +53,7 @@ CHANCE, APART_PX = 1e-4, 0.02
 def compare_extents(
     best: FittedHaloModel, group: tuple[PointStack, ...], extents: tuple[Measurement, ...]
 ) -> tuple[Measurement, ...]:
-    """Return the measurements, extents brought together with the fitted light: intervals own to what they differ by.
+    """Combine measured diameters with those of the fitted model; differences widen the intervals.
 
     Parameters
     ----------
@@ -100,7 +96,7 @@ def compare_extents(
 
 
 def _differ(apart: list[float]) -> bool:
-    """Whether differences between contours and light, in standard errors, are more than noise makes."""
+    """Whether the normalised differences between contours and model exceed noise."""
     from scipy.stats import chi2
 
     return bool(chi2.sf(np.sum(np.square(apart)), max(len(apart), 1)) < CHANCE)
@@ -113,7 +109,7 @@ def _sd(extent: Measurement) -> float:
 
 
 def _combine_diameters(extent: Measurement, diameter_px: float, *, alone: bool, frames: int) -> Measurement:
-    """The mean of an extent and the fitted light's, or the extent alone; what they differ by is in the intervals."""
+    """Mean of a measured and a modelled diameter, or the measured one alone; the difference is in the intervals."""
     value, low68, low95 = extent.value, extent.interval68, extent.interval95
     if value is None or low68 is None or low95 is None or not np.isfinite(diameter_px):
         return extent
@@ -131,7 +127,7 @@ def _combine_diameters(extent: Measurement, diameter_px: float, *, alone: bool, 
 
 
 def _error_factor(extent: Measurement, diameter_px: float, frames: int) -> float:
-    """Times a contour's own error that its mean with the fitted light keeps."""
+    """Factor on a contour's own error in the mean with the fitted model."""
     name = extent.quantity
     long = LONG[name] + SLOW.get(name, 0.0) / (1.0 + (SLOW_PX / max(_sd(extent), 1e-9)) ** 2)
     kept = long + (SHORT[name] - long) / (1.0 + (diameter_px / SHORT_PX) ** 4)
@@ -139,7 +135,7 @@ def _error_factor(extent: Measurement, diameter_px: float, frames: int) -> float
 
 
 def _is_off(node_px: Array, light_dn: Array, level_dn: float, interval: tuple[float, float]) -> bool:
-    """Whether no light near the fitted one falls through a level inside an interval, allowances made."""
+    """Whether the model, allowances made, crosses the threshold outside an interval."""
     floor = float(light_dn[-1])
     near = [floor + (light_dn - floor) * (1.0 + off) for off in (-LIGHT_SHARE, LIGHT_SHARE)]
     found = [_diameter(node_px, one, level_dn) for one in near]
@@ -150,7 +146,7 @@ def _is_off(node_px: Array, light_dn: Array, level_dn: float, interval: tuple[fl
 
 
 def _diameter(node_px: Array, light_dn: Array, level_dn: float) -> float:
-    """Where light first falls through a level, twice; NaN where it does not within the rings."""
+    """Diameter at which the signal first falls through a threshold; NaN where it does not within the rings."""
     below = np.flatnonzero(light_dn < level_dn)
     if not len(below):
         return float("nan")
@@ -162,6 +158,6 @@ def _diameter(node_px: Array, light_dn: Array, level_dn: float) -> float:
 
 
 def _stands_apart(light_dn: Array, level_dn: float) -> bool:
-    """Whether light that has fallen through a level comes back to it farther out."""
+    """Whether the signal rises above the threshold again farther out."""
     below = np.flatnonzero(light_dn < level_dn)
     return bool(len(below)) and bool((light_dn[below[0] :] >= level_dn).any())

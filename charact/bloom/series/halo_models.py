@@ -1,8 +1,4 @@
-"""Forms that a point source's light may take, put together from a core, a halo and what ties the levels.
-
-A form is a list of parameters with priors and the transforms they make. Which form the data bear is decided by
-`charact.bloom.series.model_selection`, never by hand.
-"""
+"""Blur models of a point series: core, halo and the parameters with their priors."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.bloom import transfer
-from charact.bloom.series.hankel import frequencies
+from charact.bloom.transfer import frequencies
 from labdata.sensor import Sensor
 
 Array = NDArray[np.float64]
@@ -26,7 +22,7 @@ Halo = Literal["none", "disc", "gaussian"]
 
 @dataclass(frozen=True, kw_only=True)
 class ModelParameter:
-    """A parameter with its prior: flat between bounds, or normal where a standard deviation is given."""
+    """Parameter with its prior: flat between bounds, or normal where a standard deviation is given."""
 
     name: str
     unit: str
@@ -38,7 +34,7 @@ class ModelParameter:
 
     @property
     def first(self) -> float:
-        """Where a climb begins."""
+        """Start value of an optimisation."""
         return self.start if np.isfinite(self.start) else self.mean
 
 
@@ -65,7 +61,7 @@ HALO_SD = ModelParameter(name="halo_sd", unit="px", low=3.0, high=40.0, start=12
 
 @dataclass(frozen=True, kw_only=True)
 class HaloModel:
-    """What a point becomes.
+    """Blur model of a point source.
 
     Parameters
     ----------
@@ -87,7 +83,7 @@ class HaloModel:
 
     @cached_property
     def parameters(self) -> tuple[ModelParameter, ...]:
-        """In the order of a point's numbers."""
+        """Parameters in the order of a point's coordinates."""
         return self._core_parameters() + self._halo_parameters()
 
     def _core_parameters(self) -> tuple[ModelParameter, ...]:
@@ -106,44 +102,44 @@ class HaloModel:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the parameters."""
+        """Names of the parameters."""
         return tuple(one.name for one in self.parameters)
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Of the parameters."""
+        """Units of the parameters."""
         return tuple(one.unit for one in self.parameters)
 
     @cached_property
     def bounds(self) -> Array:
-        """Of the parameters, shape (parameter, 2)."""
+        """Bounds of the parameters, shape (parameter, 2)."""
         return np.array([[one.low, one.high] for one in self.parameters])
 
     @property
     def first(self) -> Array:
-        """Where a climb begins, shape (parameter,)."""
+        """Start point of an optimisation, shape (parameter,)."""
         return np.array([one.first for one in self.parameters])
 
     def log_prior(self, points: Array) -> Array:
-        """Return ln of the prior up to a constant, -inf outside the bounds, shape (point,)."""
+        """Return the log-prior up to a constant, -inf outside the bounds, shape (point,)."""
         inside = np.all((points >= self.bounds[:, 0]) & (points <= self.bounds[:, 1]), axis=1)
         mean, sd = (np.array([getattr(one, name) for one in self.parameters]) for name in ("mean", "sd"))
         return np.where(inside, -0.5 * (((points - mean) / sd) ** 2).sum(axis=1), -np.inf)
 
     def at(self, points: Array) -> dict[str, Array]:
-        """Name the columns of points."""
+        """Map parameter names to the columns of points."""
         return dict(zip(self.names, points.T, strict=True))
 
     def transform(self, points: Array) -> Array:
-        """Transform of all light of a point, shape (draw, frequency)."""
+        """Transfer function of the complete model, shape (draw, frequency)."""
         return self.core_transform(points) * self.halo_factor(points)
 
     def core_transform(self, points: Array) -> Array:
-        """Transform of core and wing, pixel included, shape (draw, frequency)."""
+        """Transfer function of core, wing and pixel, shape (draw, frequency)."""
         return self.add_wing(self.blur_transform(points), points) * pixel_of(self.pitch_ratio)
 
     def add_wing(self, blur: Array, points: Array) -> Array:
-        """Give a blur the wing of its core, shape (draw, frequency)."""
+        """Add the core's wing to a blur, shape (draw, frequency)."""
         if self.core not in WINGS:
             return blur
         of = self.at(points)
@@ -155,7 +151,7 @@ class HaloModel:
         return blur * (1.0 - share) + share * wing
 
     def halo_factor(self, points: Array) -> Array:
-        """What the halo does to the transform of a core, shape (draw, frequency), or 1."""
+        """Factor of the halo on the core's transfer function, shape (draw, frequency), or 1."""
         halo = self.halo_transform(points)
         if halo is None:
             return np.ones((1, 1))
@@ -163,7 +159,7 @@ class HaloModel:
         return 1.0 - fraction + fraction * halo
 
     def blur_transform(self, points: Array) -> Array:
-        """Transform of the core's blur alone, without wing and pixel, shape (draw, frequency)."""
+        """Transfer function of the core without wing and pixel, shape (draw, frequency)."""
         of = self.at(points)
         blur = transfer.gaussian(frequencies(), of["core_sd"] ** 2)
         return (
@@ -173,7 +169,7 @@ class HaloModel:
         )
 
     def halo_transform(self, points: Array) -> Array | None:
-        """Transform of the bare halo, shape (draw, frequency); None where there is none."""
+        """Transfer function of the halo alone, shape (draw, frequency); None without a halo."""
         of = self.at(points)
         if self.halo == "disc":
             return transfer.disc(frequencies(), of["halo_diameter"], profile_of(of))
@@ -187,7 +183,7 @@ def profile_of(of: Mapping[str, Array]) -> Array:
 
 @lru_cache(maxsize=4)
 def pixel_of(pitch_ratio: float) -> Array:
-    """Transform of the pixel's aperture, shape (frequency,)."""
+    """Transfer function of the pixel aperture, shape (frequency,)."""
     return transfer.pixel(frequencies(), pitch_ratio)
 
 

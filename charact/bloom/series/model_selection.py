@@ -1,4 +1,4 @@
-"""Which form the data bear: every form is fitted, and the Bayesian information criterion decides."""
+"""Selection of the halo model by the Bayesian information criterion, and acceptance of its halo."""
 
 from dataclasses import dataclass, replace
 
@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.bloom.series.halo_models import CORES, CORES_OF_TUBES, LEAST_DIAMETER_PX, WINGS, Core, Halo, HaloModel
-from charact.bloom.series.levenberg_marquardt import SeriesOptimum, optimise, optimise_from_starts
-from charact.bloom.series.likelihood import RingSeries, SeriesLikelihood
+from charact.bloom.series.levenberg_marquardt import SeriesOptimum, optimise, optimise_from_starts, slopes_at
+from charact.bloom.series.likelihood import RingSeries, SeriesLikelihood, select_levels
 from charact.bloom.series.mcp_saturation import SaturatingHaloModel, fit_mcp_saturation
+from charact.bloom.series.rings import SECTORS
 from labdata.sensor import Sensor
 
 Array = NDArray[np.float64]
@@ -29,7 +30,7 @@ CLEARLY_BETTER = 15.0
 
 @dataclass(frozen=True, kw_only=True)
 class FittedHaloModel:
-    """A form at its best.
+    """Halo model at its optimum.
 
     Parameters
     ----------
@@ -50,12 +51,12 @@ class FittedHaloModel:
 
     @property
     def form(self) -> HaloModel:
-        """The form."""
+        """The halo model."""
         return self.problem.form
 
     @property
     def name(self) -> str:
-        """As reports call it."""
+        """Name in reports."""
         halo = {"none": "no halo", "disc": "disc", "gaussian": "Gaussian halo"}[self.form.halo]
         return f"{self.form.core} core, {halo}" + (
             ", plate that tires" if isinstance(self.form, SaturatingHaloModel) else ""
@@ -65,7 +66,7 @@ class FittedHaloModel:
 def candidates(
     series: RingSeries, *, pitch_ratio: float, sensor: Sensor | None, has_tube: bool, first_diameter_px: float
 ) -> list[FittedHaloModel]:
-    """Fit all forms, the one that the data bear best first.
+    """Fit all models and return them in order of the information criterion.
 
     Parameters
     ----------
@@ -108,7 +109,7 @@ def candidates(
 
 
 def _saturating_candidates(best: FittedHaloModel, least: float) -> list[FittedHaloModel]:
-    """A core's best form with a plate that tires, where one level's core and another's halo can tell it.
+    """Fit a core's best model with a saturating MCP, where several stacks can constrain it.
 
     It must be clearly better than the least criterion of any form without. Of cores that are cut at every level only
     the wings are seen, and a plate would make up for what is wrong with their form.
@@ -125,7 +126,7 @@ def _saturating_candidates(best: FittedHaloModel, least: float) -> list[FittedHa
 def _discs(
     form: HaloModel, first_diameter_px: float, bare: FittedHaloModel, found: list[FittedHaloModel]
 ) -> list[Array]:
-    """Starts of a disc: those of other cores, the step seen, and every diameter, for an edge makes many small peaks.
+    """Start points of a disc: those of other cores, the observed step, and a range of diameters.
 
     A wing that was fitted without a halo stands for one: wings start beside the core of a plain one and its disc, too.
     """
@@ -143,7 +144,7 @@ def _discs(
 
 
 def fit_model(series: RingSeries, form: HaloModel, starts: list[Array]) -> FittedHaloModel:
-    """Fit one form from the best of its starts, rings taken to be off a little."""
+    """Fit one model from the best of its starts, with a small relative model error."""
     problem = SeriesLikelihood(series=series, form=form)
     tried = np.array(starts or [form.first])
     order = np.argsort(problem.log_probability(tried))[::-1][:CLIMBED]
@@ -152,7 +153,7 @@ def fit_model(series: RingSeries, form: HaloModel, starts: list[Array]) -> Fitte
 
 
 def refit_from_other_profiles(candidate: FittedHaloModel) -> FittedHaloModel:
-    """Climb again from other mixes of energies, with the core as it is and as cores are at first: wings hide halos."""
+    """Fit again from other halo profiles, with the fitted and the initial core."""
     form, point = candidate.form, candidate.peak.point
     at, core = form.names.index("elastic_share"), len(point) - HALO
     starts = [point]
@@ -167,7 +168,7 @@ def refit_from_other_profiles(candidate: FittedHaloModel) -> FittedHaloModel:
 
 
 def refit_with_misfit(candidate: FittedHaloModel) -> FittedHaloModel:
-    """Fit a form again with rings as far off as they turned out to be."""
+    """Fit a model again with its estimated relative model error."""
     for _ in range(2):
         peak = optimise(candidate.problem, candidate.peak.point)
         candidate = _candidate(candidate.problem, peak)
@@ -180,3 +181,90 @@ def _candidate(problem: SeriesLikelihood, peak: SeriesOptimum) -> FittedHaloMode
     count = len(problem.form.names) + 2 * len(problem.series.data) + 2
     bic = -2.0 * value + count * float(np.log(problem.series.data.size))
     return FittedHaloModel(problem=off, peak=peak, log_likelihood=value, bic=bic)
+
+
+# What a form without an edge must be worse by, in its criterion.
+CLEARLY_WORSE = 15.0
+# What a diameter off by these factors must cost in log-probability: wings without an edge pass for any disc.
+OFF, OFF_COST = (0.8, 1.25), 12.5
+# Standard errors of the halo's share in one level at which its own diameter is looked at.
+SEEN_LEVEL = 8.0
+# Share of the light by which rings are off from which on the form is called wrong.
+MISFIT_SHARE = 0.12
+# Sectors that differ by this share of their ring's light, and by so many standard errors, in rings on end, show
+# something besides the source; rings nearer than this are too small to be divided.
+UNEVEN_SHARE, UNEVEN_SD, UNEVEN_RINGS, INNERMOST_PX = 0.5, 4.0, 3, 6.0
+
+
+def halo_refusal_reason(found: list[FittedHaloModel]) -> str | None:
+    """Refusal reason of the halo; None where it is accepted."""
+    best = found[0]
+    if best.form.halo != "disc":
+        return f"the data bear a {best.name} best: no halo with an edge is visible"
+    rival = min((one for one in found if one.form.halo != "disc"), key=lambda one: one.bic)
+    if rival.bic - best.bic < CLEARLY_WORSE:
+        return f"the data bear a {rival.name} nearly as well as a halo with an edge"
+    return None if edge_is_tied(best) else "the light falls off smoothly: discs of quite other diameters fit as well"
+
+
+def edge_is_tied(best: FittedHaloModel) -> bool:
+    """Whether other diameters are clearly less probable with all other parameters free."""
+    problem, at = best.problem, best.form.names.index("halo_diameter")
+    low, high = best.form.bounds[at]
+    for factor in OFF:
+        start = best.peak.point.copy()
+        start[at] = np.clip(factor * start[at], low, high)
+        other = optimise(problem, start, held=(at,), iterations=8)
+        if best.peak.log_probability - other.log_probability < OFF_COST:
+            return False
+    return True
+
+
+def own_diameters(best: FittedHaloModel) -> tuple[Array, Array, Array]:
+    """Diameter and standard error from each stack alone, with common core and profile, and their significance.
+
+    Returns
+    -------
+    diameter_px, sd_px, significance
+        Shape (level,) each; NaN where a level does not show the halo.
+    """
+    names = best.form.names
+    held = tuple(i for i, name in enumerate(names) if name not in ("halo_diameter", "halo_fraction"))
+    at, share = names.index("halo_diameter"), names.index("halo_fraction")
+    number = np.arange(len(best.problem.series.data))
+    out = np.full((3, len(number)), np.nan)
+    for one in number:
+        alone = replace(best.problem, series=select_levels(best.problem.series, number == one))
+        seen = _significance(alone, best.peak.point, share)
+        out[2, one] = seen
+        if seen > SEEN_LEVEL:
+            peak = optimise(alone, best.peak.point, held=held, iterations=6)
+            free = [i for i in range(len(names)) if i not in held]
+            out[0, one], out[1, one] = peak.point[at], _sd(alone, peak.point, free, at)
+    return out[0], out[1], out[2]
+
+
+def _significance(alone: SeriesLikelihood, point: Array, share: int) -> float:
+    """Square root of twice the loss in log-probability of a stack without halo."""
+    bare = point.copy()
+    bare[share] = alone.form.bounds[share, 0]
+    with_halo, without = alone.log_probability(np.array([point, bare]))
+    return float(np.sqrt(max(2.0 * (with_halo - without), 0.0)))
+
+
+def _sd(alone: SeriesLikelihood, point: Array, free: list[int], at: int) -> float:
+    """Standard error of one free parameter."""
+    slopes = slopes_at(alone, point)[:, free]
+    covariance = np.linalg.pinv(slopes.T @ slopes)
+    place = free.index(at)
+    return float(np.sqrt(max(covariance[place, place], 0.0)))
+
+
+def is_uneven(series: RingSeries) -> bool:
+    """Whether rings of a stack are asymmetric: two sources, a tail, a border."""
+    variance = SECTORS * np.diagonal(series.own_covariance, axis1=1, axis2=2)
+    excess = np.maximum(series.sector_sd**2 - variance, 0.0)
+    clear = (excess > UNEVEN_SD**2 * variance) & (excess > (UNEVEN_SHARE * series.light) ** 2)
+    clear &= ~series.cut & (series.radius_px > INNERMOST_PX)
+    on_end = np.array([np.convolve(one, np.ones(UNEVEN_RINGS)) for one in clear])
+    return bool(on_end.max() >= UNEVEN_RINGS)

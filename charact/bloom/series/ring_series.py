@@ -1,5 +1,6 @@
-"""From a session's point stacks to the rings of one series."""
+"""Ring series of a session's point stacks: common source centre, contaminated pixels excluded."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -9,15 +10,93 @@ from numpy.typing import NDArray
 from charact.bloom.column_artefacts import column_artefact_mask
 from charact.bloom.defects import bad_pixels
 from charact.bloom.point_stack import PointStack
-from charact.bloom.series.centre import refine_centre
-from charact.bloom.series.levels import ADJACENT_RINGS, LevelRings, level_of, noise_of
 from charact.bloom.series.likelihood import RingSeries, series_of
-from charact.bloom.series.rings import geometry_of
+from charact.bloom.series.rings import ADJACENT_RINGS, LevelRings, geometry_of, level_of, noise_of
 from charact.method import Context
 from labdata.session import Session
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+
+ITERATIONS = 3
+REACH_PX = 40
+MIN_CENTRE_RINGS = 6
+# Farthest that a place may move in all, px: a source is found to a pixel or two before.
+FARTHEST_PX = 3.0
+
+
+def refine_centre(
+    images: Sequence[Array],
+    row: float,
+    col: float,
+    *,
+    pitch_ratio: float,
+    full_dn: float,
+    spoiled: Sequence[Mask],
+) -> tuple[float, float]:
+    """Refine a source position so that the residuals of all images are symmetric.
+
+    Parameters
+    ----------
+    images
+        Mean frame of every level, shape (row, col) each, DN.
+    row, col
+        Where the source is about, px.
+    pitch_ratio
+        Row pitch over column pitch.
+    full_dn
+        Highest code; pixels near it say nothing of the side they are on.
+    spoiled
+        Pixels of each image to leave out.
+
+    Notes
+    -----
+    A place wrong by d leaves -L'(r) (d . e_r) of the light L; the steepest rings, which are those beside the cut core,
+    tell d best. Gauss-Newton, each pixel weighted as if its noise went as the root of its light.
+    """
+    first = row, col
+    for _ in range(ITERATIONS):
+        across, down = _step(images, row, col, pitch_ratio, full_dn, spoiled)
+        row, col = row + down / pitch_ratio, col + across
+        if abs(row - first[0]) > FARTHEST_PX or abs(col - first[1]) > FARTHEST_PX:
+            return first
+    return row, col
+
+
+def _step(
+    images: Sequence[Array],
+    row: float,
+    col: float,
+    pitch_ratio: float,
+    full_dn: float,
+    spoiled: Sequence[Mask],
+) -> tuple[float, float]:
+    """Offset of the position, column pitches."""
+    normal, right = np.zeros((2, 2)), np.zeros(2)
+    for image, mask in zip(images, spoiled, strict=True):
+        geometry = geometry_of(image.shape, row, col, pitch_ratio=pitch_ratio, spoiled=mask, reach_px=REACH_PX)
+        if len(geometry.radius_px) < MIN_CENTRE_RINGS:
+            return 0.0, 0.0
+        direction = np.stack([np.cos(geometry.pixel_angle), np.sin(geometry.pixel_angle)])
+        value = geometry.pixels(image[None])[0]
+        floor = float(np.median(value))
+        mean = geometry.means(value)
+        slope = np.interp(geometry.pixel_radius_px, geometry.radius_px, np.gradient(mean, geometry.radius_px))
+        light = np.interp(geometry.pixel_radius_px, geometry.radius_px, mean)
+        whole = geometry.largest(value) < 0.9 * full_dn
+        use = np.repeat(whole, geometry.count.astype(int))
+        # Rings averaged over a pixel's width hide how light bends inside them: the innermost say nothing.
+        weight = use / (1.0 + np.maximum(light - floor, 0.0))
+        design = -slope * direction
+        # Rings that the border cuts take part of the shift for their mean.
+        design = design - np.repeat(geometry.means(design), geometry.count.astype(int), axis=1)
+        normal += (design * weight) @ design.T
+        right += (design * weight) @ (value - light)
+    if np.linalg.det(normal) <= 0:
+        return 0.0, 0.0
+    across, down = np.linalg.solve(normal, right)
+    return float(np.clip(across, -1.0, 1.0)), float(np.clip(down, -1.0, 1.0))
+
 
 # Stacks whose sources lie farther apart than this are not one series, px.
 SAME_PLACE_PX = 2.0
@@ -29,7 +108,7 @@ CUT, HIGHER_PX, FARTHEST_UPRIGHT_PX = 0.98, 2.0, 8.0
 
 
 def one_place(spots: tuple[PointStack, ...]) -> tuple[PointStack, ...]:
-    """Return the stacks of the place that most of them share, the clearest one's where places are shared alike."""
+    """Return the stacks with the most common source position; the clearest one's where several are equally common."""
 
     def near(spot: PointStack) -> tuple[PointStack, ...]:
         return tuple(one for one in spots if np.hypot(one.row - spot.row, one.col - spot.col) < SAME_PLACE_PX)
@@ -40,7 +119,7 @@ def one_place(spots: tuple[PointStack, ...]) -> tuple[PointStack, ...]:
 def build_ring_series(
     session: Session, spots: tuple[PointStack, ...], *, context: Context
 ) -> tuple[RingSeries, tuple[PointStack, ...]] | str:
-    """Average stacks of one place over rings about it.
+    """Average the stacks of one source position over rings around it.
 
     Returns
     -------
@@ -68,7 +147,7 @@ def build_ring_series(
 
 
 def nearer_to_others(group: tuple[PointStack, ...], own: PointStack, pitch_ratio: float) -> Mask:
-    """Pixels that are nearer to another source than to this one, shape (row, col); any stack may show it."""
+    """Pixels closer to another source of any stack than to this one, shape (row, col)."""
     rows, cols = np.indices(own.image.shape)
 
     def apart(row: float, col: float) -> Array:
@@ -84,7 +163,7 @@ def _levels(
     session: Session, group: tuple[PointStack, ...], masks: list[Mask], bad: list[Mask], place: tuple[float, float],
     full_dn: float, context: Context,
 ) -> tuple[LevelRings, ...]:  # fmt: skip
-    """Rings of every stack, each without the pixels that something else makes bright there."""
+    """Rings of every stack without contaminated pixels."""
     entries = {entry.label: entry for entry in session.of_kind("point")}
     of_place = partial(geometry_of, group[0].image.shape, *place, pitch_ratio=context.pitch_ratio)
     whole = of_place(spoiled=None)
@@ -99,7 +178,7 @@ def _levels(
 
 
 def _upright_px(image: Array, place: tuple[float, float], full_dn: float, pitch_ratio: float) -> float:
-    """How far a core reaches that is cut higher than wide, as overflow does, column pitches; 0 where it is round."""
+    """Radius of a core that overflow has made higher than wide, column pitches; 0 where it is round."""
     row, col = round(place[0]), round(place[1])
     cut = image >= CUT * full_dn
     high, wide = _run(cut[:, col], row) * pitch_ratio, float(_run(cut[row], col))
@@ -107,7 +186,7 @@ def _upright_px(image: Array, place: tuple[float, float], full_dn: float, pitch_
 
 
 def _run(line: NDArray[np.bool_], at: int) -> int:
-    """Length of the run of true values through a place."""
+    """Length of the run of true values through a position."""
     if not line[at]:
         return 0
     ends = np.flatnonzero(~np.concatenate([[False], line, [False]]))

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from charact.fit.full_well import GAIN, PATH, full_well_draws
 from charact.fit.prior import prior_of
+from charact.fit.sensor import GAIN, PATH, full_well_draws
 from labdata.sensors import load_sensor
 
 
