@@ -20,23 +20,10 @@ Mask = NDArray[np.bool_]
 
 # Light belongs to a pixel if it entered within this distance: about a pixel of a thermal scanner beside such a camera.
 NEAR_PX = 3.0
-MOST_DRAWS = 30
 # Transfer below which a frame's own noise is not sharpened any more.
 LEAST_TRANSFER = 0.03
-# Signal, in standard deviations of a pixel's noise, below which there is nothing to be a share of.
-LIT = 2.0
-# Distance of pixels whose differences tell the noise, px, and groups of like light.
-NOISE_LAG_PX, NOISE_GROUPS = 4, 8
-# Share of a pixel's signal that a source of unknown light may make up before the pixel is unknown, too; ring width, px.
-REACHED, RING_PX = 0.05, 2.0
 # By so much a halo's radius may be off, and so far from a patch its own blurred edge is out of the way, px.
 SMALLER_PX, PATCH_MARGIN_PX = 0.5, 4.0
-# Just beside a patch the share turns on where its edge is, which clipped pixels hide to a pixel.
-PATCH_SD = 0.12
-# The least standard deviation of a fraction: light is counted pixel by pixel.
-LEAST_SD = 0.003
-# Share of the highest code over dark from which on a pixel counts as clipped.
-CLIPPED_SHARE = 0.985
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,7 +75,7 @@ def bloom_map(
     noise_dn: ArrayLike | None = None,
     near_px: float = NEAR_PX,
     pitch_ratio: float = 1.0,
-    most_draws: int = MOST_DRAWS,
+    most_draws: int = 30,
     rng: np.random.Generator,
 ) -> BloomMap:
     """Return the fraction of every pixel's signal that is blooming.
@@ -131,7 +118,7 @@ def bloom_map(
     image, spread = np.asarray(signal, np.float32), spread.subsample(most_draws)
     noise = pixel_noise(image) if noise_dn is None else np.broadcast_to(np.asarray(noise_dn, np.float32), image.shape)
     if clipped is None:
-        clipped = np.zeros(image.shape, bool) if clip_dn is None else image >= CLIPPED_SHARE * clip_dn
+        clipped = np.zeros(image.shape, bool) if clip_dn is None else image >= 0.985 * clip_dn
     halo_px = 0.5 * float(spread.halo_diameter_px.max())
     lattice = FrameGrid(shape=(image.shape[0], image.shape[1]), room_px=int(halo_px + 20), pitch_ratio=pitch_ratio)
     sources = ()
@@ -143,12 +130,16 @@ def bloom_map(
         count, mean, square, bloom = count + 1, mean + share, square + share * share, bloom + far
     mean, bloom = mean / count, bloom / count
     of_noise = np.where(clipped, 0.0, mean * noise / np.maximum(image, noise))
-    variance = np.maximum(square / count - mean**2, 0.0) + of_noise**2 + LEAST_SD**2
-    unknown = image < LIT * noise
+    # Signal is counted pixel by pixel, so that no fraction is known better than 0.003.
+    variance = np.maximum(square / count - mean**2, 0.0) + of_noise**2 + 0.003**2
+    # Without signal there is no fraction: at least two standard deviations of a pixel's noise.
+    unknown = image < 2.0 * noise
     for source in sources:
         if source.has_known_signal and source.shape == "patch":
             rows, cols = np.divmod(source.region, lattice.shape[1])
-            variance += PATCH_SD**2 * (_within(rows, cols, PATCH_MARGIN_PX, lattice) & ~clipped)
+            # Next to a patch the fraction depends on the position of its edge, which clipped pixels hide to within a
+            # pixel.
+            variance += 0.12**2 * (_within(rows, cols, PATCH_MARGIN_PX, lattice) & ~clipped)
         if not source.has_known_signal:
             unknown |= _contaminated_pixels(source, image, spread.centre(), lattice, halo_px)
     return BloomMap(
@@ -178,12 +169,12 @@ def pixel_noise(image: NDArray) -> NDArray[np.float32]:
     Found from second differences along rows, of pixels so far apart that blur does not tie their noise, in groups of
     like light.
     """
-    lag = NOISE_LAG_PX
+    lag = 4
     low, middle, high = image[:, : -2 * lag], image[:, lag:-lag], image[:, 2 * lag :]
     light = (low + middle + high).ravel() / 3.0
     second = np.abs(low - 2.0 * middle + high).ravel()
     order = np.argsort(light)
-    groups = [group for group in np.array_split(order, NOISE_GROUPS) if len(group)]
+    groups = [group for group in np.array_split(order, 8) if len(group)]
     mean = np.array([max(0.0, float(light[group].mean())) for group in groups])
     variance = np.array([(1.4826 * float(np.median(second[group]))) ** 2 / 6.0 for group in groups])
     # Bright groups hold edges besides noise: the law goes through the darkest group, and rises as the median slope.
@@ -299,12 +290,13 @@ def _contaminated_pixels(
         share = least = lattice.patch(source.illuminated_pixels, one.transfer(lattice.frequency)[0])
         clear = ~_within(rows, cols, PATCH_MARGIN_PX, lattice)
     share, least = np.maximum(share, 0.0) + veil, np.maximum(least, 0.0) + veil
-    ring = (away / RING_PX).astype(int).ravel()
+    ring = (away / 2.0).astype(int).ravel()
     count = np.bincount(ring)
     signal, of_unit = (np.bincount(ring, of.ravel()) / np.maximum(count, 1) for of in (image, least))
     told = np.bincount(ring, ~clear.ravel()) == 0
     most = (signal[told] / np.maximum(of_unit[told], 1e-12)).min(initial=np.inf)
-    return near | (most * share > REACHED * np.maximum(image, 1e-6))
+    # Unknown where the source may exceed 5 % of the pixel's signal.
+    return near | (most * share > 0.05 * np.maximum(image, 1e-6))
 
 
 def _within(rows: NDArray, cols: NDArray, reach: float, lattice: FrameGrid) -> Mask:
@@ -323,10 +315,6 @@ def _near_border(lattice: FrameGrid, halo_px: float) -> Mask:
     down, across = int(np.ceil(halo_px / lattice.pitch_ratio)), int(np.ceil(halo_px))
     out[down : lattice.shape[0] - down, across : lattice.shape[1] - across] = False
     return out
-
-
-# Share of the frames at the highest code from which on the mean of a pixel says less than its light.
-CLIPPED_FRAMES = 0.02
 
 
 def spread_from(result: Result, *, area_px: float, pitch_ratio: float = 1.0, rng: np.random.Generator) -> PosteriorPsf:
@@ -392,7 +380,8 @@ def map_of(session: Session, result: Result, *, label: str | None = None, contex
     rng = np.random.default_rng(context.seed)
     signal = stack.data.mean(axis=0, dtype=np.float64) - dark
     spread = spread_from(result, area_px=float(signal.size), pitch_ratio=context.pitch_ratio, rng=rng)
-    clipped = (stack.data >= full).mean(axis=0) > CLIPPED_FRAMES
+    # Above 2 % of clipped frames the mean of a pixel underestimates its signal.
+    clipped = (stack.data >= full).mean(axis=0) > 0.02
     found = bloom_map(signal, spread, clip_dn=full - dark, clipped=clipped, pitch_ratio=context.pitch_ratio, rng=rng)
     return found, signal
 

@@ -11,13 +11,8 @@ from charact.bloom.posterior_psf import FrameGrid, PosteriorPsf, profiles
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# Columns on either side of a source that overflow and smear fill.
-STREAK_HALF_WIDTH_PX = 2
-# Share by which the spread may be off where it is far above the noise, and by how many px where it is steep.
-MODEL_SHARE, MODEL_PX = 0.05, 0.25
 # Most pixels of a group of sources that enter the fit, and how many of them share their noise.
-MOST_PIXELS, SHARING = 4000, 10.0
-ROUNDS = 8
+MOST_PIXELS = 4000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +46,7 @@ def surroundings(
     for region in regions:
         _, col = lattice.middle(region)
         away.ravel()[region] = False
-        spoilt[:, np.abs(np.arange(signal.shape[1]) - col) <= STREAK_HALF_WIDTH_PX] = True
+        spoilt[:, np.abs(np.arange(signal.shape[1]) - col) <= 2] = True
     near = np.asarray(ndimage.distance_transform_edt(away, sampling=(lattice.pitch_ratio, 1.0))) < reach
     open_px = np.flatnonzero(near & ~spoilt)
     step = -(-len(open_px) // MOST_PIXELS) if len(open_px) else 1
@@ -62,7 +57,8 @@ def surroundings(
     values = np.asarray(signal, float).ravel()[places]
     floor = np.concatenate([np.zeros(len(open_px), bool), np.ones(len(shut), bool)])
     steep = np.hypot(*np.gradient(np.asarray(signal, float))).ravel()[places] * (1.0 - floor.astype(float))
-    sd = np.sqrt(noise_dn.ravel()[places] ** 2 + (MODEL_SHARE * values) ** 2 + (MODEL_PX * steep) ** 2)
+    # Relative PSF error well above the noise, 5 %, and position error on steep flanks, 0.25 px.
+    sd = np.sqrt(noise_dn.ravel()[places] ** 2 + (0.05 * values) ** 2 + (0.25 * steep) ** 2)
     return Surroundings(places=places, signal=np.where(floor, clip_dn, values), sd=sd, floor=floor.astype(float),
                         subsampling=step)  # fmt: skip
 
@@ -104,7 +100,7 @@ def fit(templates: Array, around: Surroundings) -> ClippedSourceFit:
     scale = np.abs(design).max(axis=0)
     weight = (around.floor == 0) / around.sd
     best = np.zeros(design.shape[1])
-    for _ in range(ROUNDS):
+    for _ in range(8):
         best = np.linalg.lstsq(design / scale * weight[:, None], around.signal * weight, rcond=None)[0]
         pull = (design / scale @ best - around.signal) / around.sd
         counted = (around.floor == 0) | (pull < 0)
@@ -113,30 +109,18 @@ def fit(templates: Array, around: Surroundings) -> ClippedSourceFit:
     misfit = 1.4826 * float(np.median(np.abs(pull[counted])))
     rms = float(np.sqrt(np.mean(np.minimum(pull[counted] ** 2, 100.0))))
     normal = (design / scale * weight[:, None]).T @ (design / scale * weight[:, None])
-    covariance = np.linalg.pinv(normal) * SHARING * max(misfit, 0.3) ** 2
+    # About ten pixels have correlated noise.
+    covariance = np.linalg.pinv(normal) * 10.0 * max(misfit, 0.3) ** 2
     return ClippedSourceFit(
         light=(best / scale)[:-1], sd=(np.sqrt(np.diag(covariance)) / scale)[:-1], misfit=misfit, rms=rms
     )
 
 
-# Pixels beside clipped ones that are left out: first the whole steep flank, on which little tells the light from the
-# core's width; where the halo alone is too faint, only those spoilt by noise near the highest code.
-MARGINS_PX = (4, 1)
-# Clipped pixels so near each other belong to one source: noise tears the rim of a clipped region.
-JOINED_PX = 2
-# A source's surroundings reach this far beyond its halo, px.
-BEYOND_PX = 8.0
 # Standard errors that a source's light needs, and the largest rms misfit, in what noise and model allow.
-SEEN, MISFIT = 5.0, 2.5
-# A point and a patch that fit within this factor of each other, but differ by that one in their light, tell nothing.
-AMBIGUOUS, UNLIKE = 1.6, 1.3
-LEAST_PIXELS, LEAST_PATCH_PX = 40, 9
-# The halo shows where it is at least so far inside its edge, px; a patch is at least so many halos wide.
-INSIDE_PX, WIDER = 2.0, 1.3
+SEEN = 5.0
+LEAST_PIXELS = 40
 # Width that overflow has at most, px.
 STREAK_PX = 7
-# By so many px a lit patch may be smaller than what it clips.
-SMALLER_PX = 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -199,7 +183,7 @@ def find_clipped_sources(
         Generator of the error that noise leaves in the light.
     """
     found = list(_regions(clipped))
-    reach = 0.5 * float(np.median(spread.halo_diameter_px)) + BEYOND_PX
+    reach = 0.5 * float(np.median(spread.halo_diameter_px)) + 8.0
     out: list[ClippedSource] = []
     for group in _groups(found, reach, lattice):
         out += _sources_of_group([found[number] for number in group], signal, clipped, spread, lattice, reach,
@@ -211,7 +195,8 @@ def _regions(clipped: Mask) -> Iterator[NDArray[np.int64]]:
     """Pixels of every connected clipped region, flat indices."""
     from scipy import ndimage
 
-    wide = ndimage.binary_dilation(clipped, np.ones((2 * JOINED_PX + 1,) * 2, bool))
+    # Noise splits the rim of a clipped region: pixels within 2 px belong to one source.
+    wide = ndimage.binary_dilation(clipped, np.ones((2 * 2 + 1,) * 2, bool))
     labels, count = ndimage.label(wide)  # pyright: ignore[reportGeneralTypeIssues]
     labels = np.where(clipped, labels, 0)
     order = np.argsort(labels, axis=None, kind="stable")
@@ -249,7 +234,9 @@ def _sources_of_group(
 ) -> list[ClippedSource]:
     """Sources of one group with their signal: from the halo alone, else also from the wings near the core."""
     found: list[ClippedSource] = []
-    for margin in MARGINS_PX:
+    # First without the steep flank, where the core width matters; if the halo is too faint, with all but noisy
+    # pixels.
+    for margin in (4, 1):
         around = surroundings(regions, signal, clipped, lattice, reach, margin, noise_dn=noise_dn, clip_dn=clip_dn)
         found = _with_light(regions, spread, lattice, around, rng)
         if all(source.has_known_signal for source in found):
@@ -284,7 +271,7 @@ def _with_light(
                 reason = "what is around it fits a point behind its halo and a lit patch about as well"
             if found.rms < best.rms:
                 guesses, best = other, found
-    if best.misfit > MISFIT:
+    if best.misfit > 2.5:
         reason = f"what is around it departs from the spread by {best.misfit:.1f} times what noise and model allow"
     if reason:
         return [_unknown(r, g, reason, spread, lattice) for r, g in zip(regions, guesses, strict=True)]
@@ -295,7 +282,7 @@ def _alike(point: ClippedSourceFit, patch: ClippedSourceFit, one: int) -> bool:
     """Whether two guesses fit about equally well but differ in the source's signal."""
     low, high = sorted((point.light[one], patch.light[one]))
     better, worse = sorted((point.rms, patch.rms))
-    return high > UNLIKE * low and worse < AMBIGUOUS * max(better, 1.0)
+    return high > 1.3 * low and worse < 1.6 * max(better, 1.0)
 
 
 def _patches(region: NDArray[np.int64], lattice: FrameGrid) -> Iterator[Guess]:
@@ -305,9 +292,9 @@ def _patches(region: NDArray[np.int64], lattice: FrameGrid) -> Iterator[Guess]:
     rows, cols = np.divmod(region, lattice.shape[1])
     mask = np.zeros((np.ptp(rows) + 3, np.ptp(cols) + 3), bool)
     mask[rows - rows.min() + 1, cols - cols.min() + 1] = True
-    for smaller in range(SMALLER_PX + 1):
+    for smaller in range(2 + 1):
         down, across = np.nonzero(ndimage.binary_erosion(mask, iterations=smaller) if smaller else mask)
-        if len(down) < LEAST_PATCH_PX:
+        if len(down) < 9:
             return
         lit = (down + rows.min() - 1) * lattice.shape[1] + across + cols.min() - 1
         yield Guess(shape="patch", illuminated_pixels=lit)
@@ -317,10 +304,10 @@ def _possible(region: NDArray[np.int64], around: Surroundings, lattice: FrameGri
     """Possible shape: a point if its halo is visible, a patch if it is wider than a halo."""
     rows, cols = np.divmod(around.places[around.floor == 0], lattice.shape[1])
     row, col = lattice.middle(region)
-    inside = np.hypot((rows - row) * lattice.pitch_ratio, cols - col) < halo_px - INSIDE_PX
+    inside = np.hypot((rows - row) * lattice.pitch_ratio, cols - col) < halo_px - 2.0
     if inside.sum() * around.subsampling >= LEAST_PIXELS:
         return "point"
-    return "patch" if _longest(region, lattice) > WIDER * 2.0 * halo_px else ""
+    return "patch" if _longest(region, lattice) > 1.3 * 2.0 * halo_px else ""
 
 
 def _longest(region: NDArray[np.int64], lattice: FrameGrid) -> float:

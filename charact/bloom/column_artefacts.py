@@ -17,18 +17,9 @@ Mask = NDArray[np.bool_]
 FIRST_ROW_PX = 5.0
 # Rows averaged to see a streak, and standard errors by which their mean and all but one of them must be brighter than
 # what lies beside the source; those of the mean of a column's outer half, above and below, or on one side alone.
-BLOCK_ROWS, LEAST_BLOCKS = 4, 4
-SEEN_BLOCK, FILLED = 5.0, 1.5
-SEEN_BOTH, SEEN_ONE = 3.0, 6.0
-# Share of the source's light by which cameras that are not quite round may be off.
-ROUND_SHARE = 0.05
-# Columns beside those that are bright in the source's own rows into which video or smear carries their light.
-ADJACENT_COLUMNS_PX = 3
-LEAST_HALF_WIDTH_PX = 5
+BLOCK_ROWS = 4
 # Noise of a frame that rounding leaves without any, DN.
 ROUNDED_DN = 0.02
-# Light of the source that is so many times the streak's or smear's is not spoiled by it.
-HARMLESS = 30.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,7 +70,7 @@ def column_artefact_mask(spot: PointStack, context: Context) -> Mask:
     (above, up), (below, down) = (_reach(found, side) for side in (-1, 1))
     # Smear lies above and below alike; where the frame has no rows on one side the other must show it the more clearly.
     both = np.isfinite(up).all() and np.isfinite(down).all()
-    smeared = (np.minimum(up, down) if both else np.fmax(up, down)) > (SEEN_BOTH if both else SEEN_ONE)
+    smeared = (np.minimum(up, down) if both else np.fmax(up, down)) > (3.0 if both else 6.0)
     far = np.abs(found.row_offset).max() + 1.0
     reach = np.stack([np.where(smeared, far, one) for one in (above, below)])
     seen = _around(reach.max(axis=0) > 0, round(spot.col) - found.first_col)
@@ -93,7 +84,8 @@ def column_artefact_mask(spot: PointStack, context: Context) -> Mask:
     count = np.maximum((inside & beyond).sum(axis=0), 1)
     level = np.where(inside & beyond, found.excess_dn, 0.0).sum(axis=0) / count
     level = np.maximum(level, np.maximum(_shift_columns(level, 1), _shift_columns(level, -1)))
-    inside &= found.round_dn < HARMLESS * level
+    # Column signal below 1/30 of the source's is harmless.
+    inside &= found.round_dn < 30.0 * level
     mask[:, found.first_col : found.first_col + inside.shape[1]] = inside
     return mask
 
@@ -118,12 +110,13 @@ def compare_columns(spot: PointStack, context: Context, *, half_width_px: int | 
     light, noise = np.interp(near, grid, mean), np.interp(near, grid, sd)
     floor = float(mean.min())
     far = np.abs(dx) > max(2.0 * _half_width(spot), 0.3 * cols)
+    # Cameras may deviate from rotational symmetry by 5 % of the source's signal.
     return ColumnArtefacts(
         first_col=first,
         row_offset=dy,
         round_dn=light - floor,
         excess_dn=spot.image[:, first:last] - light,
-        sd_dn=np.hypot(noise, ROUND_SHARE * (light - floor)),
+        sd_dn=np.hypot(noise, 0.05 * (light - floor)),
         block_factor=_block_factor(spot.image[:, far]),
     )
 
@@ -135,7 +128,8 @@ def _half_width(spot: PointStack) -> int:
     bright = near - spot.dark_dn > 0.5 * min(near.max() - spot.dark_dn, 0.5 * (spot.full_scale_dn - spot.dark_dn))
     run = np.flatnonzero(_around(bright, col))
     reach = int(np.abs(run - col).max()) if len(run) else 0
-    return max(LEAST_HALF_WIDTH_PX, reach + ADJACENT_COLUMNS_PX)
+    # Video filter or smear carry the signal into at least 5 columns, 3 beyond the bright ones.
+    return max(5, reach + 3)
 
 
 def _horizontal_profile(image: Array, dx: Array, dy: Array, radius: Array) -> tuple[Array, Array]:
@@ -191,17 +185,17 @@ def _reach(found: ColumnArtefacts, side: int) -> tuple[Array, Array]:
     rows = np.flatnonzero(found.row_offset * side >= FIRST_ROW_PX)[::side]
     count = len(rows) // BLOCK_ROWS
     out = np.zeros(found.excess_dn.shape[1])
-    if count < LEAST_BLOCKS:
+    if count < 4:
         return out, np.full(out.shape, np.nan)
     rows = rows[: count * BLOCK_ROWS]
     blocks = rows.reshape(count, BLOCK_ROWS)
     excess, variance = found.excess_dn[blocks].mean(axis=1), (found.sd_dn[blocks] ** 2).mean(axis=1)
     error = np.sqrt(variance * found.block_factor / BLOCK_ROWS)
     # A streak fills its rows; one bright pulse among dark pixels fills none but its own.
-    filled = np.partition(found.excess_dn[blocks], 1, axis=1)[:, 1] > FILLED * np.sqrt(variance)
+    filled = np.partition(found.excess_dn[blocks], 1, axis=1)[:, 1] > 1.5 * np.sqrt(variance)
     ends = np.abs(found.row_offset)[blocks].max(axis=1)
     for place in range(out.size):
-        bright = np.flatnonzero((excess[:, place] > SEEN_BLOCK * error[:, place]) & filled[:, place])
+        bright = np.flatnonzero((excess[:, place] > 5.0 * error[:, place]) & filled[:, place])
         out[place] = ends[bright[-1]] + BLOCK_ROWS if len(bright) else 0.0
     outer = slice(count // 2, None)
     noise = np.sqrt(np.maximum((error[outer] ** 2).mean(axis=0), excess[outer].var(axis=0)) / (count - count // 2))
@@ -232,11 +226,6 @@ def _shift_columns(values: Array, by: int) -> Array:
 
 # Pixels along a side of the patches whose means scatter as light does, blur after the gain or not.
 PATCH_PX = 6
-# Share of the columns nearest to the source that are left out: its halo and its column lie there.
-NEAR_SHARE = 0.6
-# Light over dark below which noise tells nothing of light, DN.
-LEAST_LIGHT_DN = 0.5
-ROUNDING_VARIANCE = 1.0 / 12.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -289,14 +278,16 @@ def grain_of(image: Array, col: float, dark_dn: float) -> MeanFrameNoise:
     tiles = image[:rows, :cols].reshape(rows // PATCH_PX, PATCH_PX, cols // PATCH_PX, PATCH_PX)
     patches = tiles.mean(axis=(1, 3))
     along = np.abs(PATCH_PX * (np.arange(patches.shape[1]) + 0.5) - col)
-    far = np.flatnonzero(along >= np.quantile(along, NEAR_SHARE))
+    # The 60 % of columns closest to the source contain its halo and its column.
+    far = np.flatnonzero(along >= np.quantile(along, 0.6))
     # Differences of neighbours leave gradients out, medians other sources.
     pairs = far[:-1][np.diff(far) == 1]
     patch = 0.5 * _robust(patches[:, pairs + 1] - patches[:, pairs]) ** 2
     single = float(np.median(tiles.var(axis=(1, 3), ddof=1)[:, far])) + patch
-    floor = max(single, 0.1 * ROUNDING_VARIANCE)
+    floor = max(single, 0.1 * (1.0 / 12.0))
     background = float(np.median(patches[:, far])) - dark_dn
-    told = background > LEAST_LIGHT_DN
+    # Below 0.5 DN the noise is not photon noise.
+    told = background > 0.5
     return MeanFrameNoise(
         floor_variance=floor,
         per_light=floor / background if told else 0.0,
@@ -310,21 +301,9 @@ def _robust(values: Array) -> float:
     return 1.4826 * float(np.median(np.abs(values))) if values.size else 0.0
 
 
-# A column of full wells is at least this share of full scale brighter than what lies beside the source ...
-LEAST_SHARE = 0.2
-# ... where the source's own light is no more than this share of it.
-STREAK_ROUND_SHARE = 0.15
 LEAST_ROWS = 3
 # Light even from top to bottom is a streak from this share of full scale on: digitisers see that of full wells.
 FULL_SHARE = 0.5
-# Longer columns may be streaks, as long as their charge.
-SPILL_ROWS = 12
-# Counting whole rows: an even error of half a row at either end, whatever the noise.
-COUNTING_PX = 2.0 / np.sqrt(12.0) / np.sqrt(2.0)
-# Distance from the middle between two columns within which either may be the source's, px.
-COLUMN_PX = 0.15
-# Rows by which a streak may be longer above than below, and share of its length.
-UNEVEN_PX, UNEVEN_SHARE = 4.0, 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -369,7 +348,8 @@ def streak_of(spot: PointStack, context: Context) -> Streak:
     grain = grain_of(spot.image, spot.col, spot.dark_dn)
     length, sd = _rows_above(spot, grain, round(spot.col))
     other = round(spot.col) + (1 if spot.col > round(spot.col) else -1)
-    if 0.5 - abs(spot.col - round(spot.col)) < COLUMN_PX and 0 <= other < spot.image.shape[1]:
+    # Near the middle between two columns either may be the source's.
+    if 0.5 - abs(spot.col - round(spot.col)) < 0.15 and 0 <= other < spot.image.shape[1]:
         sd = float(np.hypot(sd, 0.5 * abs(length - _rows_above(spot, grain, other)[0])))
     above, below = (_full_rows(spot, found, side) for side in (-1, 1))
     full = np.concatenate([above, below])
@@ -388,7 +368,7 @@ def streak_of(spot: PointStack, context: Context) -> Streak:
         level_sd_dn=error,
         clipped=len(full) > 0 and value > spot.full_scale_dn - spot.dark_dn - max(1.0, 4.0 * spread),
         meets_border=meets,
-        uneven=not meets and abs(ends[0] - ends[1]) > UNEVEN_PX + UNEVEN_SHARE * max(ends),
+        uneven=not meets and abs(ends[0] - ends[1]) > 4.0 + 0.2 * max(ends),
     )
 
 
@@ -401,10 +381,10 @@ def _rows_above(spot: PointStack, grain: MeanFrameNoise, col: int) -> tuple[floa
     rows = float(share.sum())
     counted = float((share * (1.0 - share)).sum()) * grain.neighbours
     # All light of the column ends up in the streak, so its length scatters as that light does.
-    spilled = float(grain.sum_variance(half * rows)) / (2.0 * half) ** 2 if rows > SPILL_ROWS else 0.0
+    spilled = float(grain.sum_variance(half * rows)) / (2.0 * half) ** 2 if rows > 12 else 0.0
     frames = spot.frame_streak_px
     seen = float(frames.var(ddof=1)) / len(frames) if len(frames) > 1 else 0.0
-    return rows, float(np.sqrt(max(counted, spilled, seen) + COUNTING_PX**2))
+    return rows, float(np.sqrt(max(counted, spilled, seen) + (2.0 / np.sqrt(12.0) / np.sqrt(2.0)) ** 2))
 
 
 def _full_rows(spot: PointStack, found: ColumnArtefacts, side: int) -> NDArray[np.int64]:
@@ -415,7 +395,7 @@ def _full_rows(spot: PointStack, found: ColumnArtefacts, side: int) -> NDArray[n
     if len(outward) < LEAST_ROWS + 1:
         return outward[:0]
     top = float(np.sort(excess)[-2])
-    if top < LEAST_SHARE * (spot.full_scale_dn - spot.dark_dn):
+    if top < 0.2 * (spot.full_scale_dn - spot.dark_dn):
         return outward[:0]
     # Smear lies evenly on the whole column: what the last rows hold is no streak, unless it is all there is and so
     # bright that the wells may be full.
@@ -423,7 +403,7 @@ def _full_rows(spot: PointStack, found: ColumnArtefacts, side: int) -> NDArray[n
     if even > 0.5 * top and even < FULL_SHARE * (spot.full_scale_dn - spot.dark_dn):
         return outward[:0]
     floor = even if even <= 0.5 * top else 0.0
-    bright = (excess - floor > 0.8 * (top - floor)) & (light < STREAK_ROUND_SHARE * top)
+    bright = (excess - floor > 0.8 * (top - floor)) & (light < 0.15 * top)
     return outward[bright]
 
 

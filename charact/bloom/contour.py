@@ -9,26 +9,8 @@ from charact.bloom.source_view import PixelNoise, Polar, mean_with_clipping
 
 Array = NDArray[np.float64]
 
-# Half width of the annulus that is fitted, px, and by how much its signal's logarithm may depart from the level's.
-HALF_WIDTH_PX = 2.0
-LOG_SPAN = 1.2
-# Within this distance pixels are taken however steep the slope.
-NEAREST_PX = 0.75
 # The same at first for a level next to the highest code: rings are cut on one side and say less well where it lies.
-NEAREST_CUT_PX, CUT_SHARE = 1.5, 0.85
-# How far out the surroundings are looked for, px, and the share of their level that the fit stands on.
-SURROUNDINGS_PX = 4.0
-SURROUNDINGS_SHARE = 0.97
-# Radius up to which a contour is so short that its noise is that of an area, px.
-SMALL_PX = 2.0
-# Share of the second harmonic that the ones left out may come to.
-HIGHER = 0.05
-ROUNDS = 4
-# Pixels inside the contour, not cut by the highest code, from which on a bend of the logarithm may be fitted.
-BENDS = 10
-NEWTON_STEPS = 5
-# Share by which no polynomial is exact.
-INEXACT = 0.05
+CUT_SHARE = 0.85
 DIRECTIONS = np.linspace(-np.pi, np.pi, 72, endpoint=False)
 
 
@@ -98,12 +80,13 @@ def fit_contour(
         Share of the usual annulus that is fitted.
     """
     base = _surroundings(profile, level, radius)
-    nearest = NEAREST_CUT_PX if width >= 1.0 and level > CUT_SHARE * top else NEAREST_PX
+    # Close to full scale the rings are clipped on one side and locate the threshold less well.
+    nearest = 1.5 if width >= 1.0 and level > CUT_SHARE * top else 0.75
     pixels = _near(polar, profile, (level, base), radius, sectors, (width, nearest))
     value, x, y = signal[pixels], polar.dx[pixels] / radius, polar.dy[pixels] / radius
     start = np.interp(polar.radius[pixels], *profile)
     clear = start < top - 2.0 * float(noise.sd(top)) / np.sqrt(noise.frames)
-    bends = (clear & (x**2 + y**2 < 1.0)).sum() > BENDS
+    bends = (clear & (x**2 + y**2 < 1.0)).sum() > 10
     terms = _terms(radius, len(value), bends=bends, round_only=not sectors.all())
     basis = _basis(x, y, terms)
     if len(value) < basis.shape[1] + 1:
@@ -115,12 +98,12 @@ def fit_contour(
         lever = np.exp(linear[clear])[:, None]
         linear = basis @ np.linalg.lstsq(lever * basis[clear], lever[:, 0] * linear[clear], rcond=None)[0]
     weight, own, working, normal = np.ones(len(value)), np.ones(len(value)), linear, np.eye(len(beta))
-    for _ in range(ROUNDS):
+    for _ in range(4):
         mean = above * np.exp(np.clip(linear, -4.0, 4.0))
         expected, share = mean_with_clipping(base + mean, noise, top)
         lever = share * mean
         variance = noise.sd(base + mean) ** 2 / noise.frames
-        weight = lever**2 / (variance + (INEXACT * mean) ** 2)
+        weight = lever**2 / (variance + (0.05 * mean) ** 2)
         working = linear + (value - expected) * lever / np.maximum(lever**2, 1e-3 * above**2)
         weighted, own = basis * weight[:, None], weight**2 * variance / np.maximum(lever**2, 1e-3 * above**2)
         normal = np.asarray(np.linalg.pinv(weighted.T @ basis, hermitian=True), np.float64)
@@ -129,15 +112,16 @@ def fit_contour(
     scores = basis * (weight * (working - linear))[:, None]
     # Noise tied over an area is tied along a line by the root of it; the pixels' scatter says the same otherwise.
     noisy = np.sqrt(noise.tied) * normal @ (basis * own[:, None]).T @ basis @ normal
-    told = noise.tied * normal if radius <= SMALL_PX else noisy
+    # Up to a radius of 2 px the contour is so short that its noise is that of an area.
+    told = noise.tied * normal if radius <= 2.0 else noisy
     covariance = 0.5 * (normal @ _scatter(scores, noise.tied) @ normal + told)
     return _solve_contour(beta, covariance, radius, terms)
 
 
 def _surroundings(profile: tuple[Array, Array], level: float, radius: float) -> float:
     """Signal just outside the contour, DN above dark: halo or background."""
-    outside = (profile[0] > radius) & (profile[0] < radius + SURROUNDINGS_PX)
-    return float(np.clip(SURROUNDINGS_SHARE * profile[1][outside].min(initial=level), 0.0, 0.8 * level))
+    outside = (profile[0] > radius) & (profile[0] < radius + 4.0)
+    return float(np.clip(0.97 * profile[1][outside].min(initial=level), 0.0, 0.8 * level))
 
 
 def _near(polar: Polar, profile: tuple[Array, Array], levels: tuple[float, float], radius: float,
@@ -145,10 +129,10 @@ def _near(polar: Polar, profile: tuple[Array, Array], levels: tuple[float, float
     """Pixels with a ring near the radius and a signal near the threshold."""
     (level, base), (width, nearest) = levels, widths
     apart = np.abs(polar.radius - radius)
-    pixels = (apart < max(width * HALF_WIDTH_PX, width * 0.08 * radius, nearest)) & sectors[polar.sector]
+    pixels = (apart < max(width * 2.0, width * 0.08 * radius, nearest)) & sectors[polar.sector]
     above = np.interp(polar.radius[pixels], *profile) - base
     logs = np.log(np.maximum(above, 1e-3 * level) / (level - base))
-    pixels[pixels] = (np.abs(logs) < width * LOG_SPAN) | (apart[pixels] < nearest)
+    pixels[pixels] = (np.abs(logs) < width * 1.2) | (apart[pixels] < nearest)
     return pixels
 
 
@@ -156,10 +140,10 @@ def _terms(radius: float, pixels: int, *, bends: bool, round_only: bool) -> tupl
     """Select the terms that the pixels near a contour of this radius can determine."""
     if radius <= 2.0 or pixels < 20:
         return FEW if pixels >= 8 else FEW[:2]
-    return FEW + (BENT if bends else ()) + (() if round_only else OVAL)
+    return FEW + (("tt",) if bends else ()) + (() if round_only else ("xx-yy", "2xy"))
 
 
-FEW, BENT, OVAL = ("1", "t", "x", "y"), ("tt",), ("xx-yy", "2xy")
+FEW = ("1", "t", "x", "y")
 
 
 def _basis(x: Array, y: Array, terms: tuple[str, ...]) -> Array:
@@ -179,7 +163,7 @@ def _solve_contour(beta: Array, covariance: Array, radius: float, terms: tuple[s
     """Solve for the contour radius in every direction, and propagate the covariance of the coefficients."""
     t = np.zeros(len(DIRECTIONS))
     bend = float(beta[terms.index("tt")]) if "tt" in terms else 0.0
-    for _ in range(NEWTON_STEPS):
+    for _ in range(5):
         rows, fall = _along(t, terms), beta[1] + 2.0 * t * bend
         if not np.all(fall < -1e-3):
             return None
@@ -192,10 +176,11 @@ def _solve_contour(beta: Array, covariance: Array, radius: float, terms: tuple[s
     toward = [np.pi * shifts.mean(axis=0), *((shifts * wave[:, None]).mean(axis=0) for wave in waves)]
     sds = [float(np.sqrt(max(one @ covariance @ one, 0.0))) for one in toward]
     oval = (float((squared * waves[0]).mean()), float((squared * waves[1]).mean()))
+    # Neglected higher harmonics may reach 5 % of the second.
     return Contour(
         radius=np.sqrt(squared),
         area=np.pi * mean,
-        area_sd=float(np.hypot(sds[0], HIGHER * np.hypot(*oval) * np.pi * mean)),
+        area_sd=float(np.hypot(sds[0], 0.05 * np.hypot(*oval) * np.pi * mean)),
         slope=float(-2.0 * np.mean(fall) / radius),
         oval=oval,
         oval_sd=float(np.hypot(sds[1], sds[2]) / np.sqrt(2.0)),

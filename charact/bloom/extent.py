@@ -17,26 +17,9 @@ DRAWS = 200
 ONE_CONTOUR = (3.0, 0.1)
 # A sector is pulled where so many pixels at the level (one near the centre, where sectors are narrow) lie so far beyond
 # the rings' crossing, px and shares of it.
-PULLED_PIXELS, NARROW_PX = 3, 4.0
-PULLED_PX, PULLED_NEAR, PULLED_FAR = 2.0, 0.4, 0.1
-# How far from the source's column the columns are that its charge brightens, px.
-COLUMNS_PX = 6.0
-# Share of a ring that must lie inside the frame.
-LEAST_WHOLE = 0.3
-# What the fit of a smooth contour may be off by, px.
-FIT_PX = 0.004
-# The same where the highest code hides the inner side, px.
-FIT_CUT_PX = 0.0225
-# Share of the step between two annuli by which the choice of one may be off.
-STEPS_OFF = 0.25
-# Standard error of the radius below which a share of the annulus serves, in which a polynomial is closer to the truth.
-PRECISE_PX, NARROW = 0.04, 0.5
-# Error of a sharp edge between pixels, px.
-EDGE_PX = 0.5
+NARROW_PX = 4.0
 # What hangs together with the source has a pixel nearer than this.
 NEAR_PX = 2.5
-# Noise over the level up to which pixels are counted without smoothing.
-SHARP = 0.12
 NORMAL = np.asarray([NormalDist().inv_cdf((n + 0.5) / DRAWS) for n in range(DRAWS)])
 
 
@@ -102,7 +85,8 @@ def extent_at(view: SourceView, level_dn: float, *, level_sd: float = 0.0, seed:
     visible = float(mean_with_clipping(np.array([level]), view.noise, view.top)[0][0])
     near = float(view.signal[view.polar.radius < 1.5].max(initial=-np.inf))
     radius, profile = view.profile
-    usable = int(np.argmin(np.append(view.rings.whole, 0.0) > LEAST_WHOLE))
+    # A ring counts if 30 % of it lie inside the frame.
+    usable = int(np.argmin(np.append(view.rings.whole, 0.0) > 0.3))
     if near < visible or visible <= 0:
         return None
     first = _crossings(radius[:usable], profile[None, :usable], visible)[0]
@@ -172,9 +156,9 @@ def _find_pulled_sectors(view: SourceView, visible: float, first: float) -> Mask
     sure = visible + 2.0 * float(view.noise.sd(visible)) / np.sqrt(view.noise.frames)
     picture = view.smooth if first > NARROW_PX else view.signal
     region = _component(view, picture >= min(sure, 0.5 * (visible + view.top)))
-    margin = max(min(PULLED_PX, PULLED_NEAR * first), PULLED_FAR * first, 1.0)
+    margin = max(min(2.0, 0.4 * first), 0.1 * first, 1.0)
     pixels = np.bincount(view.polar.sector[region & (view.polar.radius > first + margin)], minlength=SECTORS)
-    pulled = (pixels >= (PULLED_PIXELS if first > NARROW_PX else 1)) | _along_columns(view, visible, first + margin)
+    pulled = (pixels >= (3 if first > NARROW_PX else 1)) | _along_columns(view, visible, first + margin)
     # What pulls a sector spills into those beside it.
     return pulled | (np.roll(pulled, 1) & (pixels > 0)) | (np.roll(pulled, -1) & (pixels > 0))
 
@@ -182,7 +166,7 @@ def _find_pulled_sectors(view: SourceView, visible: float, first: float) -> Mask
 def _along_columns(view: SourceView, visible: float, beyond: float) -> Mask:
     """Sectors with columns near the source that are mostly above the threshold, shape (sector,)."""
     out = np.zeros(SECTORS, bool)
-    for col in np.flatnonzero(np.abs(view.polar.dx[0]) < COLUMNS_PX):
+    for col in np.flatnonzero(np.abs(view.polar.dx[0]) < 6.0):
         for side in (-1.0, 1.0):
             rows = (side * view.polar.dy[:, col] > 0) & (view.polar.radius[:, col] > beyond)
             if rows.any() and np.median(view.signal[rows, col]) >= visible:
@@ -200,13 +184,15 @@ def _refine_contour(view: SourceView, level: float, radius: float, sectors: Mask
         if fitted is None:
             return found
         again = float(np.sqrt(fitted.area / np.pi))
-        narrow = width == 1.0 and fitted.area_sd / (2.0 * np.pi * again) < PRECISE_PX
+        # If the radius is known to 0.04 px, half the annulus suffices and suits a polynomial better.
+        narrow = width == 1.0 and fitted.area_sd / (2.0 * np.pi * again) < 0.04
         if width < 1.0 and found is not None:
             # What the choice of the annulus moves is an error as well.
-            apart = STEPS_OFF * abs(fitted.area - found.area)
+            # The choice between two annuli has an error of a quarter of their difference.
+            apart = 0.25 * abs(fitted.area - found.area)
             fitted = replace(fitted, area_sd=float(np.hypot(fitted.area_sd, apart)))
         settled = abs(again - radius) < 0.05 and not narrow
-        found, radius, width = fitted, again, NARROW if narrow else width
+        found, radius, width = fitted, again, 0.5 if narrow else width
         if settled or (width < 1.0 and not narrow):
             break
     return found
@@ -225,10 +211,11 @@ def _extent_from_contour(
         area += float(extra.sum()) * view.polar.row_pitch
         noise = float(view.noise.sd(visible)) / np.sqrt(view.noise.frames)
         open_ = (extra > 0) & (np.abs(view.signal - visible) < noise)
-        variance += view.polar.row_pitch**2 * (0.25 * open_.sum() + (EDGE_PX * (extra > 0).sum() ** 0.5) ** 2)
+        variance += view.polar.row_pitch**2 * (0.25 * open_.sum() + (0.5 * (extra > 0).sum() ** 0.5) ** 2)
         region = inside | (extra > 0.5)
     radius = float(np.sqrt(area / np.pi))
-    off = FIT_CUT_PX if level_dn - view.dark_dn > CUT_SHARE * view.top else FIT_PX
+    # Model error of a contour, px; larger where clipping hides the inner side.
+    off = 0.0225 if level_dn - view.dark_dn > CUT_SHARE * view.top else 0.004
     sd = np.hypot(np.sqrt(variance), 2.0 * np.pi * radius * off)
     moved = 2.0 * np.pi * radius * level_sd / max(level_dn - view.dark_dn, 1e-6) / max(contour.slope, 1e-3)
     areas = area + float(np.hypot(sd, moved)) * NORMAL
@@ -262,7 +249,8 @@ def _extent_from_pixels(view: SourceView, level_dn: float, visible: float) -> Ex
     """Extent of a region that is not round, or as large as the frame, by counting pixels."""
     noise = float(view.noise.sd(visible)) / np.sqrt(view.noise.frames)
     # Smoothing saves faint contours from fraying, and would wear away sharp narrow streaks.
-    picture = view.signal if noise < SHARP * visible else view.smooth
+    # Smoothing preserves faint contours, but would blur sharp narrow streaks.
+    picture = view.signal if noise < 0.12 * visible else view.smooth
     parts = _component(view, picture >= visible)
     if not parts.any():
         return None

@@ -26,11 +26,6 @@ from labdata.measurement import (
 from labdata.sensor import Sensor
 from labdata.session import Session
 
-# Fewer pixels than this have no shape.
-FEWEST = 12
-# Sectors of a shallow contour scatter less than its axes do; and no fit of a smooth contour is rounder than this.
-WIDER, LEAST_SD = 1.3, 0.004
-
 
 def ellipticity(extent: Extent, *, row_pitch: float) -> tuple[float, Interval, Interval] | None:
     """Return minor over major axis of a region with its 68 and 95 % intervals; None where it is too small.
@@ -48,11 +43,11 @@ def ellipticity(extent: Extent, *, row_pitch: float) -> tuple[float, Interval, I
     1 + e cos 2(phi - phi_0) are as 1 - e/2 to 1 + e/2. Noise alone gives a positive e, so its mean square is taken off.
     Regions with a streak or another source have the axes of the ellipse of equal second moments.
     """
-    if extent.region.sum() < FEWEST:
+    if extent.region.sum() < 12:
         return None
     if extent.contour is not None and not extent.pulled:
         oval = float(np.hypot(*extent.contour.oval))
-        sd = float(np.hypot(WIDER * extent.contour.oval_sd, LEAST_SD))
+        sd = float(np.hypot(1.3 * extent.contour.oval_sd, 0.004))
         centre = float(np.sqrt(max(oval**2 - sd**2, 0.0)))
         return _around(centre, sd)
     from skimage import measure
@@ -76,13 +71,7 @@ def _around(oval: float, sd: float) -> tuple[float, Interval, Interval]:
     return ratio(oval), low, high
 
 
-# Standard deviation of the number of pixels inside a circle thrown at random over them, over the root of its radius.
-COUNTING = 0.84
-# Width of a 95 % interval, px and share of the diameter, from which on the noise all but hides where light ends.
-VAGUE_PX, VAGUE = 3.0, 0.3
 NO_DARKS = "the level without light is unknown, between 0 DN and the frame's median: a dark stack narrows the interval"
-# Codes from dark to the highest below which steps hide where light ends.
-LEAST_CODES = 20
 LEVELS = {
     "bloom_diameter": "half of full scale",
     "bloom_diameter_background": "twice the background over dark",
@@ -122,7 +111,7 @@ def flags_of(spot: PointStack, extent: Extent) -> tuple[str, ...]:
     """Return the quality flags of a bloom extent."""
     flags = quantisation_flags(spot)
     flags += ("window-too-small",) if extent.touches_border else ()
-    wide = float(np.diff(np.quantile(extent.draws, [0.025, 0.975]))[0]) > max(VAGUE_PX, VAGUE * extent.diameter_px)
+    wide = float(np.diff(np.quantile(extent.draws, [0.025, 0.975]))[0]) > max(3.0, 0.3 * extent.diameter_px)
     flags += ("low-signal",) if wide or not (extent.has_contour or extent.pulled) else ()
     rows, cols = extent.region.shape
     within = [(round(one.row), round(one.col)) for one in spot.others]
@@ -135,7 +124,7 @@ def flags_of(spot: PointStack, extent: Extent) -> tuple[str, ...]:
 
 def quantisation_flags(spot: PointStack) -> tuple[str, ...]:
     """Flag stacks whose few grey values shift threshold crossings and hide faint signal."""
-    return ("quantised",) if spot.full_scale_dn - spot.dark_dn < LEAST_CODES else ()
+    return ("quantised",) if spot.full_scale_dn - spot.dark_dn < 20 else ()
 
 
 def _reason(spot: PointStack, name: str) -> str:
@@ -196,7 +185,8 @@ def _areas_at_full_scale(spot: PointStack, sensor: Sensor | None, **common: Any)
     if spot.clip.pulled:
         # Streaks fill whole pixels: those are counted.
         value, draws = float(spot.clip.region.sum()), draws - np.median(draws) + spot.clip.region.sum()
-    whole = COUNTING * (value / np.pi) ** 0.25 * np.random.default_rng(SECTORS).standard_normal(len(draws))
+    # Standard deviation of the number of pixels inside a randomly placed circle, over the root of its radius.
+    whole = 0.84 * (value / np.pi) ** 0.25 * np.random.default_rng(SECTORS).standard_normal(len(draws))
     flags = flags_of(spot, spot.clip)
     return [
         _measurement_from_draws(

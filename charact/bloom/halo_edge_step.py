@@ -11,13 +11,6 @@ from charact.method import Context
 Array = NDArray[np.float64]
 
 SECTORS = 16
-# Columns on either side of the source that smear and overflow fill, px; beyond this radius they are left out.
-STREAK_PX = 2.5
-STREAK_FROM_PX = 6.0
-# Rings inside which the source's own light spoils its neighbours, beyond the last saturated one.
-MARGIN_PX = 2
-# Farthest ring looked at, px.
-REACH_PX = 60
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +38,7 @@ class Profile:
     used: NDArray[np.bool_]
 
 
-def reach_of(spot: PointStack, most_px: int = REACH_PX) -> int:
+def reach_of(spot: PointStack, most_px: int = 60) -> int:
     """Return the number of rings that fit into the frame around the source, at most `most_px`."""
     rows, cols = spot.image.shape
     return int(max(8, min(most_px, spot.row, spot.col, rows - 1 - spot.row, cols - 1 - spot.col)))
@@ -61,7 +54,7 @@ def profile_of(spot: PointStack, reach_px: int, *, context: Context) -> Profile:
     cols = np.arange(spot.image.shape[1])[None, :]
     dx, dy = np.broadcast_arrays(cols - spot.col, (rows - spot.row) * context.pitch_ratio)
     radius = np.hypot(dx, dy)
-    inside = (radius < reach_px) & ((np.abs(dx) > STREAK_PX) | (radius < STREAK_FROM_PX))
+    inside = (radius < reach_px) & ((np.abs(dx) > 2.5) | (radius < 6.0))
     ring = radius[inside].astype(int)
     sector = ((np.arctan2(dy[inside], dx[inside]) / (2 * np.pi) + 0.5) * SECTORS).astype(int) % SECTORS
     value = spot.image[inside]
@@ -102,15 +95,13 @@ def _usable_rings(
     inner = over[over < reach_px // 2]
     used = np.ones(reach_px, bool)
     if len(inner):
-        used[: int(inner[-1]) + 1 + MARGIN_PX] = False
+        used[: int(inner[-1]) + 1 + 2] = False
     outer = over[over >= reach_px // 2]
     if len(outer):
         used[int(outer[0]) :] = False
     return used
 
 
-# The step over this many rings is compared with the steps just inside and outside.
-STEP_RINGS = 2
 FIRST_RING = 8
 STEP_SEEN = 6.0
 
@@ -121,7 +112,7 @@ def step_significance(profile: Profile) -> Array:
     A smooth wing falls ever more slowly, so the step at r is about the mean of those inside and outside; at the edge
     of a disc it stands out.
     """
-    mean, variance, half = profile.mean_dn, profile.sd_dn**2, STEP_RINGS
+    mean, variance, half = profile.mean_dn, profile.sd_dn**2, 2
     out = np.zeros(len(mean))
     for ring in range(FIRST_RING, len(mean) - 3 * half):
         places = ring + half * np.array([-3, -1, 1, 3])

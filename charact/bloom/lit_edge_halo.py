@@ -18,19 +18,13 @@ from labdata.session import Session, StackEntry
 Array = NDArray[np.float64]
 
 NAMES = ("halo_diameter", "elastic_share", "halo_fraction", "edge_offset", "core_spread")
-UNITS = ("px", "1", "1", "px", "px2")
 GAUSSIAN = len(NAMES)
 LEAST_DIAMETER_PX = 12.0
-MOST_FRACTION = 0.6
 # Beyond 0..1 by a little: a wall at 0 would push the diameter of a halo without rim to one side.
 ELASTIC_SHARE = (-0.15, 1.15)
 SPREAD_PX2 = (0.05, 25.0)
-# Share of the light over the background by which a model of straight edges may be off in a strip.
-MODEL_SHARE = 0.004
 # Frequencies: enough for 160 px from the edge.
 HIGHEST_CY_PER_PX, NODES = 0.75, 280
-# Starts that are followed to their peak.
-CLIMBS = 2
 Core = Literal["gaussian", "tube", "moffat"]
 # What a core has besides its Gaussian: name, unit, bounds, first guess, and mean and standard deviation of a prior.
 # Image tubes at large; a Moffat wing whose light is spread as (1 + r^2/a^2)^-b.
@@ -98,7 +92,7 @@ class EdgeHaloLikelihood:
     @property
     def units(self) -> tuple[str, ...]:
         """Units of the parameters."""
-        return (*UNITS, *(unit for _, unit, *_ in BESIDES[self.core]))
+        return (*("px", "1", "1", "px", "px2"), *(unit for _, unit, *_ in BESIDES[self.core]))
 
     def log_probability(self, points: Array) -> Array:
         """Log-posterior with the optimum signal and background of every stack, shape (point,)."""
@@ -183,12 +177,13 @@ def problem_of(
     white, waves = [], []
     for one in strips:
         above = one.mean_dn[one.used] - np.median(one.mean_dn[one.used][-8:])
-        covariance = one.covariance() + np.diag((MODEL_SHARE * above) ** 2)
+        # A model of straight edges has a relative error of 0.4 % of the signal above background.
+        covariance = one.covariance() + np.diag((0.004 * above) ** 2)
         white.append(np.linalg.inv(np.linalg.cholesky(covariance)))
         turn = 2.0 * np.pi * np.outer(nodes()[0], one.distance_px)
         waves.append((np.sin(turn), np.cos(turn)))
     widest = max(2.0 * room_px, LEAST_DIAMETER_PX + 4.0)
-    walls = [[LEAST_DIAMETER_PX, widest], ELASTIC_SHARE, [0.0, MOST_FRACTION], offset_px, SPREAD_PX2]
+    walls = [[LEAST_DIAMETER_PX, widest], ELASTIC_SHARE, [0.0, 0.6], offset_px, SPREAD_PX2]
     return EdgeHaloLikelihood(
         strips=strips, width_px=width_px, walls=np.array(walls), white=tuple(white), waves=tuple(waves)
     )
@@ -220,9 +215,7 @@ def optimise_edge_halo(problem: EdgeHaloLikelihood, *, diameter_px: float | None
     free = np.ones(points.shape[1], bool)
     free[0] = problem.halo and diameter_px is None
     free[1:3] = problem.halo
-    return max(
-        (_optimise_from(problem, points[one], free) for one in order[:CLIMBS]), key=lambda peak: peak.log_probability
-    )
+    return max((_optimise_from(problem, points[one], free) for one in order[:2]), key=lambda peak: peak.log_probability)
 
 
 def _optimise_from(problem: EdgeHaloLikelihood, start: Array, free: NDArray[np.bool_]) -> EdgeHaloOptimum:
@@ -256,20 +249,9 @@ def _optimise_from(problem: EdgeHaloLikelihood, start: Array, free: NDArray[np.b
 
 METHOD = "lit-edge"
 QUANTITIES = (("halo_diameter", "px"), ("halo_fraction", "1"))
-# Share of full scale over dark above which a lit side no longer shows its light, and by which levels are told apart.
-CUT_SHARE = 0.75
-# The true edge lies so far from where the frame crosses the level: little where the lit side is not cut, px.
-OFFSET_PX, OFFSET_OF_CUT_PX = (-1.5, 1.5), (-10.0, 1.0)
-# What a halo must gain in the Bayesian information criterion, and what a diameter off by so much must cost.
-GAIN, OFF, OFF_COST = 20.0, (0.75, 1.3), 6.0
 # Share of the way to the border that a halo may reach.
 WHOLE = 0.85
-# Relative standard error beyond which a diameter that leans on cut levels alone is not told.
-VAGUE = 0.1
 LEAST_STRIPS = 24
-MISFIT = 1e-4
-# Criterion up to which another core counts, by the weight exp(-criterion / 2).
-RIVAL = 10.0
 
 
 @register(
@@ -317,7 +299,7 @@ def _measure(
     context.progress("posterior of the halo beside an edge", 0.7)
     posterior = _posterior(found.problem, found.peak, context)
     diameter, fraction = _average_models(found, posterior, context)
-    if diameter.std() > VAGUE * float(np.median(diameter)):
+    if diameter.std() > 0.1 * float(np.median(diameter)):
         return _refuse_all(
             "the edge tells the halo's diameter to no better than a tenth: a fainter level, not cut, says "
             "where the edge is",
@@ -361,7 +343,7 @@ def _levels(session: Session, context: Context) -> tuple[LitEdgeLine, tuple[Stri
     if not kept:
         return "no level rises above its dark frames by 3 % of full scale"
     # The brightest level that is not cut tells best where the edge is, else the faintest that is.
-    whole = [one for one in kept if np.percentile(one[0], 99.0) < one[2] + CUT_SHARE * (one[3] - one[2])]
+    whole = [one for one in kept if np.percentile(one[0], 99.0) < one[2] + 0.75 * (one[3] - one[2])]
     image, _, dark, full = whole[-1] if whole else kept[0]
     low, high = np.percentile(image, (2.0, 98.0))
     level = 0.5 * (float(low) + float(high)) if whole else dark + 0.5 * (full - dark)
@@ -399,7 +381,7 @@ class _Found:
 
 def _select_model(strips: tuple[Strips, ...], line: LitEdgeLine) -> _Found:
     """Fit all cores with and without a halo; select by the Bayesian information criterion."""
-    offset = OFFSET_OF_CUT_PX if all(one.cut for one in strips) else OFFSET_PX
+    offset = (-10.0, 1.0) if all(one.cut for one in strips) else (-1.5, 1.5)
     number = float(np.log(sum(one.used.sum() for one in strips)))
     plain = problem_of(strips, width_px=line.width_px, room_px=_room(line), offset_px=offset)
     fits: dict[bool, list[tuple[float, EdgeHaloLikelihood, EdgeHaloOptimum]]] = {True: [], False: []}
@@ -410,7 +392,7 @@ def _select_model(strips: tuple[Strips, ...], line: LitEdgeLine) -> _Found:
             free = len(peak.point) - (0 if halo else 3)
             fits[halo].append((free * number - 2.0 * peak.log_probability, problem, peak))
     (bic, problem, peak), without = min(fits[True], key=lambda one: one[0]), min(fits[False], key=lambda one: one[0])
-    rivals = tuple((value - bic, of, other) for value, of, other in fits[True] if value < bic + RIVAL)
+    rivals = tuple((value - bic, of, other) for value, of, other in fits[True] if value < bic + 10.0)
     return _Found(problem=problem, peak=peak, gain=without[0] - bic, rivals=rivals)
 
 
@@ -420,14 +402,14 @@ def _room(line: LitEdgeLine) -> float:
 
 def _refusal_reason(found: _Found, line: LitEdgeLine) -> str:
     """Refusal reason, or an empty string."""
-    if found.gain < GAIN:
+    if found.gain < 20.0:
         return "the light beside the edge falls as a core's alone: no halo is visible"
     problem, diameter = found.problem, found.peak.point[0]
-    for factor in OFF:
+    for factor in (0.75, 1.3):
         off = float(np.clip(factor * diameter, *problem.bounds[0]))
         if off in problem.bounds[0]:
             continue
-        if found.peak.log_probability - optimise_edge_halo(problem, diameter_px=off).log_probability < OFF_COST:
+        if found.peak.log_probability - optimise_edge_halo(problem, diameter_px=off).log_probability < 6.0:
             return "the light beside the edge fades out without a kink: its width is no halo's"
     if diameter > 2 * _room(line):
         return f"the halo reaches the border of the frame, {_room(line):.0f} px from the edge"
@@ -463,7 +445,7 @@ def _misfit(found: _Found) -> tuple[str, ...]:
     problem, point = found.problem, found.peak.point
     total = sum(float(problem.fit_level(one, point[None])[0][0]) for one in range(len(problem.strips)))
     freedom = sum(int(one.used.sum()) - 2 for one in problem.strips) - len(point)
-    return ("model-misfit",) if chi2.sf(total, max(freedom, 1)) < MISFIT else ()
+    return ("model-misfit",) if chi2.sf(total, max(freedom, 1)) < 1e-4 else ()
 
 
 def _evidence(found: _Found, strips: tuple[Strips, ...]) -> dict[str, Any]:

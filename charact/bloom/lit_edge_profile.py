@@ -8,15 +8,11 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 # Farthest strip on the dark side and on the lit one, px.
-DARK_PX, LIT_PX = 90, 70
+DARK_PX = 90
 # Rows along the edge that must agree on a straight line, and by how much they may be off it, px.
-LEAST_ROWS, OFF_LINE_PX = 24, 1.0
-# Share of an edge left out at an end that lies in the frame: the halo there has less than half a plane to come from.
-ENDS = 0.25
+LEAST_ROWS = 24
 # Parts of the edge whose scatter gives the standard error of a strip, and strips apart that share noise.
 PARTS, LAGS = 12, 6
-# Share of full scale over dark from which on a strip counts as cut, and share of the highest code for a single pixel.
-LINEAR_SHARE, PIXEL_SHARE = 0.75, 0.95
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,14 +134,15 @@ def _side(image: NDArray, lit: NDArray[np.bool_], level: float, *, upright: bool
     if len(rows) < LEAST_ROWS:
         return None
     slope, at = _line(rows.astype(float), crossing[rows])
-    good = rows[np.abs(crossing[rows] - at - slope * rows) < OFF_LINE_PX]
+    good = rows[np.abs(crossing[rows] - at - slope * rows) < 1.0]
     if len(good) < max(LEAST_ROWS, 0.6 * len(rows)):
         return None
     slope, at = np.polyfit(good.astype(float), crossing[good], 1)
     across, along = (1.0, pitch_ratio) if upright else (pitch_ratio, 1.0)
     height, width = image.shape
     inside = [good[0] > 2, good[-1] < height - 3]
-    left_out = int(ENDS * (good[-1] - good[0]))
+    # Near an end inside the frame, the halo receives less than half a plane: a quarter is omitted.
+    left_out = int(0.25 * (good[-1] - good[0]))
     first, last = good[0] + inside[0] * left_out, good[-1] - inside[1] * left_out
     places = at + slope * np.array([first, last])
     room = float((width - 1 - places.max()) if side > 0 else places.min())
@@ -193,7 +190,7 @@ def strips_of(
     """
     distance = line.distance((image.shape[0], image.shape[1]), pitch_ratio)
     along = np.indices(image.shape)[0 if line.upright else 1]
-    lit = min(LIT_PX, 0.5 * line.width_px)
+    lit = min(70, 0.5 * line.width_px)
     inside = (along >= line.first) & (along <= line.last) & (distance > -lit) & (distance < min(DARK_PX, line.room_px))
     strip = np.floor(distance[inside]).astype(int)
     strip, first = strip - strip.min(), int(strip.min())
@@ -214,7 +211,7 @@ def strips_of(
     variance = (rest**2).sum(axis=1) / (PARTS - 1) / PARTS
     top = np.zeros(count)
     np.maximum.at(top, strip, value)
-    over = (mean > dark_dn + LINEAR_SHARE * (full_dn - dark_dn)) | (top[span] > PIXEL_SHARE * full_dn)
+    over = (mean > dark_dn + 0.75 * (full_dn - dark_dn)) | (top[span] > 0.95 * full_dn)
     used = np.ones(len(mean), bool)
     if over.any():
         used[: int(np.flatnonzero(over)[-1]) + 1] = False

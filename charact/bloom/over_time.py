@@ -17,20 +17,10 @@ Mask = NDArray[np.bool_]
 
 # Pixels along a side of the tiles whose means make up the background, the share of the frame farthest from the source
 # that they cover, and columns beside it where streak and smear lie, px.
-TILE_PX, FAR_SHARE, COLUMNS_PX = 6, 0.4, 16
-# Standard deviations of tiles beyond which one holds something else.
-TILE_APART = 4.0
+TILE_PX = 6
 # Share of full scale from which on a pixel may be cut, and up to which it follows the light.
-CUT_SHARE, LINEAR_SHARE = 0.95, 0.6
-# Pixels about the source in which its middle is sought beyond the contour of half its height: far, for it may move;
-# and standard deviations of a pixel by which what counts stands out of the background.
-ABOUT_PX, ABOVE = 24, 5.0
-# Levels over background at which the noise in time is read, DN, distance from the source within which it is not, px,
-# and parts of the circle whose scatter tells its error.
-LEVELS_DN = (3.0, 6.0, 12.0, 24.0, 48.0)
-STEEP_PX, SECTORS, SECTOR_PX = 8.0, 12, 6
-# Share of a ring's pixels that may be cut, and by which its light may change from one ring to the next.
-CUT_PIXELS, STEEP_SHARE = 0.02, 0.3
+CUT_SHARE = 0.95
+SECTORS = 12
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,12 +115,12 @@ def _tiles(image: NDArray) -> Array:
 def _far_tiles(mean: Array, radius: Array, along: Array) -> Mask:
     """Tiles far from the source and its columns that contain only background."""
     far, level = _tiles(radius), _tiles(mean)
-    beside = _tiles(along) > COLUMNS_PX
-    take = beside & (far >= np.quantile(far[beside] if beside.any() else far, 1.0 - FAR_SHARE))
+    beside = _tiles(along) > 16
+    take = beside & (far >= np.quantile(far[beside] if beside.any() else far, 1.0 - 0.4))
     take = take if take.any() else far >= np.median(far)
     middle = np.median(level[take])
     spread = 1.4826 * np.median(np.abs(level[take] - middle))
-    return take & (np.abs(level - middle) <= TILE_APART * max(spread, 1e-3))
+    return take & (np.abs(level - middle) <= 4.0 * max(spread, 1e-3))
 
 
 def _centres(data: NDArray, mean: Array, noise_dn: float, spot: PointStack) -> Array:
@@ -139,8 +129,9 @@ def _centres(data: NDArray, mean: Array, noise_dn: float, spot: PointStack) -> A
     span = spot.full_scale_dn - spot.dark_dn
     near = mean[max(0, row - 2) : row + 3, max(0, col - 2) : col + 3]
     floor = float(np.median(mean))
-    threshold = max(min(0.5 * (floor + float(near.max())), spot.dark_dn + 0.5 * span), floor + ABOVE * noise_dn)
-    half = int(np.ceil(0.5 * spot.bloom_px)) + ABOUT_PX
+    threshold = max(min(0.5 * (floor + float(near.max())), spot.dark_dn + 0.5 * span), floor + 5.0 * noise_dn)
+    # A moving source may be far from the mean contour.
+    half = int(np.ceil(0.5 * spot.bloom_px)) + 24
     near = _middles(data, threshold, 0.2 * span, (row - half, col - half), (row + half + 1, col + half + 1))
     # Where frames show nothing near, the source has gone out, or elsewhere.
     return near if np.isfinite(near).all() else _middles(data, threshold, 0.2 * span, (0, 0), mean.shape)
@@ -190,15 +181,15 @@ def _noise(
               float(small.std(ddof=1)) / np.sqrt(small.size))]  # fmt: skip
     cut = data.max(axis=0) >= spot.dark_dn + CUT_SHARE * (spot.full_scale_dn - spot.dark_dn)
     # Where the highest code has cut some pixels, the others are those that happened to be dim.
-    cut = (np.bincount(ring.ravel(), cut.ravel()) > CUT_PIXELS * count)[ring] | cut
+    cut = (np.bincount(ring.ravel(), cut.ravel()) > 0.02 * count)[ring] | cut
     # Blur spreads a pulse's variance less far than its light: beside a steep edge there is more light than noise.
-    steep = np.abs(np.gradient(by_ring)) > STEEP_SHARE * (by_ring - found[0][0])
+    steep = np.abs(np.gradient(by_ring)) > 0.3 * (by_ring - found[0][0])
     cut |= steep[ring]
     sector = ((angle / (2.0 * np.pi) + 0.5) * SECTORS).astype(int) % SECTORS
-    for low, high in pairwise(LEVELS_DN):
-        take = (level - found[0][0] >= low) & (level - found[0][0] < high) & (radius > STEEP_PX) & ~cut
+    for low, high in pairwise((3.0, 6.0, 12.0, 24.0, 48.0)):
+        take = (level - found[0][0] >= low) & (level - found[0][0] < high) & (radius > 8.0) & ~cut
         held = np.bincount(sector[take], minlength=SECTORS)
-        full = held >= SECTOR_PX
+        full = held >= 6
         if full.sum() < SECTORS // 2:
             continue
         by_sector = np.bincount(sector[take], variance[take], minlength=SECTORS)[full] / held[full]
@@ -208,10 +199,7 @@ def _noise(
     return {"noise_level_dn": light, "noise_variance": spread, "noise_variance_sd": error}
 
 
-# Chance of taking noise for a trend, and the least travel (px) and change of level (share) over a stack that do harm.
-CHANCE = 1e-4
 LEAST_TRAVEL_PX, LEAST_CHANGE = 0.3, 0.05
-LEAST_FRAMES = 3
 
 
 def travel_px(watched: FrameSeries) -> float:
@@ -233,27 +221,20 @@ def _trend(values: Array, least: float) -> float:
     from scipy.stats import t
 
     count = len(values)
-    if count < LEAST_FRAMES or not np.isfinite(values).all():
+    if count < 3 or not np.isfinite(values).all():
         return 0.0
     place = np.arange(count) - 0.5 * (count - 1)
     slope = float(place @ values / (place @ place))
     rest = values - values.mean() - slope * place
     error = np.sqrt(max(float(rest @ rest), 1e-12) / (count - 2) / (place @ place))
     run = abs(slope) * (count - 1)
-    seen = 2.0 * float(t.sf(abs(slope) / error, count - 2)) < CHANCE
+    seen = 2.0 * float(t.sf(abs(slope) / error, count - 2)) < 1e-4
     return run if seen and run > least else 0.0
 
 
 # Shares of the source's light to which it is to fall, by quantity.
 SHARES = {"recovery_time_10": 0.1, "recovery_time_1": 0.01}
-# Share of the brightest frame above which the source is on; below it in all later frames it is out.
-ON_SHARE = 0.6
 LEAST_ON, LEAST_OUT = 2, 2
-# Standard deviations of the lit frames, and their least share of the light, by which a frame has begun to fade.
-FADED, LEAST_SCATTER = 4.0, 0.005
-# Noise over the share to be read at which it can still be read.
-NOISE_SHARE = 0.35
-DRAWS = 2000
 
 
 def frames_before_switch_off(watched: FrameSeries) -> int | None:
@@ -261,13 +242,13 @@ def frames_before_switch_off(watched: FrameSeries) -> int | None:
     light = watched.light_by_frame
     if len(light) < LEAST_ON + LEAST_OUT or not np.isfinite(light).all() or light.max() <= 0:
         return None
-    on = light > ON_SHARE * light.max()
+    on = light > 0.6 * light.max()
     count = int(np.argmin(on)) if not on.all() else len(on)
     if count < LEAST_ON or count > len(on) - LEAST_OUT or on[count:].any() or light[-1] > 0.5 * light[:count].mean():
         return None
     # Frames that have begun to fade are no longer lit ones.
     early = light[: max(LEAST_ON, count // 2)]
-    least = early.mean() - FADED * max(float(early.std(ddof=1)), LEAST_SCATTER * float(early.mean()))
+    least = early.mean() - 4.0 * max(float(early.std(ddof=1)), 0.005 * float(early.mean()))
     while count > LEAST_ON and light[count - 1] < least:
         count -= 1
     return count
@@ -294,7 +275,7 @@ def _time(watched: FrameSeries, count: int, name: str, seed: int, **fields: Any)
         return make_refusal(name, "s", "the times of the frames are unknown", **common)
     share, lit = SHARES[name], float(watched.light_by_frame[:count].mean())
     noise = watched.light_noise / lit
-    if noise > NOISE_SHARE * share:
+    if noise > 0.35 * share:
         reason = f"noise is {100 * noise:.2g} % of the source's light: {100 * share:g} % cannot be told from none"
         return make_refusal(name, "s", reason, **common)
     left = watched.light_by_frame[count:] / lit
@@ -302,7 +283,7 @@ def _time(watched: FrameSeries, count: int, name: str, seed: int, **fields: Any)
         reason = f"at the end of the stack {100 * max(left[-1], 0.0):.2g} % of the light is left"
         return make_refusal(name, "s", reason, **common)
     rng = np.random.default_rng(seed)
-    draws = np.array([_crossing(watched.time_s, left, count, share, noise, rng) for _ in range(DRAWS)])
+    draws = np.array([_crossing(watched.time_s, left, count, share, noise, rng) for _ in range(2000)])
     return measurement_from_draws(name, "s", draws[np.isfinite(draws)], **common)
 
 

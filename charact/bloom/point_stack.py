@@ -16,19 +16,14 @@ Array = NDArray[np.float64]
 
 # Width of the smoothing that finds a source, px, and of its near surroundings in widths of the smoothing.
 SMOOTHING_PX = 1.5
-SURROUNDINGS = 3.0
 # Every other row and column tells a median as well.
 THIN = 2
-# Rounding leaves a background without noise: its steps are the least spread, DN.
-LEAST_SPREAD_DN = 0.05
 # Farthest that the middle of a contour may lie from where the source was found, px.
 FARTHEST_PX = 10.0
 # Places nearer than this are one, px; a source that stands out by less than so many errors has no place of its own.
-NEAR_PX, CLEAR = 1.5, 16.0
+NEAR_PX = 1.5
 # A source besides the brightest: its height over full scale and in standard errors, and how far apart it lies, px.
-OTHER_SHARE, OTHER_ERRORS, APART_PX = 0.04, 16.0, 6
-# It falls off to every side by this share of its height within its own radius and this distance, px.
-FALLS_SHARE, FALLS_PX = 0.4, 4.0
+APART_PX = 6
 DIRECTIONS = 16
 
 
@@ -69,10 +64,11 @@ def contrast_of(image: Array) -> Contrast:
     from scipy import ndimage
 
     smooth = np.asarray(ndimage.gaussian_filter(image, SMOOTHING_PX))
-    difference = smooth - np.asarray(ndimage.gaussian_filter(image, SURROUNDINGS * SMOOTHING_PX))
+    difference = smooth - np.asarray(ndimage.gaussian_filter(image, 3.0 * SMOOTHING_PX))
     some = difference[::THIN, ::THIN]
     spread = 1.4826 * float(np.median(np.abs(some - np.median(some))))
-    return Contrast(smooth=smooth, difference=difference, spread=max(spread, LEAST_SPREAD_DN))
+    # Quantisation may leave a background without noise.
+    return Contrast(smooth=smooth, difference=difference, spread=max(spread, 0.05))
 
 
 def brightest(image: Array, region: tuple[int, int, int, int] | None) -> SourcePosition:
@@ -118,7 +114,7 @@ def middle(view: SourceView, row: float, col: float) -> tuple[float, float, bool
 
 def is_bright_at(image: Array, own: SourcePosition, other: SourcePosition) -> bool:
     """Whether another position is within a pixel or two, or as bright as the source detected here."""
-    if np.hypot(own.row - other.row, own.col - other.col) < NEAR_PX or own.significance < CLEAR:
+    if np.hypot(own.row - other.row, own.col - other.col) < NEAR_PX or own.significance < 16.0:
         return True
     floor = float(np.median(image[::THIN, ::THIN]))
     here, there = (_patch(image, place) - floor for place in (own, other))
@@ -148,7 +144,7 @@ def others(image: Array, place: SourcePosition, span_dn: float, row_pitch: float
     from skimage.feature import peak_local_max
 
     found = contrast_of(image)
-    least = max(OTHER_SHARE * span_dn, OTHER_ERRORS * found.spread)
+    least = max(0.04 * span_dn, 16.0 * found.spread)
     peaks = peak_local_max(found.difference, min_distance=APART_PX, threshold_abs=least, exclude_border=False)
     own = np.hypot((peaks[:, 0] - place.row) * row_pitch, peaks[:, 1] - place.col)
     held = [
@@ -163,11 +159,11 @@ def others(image: Array, place: SourcePosition, span_dn: float, row_pitch: float
 def _falls_off(smooth: Array, row: int, col: int, height: float, row_pitch: float) -> bool:
     """Whether the signal around a peak is lower in every direction."""
     angle = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
-    reach = FALLS_PX + SMOOTHING_PX
+    reach = 4.0 + SMOOTHING_PX
     rows = np.rint(row + reach * np.sin(angle) / row_pitch).astype(int)
     cols = np.rint(col + reach * np.cos(angle)).astype(int)
     inside = (rows >= 0) & (rows < smooth.shape[0]) & (cols >= 0) & (cols < smooth.shape[1])
-    return bool(np.all(smooth[row, col] - smooth[rows[inside], cols[inside]] > FALLS_SHARE * height))
+    return bool(np.all(smooth[row, col] - smooth[rows[inside], cols[inside]] > 0.4 * height))
 
 
 # Standard errors by which the smoothed source must stand above its surroundings.
@@ -176,8 +172,6 @@ DETECTED = 8.0
 LINEAR_SHARE = 0.75
 # Share of full scale from which on a peak is taken for cut.
 CUT_SHARE = 0.9
-# A middle that moves by less than this has been found, px.
-MOVED_PX, MOST_MOVES = 0.4, 5
 # The codes of a level are whole: from half a step below on, the highest one is shown.
 HALF_STEP_DN = 0.5
 
@@ -292,13 +286,13 @@ def place_of(stack: FrameStack, region, dark_dn: float, full_scale_dn: float, co
     view = view_of(stack.data, dark_dn, full_scale_dn, row, col, context.pitch_ratio)
     cut = float(view.signal[view.polar.radius < 1.5].max(initial=0.0)) > CUT_SHARE * view.top
     settled = False
-    for _ in range(MOST_MOVES):
+    for _ in range(5):
         better = middle(view, row, col)
         if better is None or not _inside(better[0], better[1], view.signal.shape):
             break
         moved = float(np.hypot(better[0] - row, better[1] - col))
         row, col, settled = better
-        if moved < MOVED_PX:
+        if moved < 0.4:
             break
         view = view_of(stack.data, dark_dn, full_scale_dn, row, col, context.pitch_ratio)
     return SourcePosition(row=row, col=col, significance=found.significance, cut=cut, settled=settled)

@@ -12,8 +12,6 @@ from labdata.measurement import Posterior
 
 Array = NDArray[np.float64]
 
-# Frequencies on which densities are worked out; so many make them true to 150 px.
-HIGHEST_CY_PER_PX, NODES = 0.8, 512
 SHARES = ("halo_fraction", "wing_share", "glare_fraction")
 POSITIVE = ("halo_diameter_px", "core_frequency_cy_per_px", "core_exponent", "wing_radius_px")
 # Name of each parameter of a posterior and the field that takes it; a spread without core frequency is Gaussian, one
@@ -164,8 +162,8 @@ class PosteriorPsf:
 @cache
 def nodes() -> tuple[Array, Array]:
     """Frequencies, cy/px, and weights of the integral over a transfer function (Gauss-Legendre)."""
-    node, weight = np.polynomial.legendre.leggauss(NODES)
-    half = 0.5 * HIGHEST_CY_PER_PX
+    node, weight = np.polynomial.legendre.leggauss(512)
+    half = 0.5 * 0.8
     return half * (node + 1.0), half * weight
 
 

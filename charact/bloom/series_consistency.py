@@ -23,14 +23,6 @@ Array = NDArray[np.float64]
 
 # Standard errors at which a fall of the background, or a dark that does not fit, is seen.
 SEEN = 4.0
-# Background over dark, in its standard errors and in DN, below which its fall has no decibels.
-LEAST_ERRORS, LEAST_DN = 10.0, 0.2
-# Least misfit of a dark that does harm, DN and share of the background.
-HARM_DN, HARM_SHARE = 0.3, 0.1
-# Relative error of a variance beyond its scatter: the gain of a plate falls a little with the light.
-VARIANCE_SHARE = 0.03
-# Variance below which rounding makes noise no straight line of the light (EMVA 1288), DN^2.
-QUANTISED = 0.24
 SETTINGS = ("mcp_v", "camera_gain_db", "gate_ns", "exposure_s", "em_gain", "gain_control")
 BOUND = "glare of the source raises the background: the gain fell by at least so much"
 DECIBEL = 20.0 / np.log(10.0)
@@ -85,7 +77,7 @@ def depressions(
 
 def _reason(reference: FrameSeries, stack: FrameSeries) -> str | None:
     for one in (reference, stack):
-        if one.background_dn < max(LEAST_ERRORS * one.background_sd_dn, LEAST_DN):
+        if one.background_dn < max(10.0 * one.background_sd_dn, 0.2):
             return f"the background of {one.label} is {one.background_dn:.3g} DN over dark: too faint to see it fall"
     if has_background_fallen(stack, reference):
         return "the background is brighter than that of the faintest stack: the source's own light lies on it"
@@ -107,7 +99,7 @@ def dark_level_error(stacks: tuple[FrameSeries, ...], dark_variance: float | Non
     Noise in time grows with the light from that of darkness on. The level at which its line, drawn through background
     and halo, comes down to the noise of the dark frames is the level without light, whatever the dark frames' mean.
     """
-    if dark_variance is None or dark_variance < QUANTISED:
+    if dark_variance is None or dark_variance < 0.24:
         return None
     found = [one for one in (_without_light(stack, dark_variance) for stack in stacks) if one is not None]
     if not found:
@@ -124,7 +116,7 @@ def _without_light(stack: FrameSeries, dark_variance: float) -> tuple[float, flo
     if len(stack.noise_level_dn) < 2:
         return None
     level, variance = stack.noise_level_dn, stack.noise_variance - dark_variance
-    sd = np.hypot(stack.noise_variance_sd, VARIANCE_SHARE * stack.noise_variance)
+    sd = np.hypot(stack.noise_variance_sd, 0.03 * stack.noise_variance)
     design = np.stack([level, np.ones_like(level)], axis=1) / sd[:, None]
     covariance = np.linalg.inv(design.T @ design)
     slope, offset = covariance @ design.T @ (variance / sd)
@@ -139,11 +131,7 @@ def is_dark_inconsistent(misfit: tuple[float, float] | None, background_dn: floa
     if misfit is None:
         return False
     off, sd = misfit
-    return abs(off) > max(SEEN * sd, HARM_DN, HARM_SHARE * abs(background_dn))
-
-
-# Least side of a frame that holds a source and a background beside it, px.
-LEAST_SIDE_PX = 24
+    return abs(off) > max(SEEN * sd, 0.3, 0.1 * abs(background_dn))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,7 +182,7 @@ def check_consistency(
     below it. Afterglow of a source at rest changes no mean and is not flagged.
     """
     ratio = context.pitch_ratio
-    shown = [spot for spot in spots if spot.significance >= DETECTED and min(spot.image.shape) >= LEAST_SIDE_PX]
+    shown = [spot for spot in spots if spot.significance >= DETECTED and min(spot.image.shape) >= 24]
     watched = tuple(frame_series(spot, session.stack(spot.label).read(), ratio) for spot in shown)
     flags: dict[str, tuple[str, ...]] = {spot.label: () for spot in spots}
     flags |= {one.label: _in_time(one) for one in watched}

@@ -39,9 +39,6 @@ from labdata.session import Session
 
 Array = NDArray[np.float64]
 
-# Forms that are cross-validated.
-VALIDATED = 3
-
 
 def profile_evidence(
     best: FittedHaloModel, posterior: Posterior, own: tuple[Array, Array, Array] | None
@@ -100,9 +97,7 @@ def _constancy(series: RingSeries, posterior: Posterior, own: tuple[Array, Array
 
 def forms_evidence(forms: list[FittedHaloModel], *, quick: bool) -> dict[str, Any]:
     """Information criterion of every fitted model, and its cross-validation."""
-    foretold = (
-        [None] * len(forms) if quick else [cross_validate(one) for one in forms[:VALIDATED]] + [None] * len(forms)
-    )
+    foretold = [None] * len(forms) if quick else [cross_validate(one) for one in forms[:3]] + [None] * len(forms)
     least = forms[0].bic
     rows = [
         {
@@ -143,12 +138,6 @@ def cross_validate(candidate: FittedHaloModel) -> float | None:
 
 METHOD = "series-forward"
 EXTENTS = ("bloom_diameter", "bloom_diameter_background", "bloom_diameter_clip")
-# Share of the farthest ring beyond which a halo is not seen whole.
-WHOLE = 0.92
-# Draws by importance of the first density, and how many must be effective; fewer where time is short.
-FIRST_DRAWS, ENOUGH, ENOUGH_QUICKLY = 2000, 1000.0, 100.0
-# Chance of levels' own diameters scattering as they do below which geometry does not hold.
-CONSTANT = 1e-4
 
 
 @register(
@@ -259,8 +248,8 @@ def _posterior(best: FittedHaloModel, context: Context) -> Posterior:
         gaussian = laplace(best.problem.log_probability, **asked)
         if not _is_cut(best, gaussian):
             return gaussian
-    enough = ENOUGH_QUICKLY if context.quick else ENOUGH
-    return importance_sample(best.problem.log_probability, enough=enough, first_draws=FIRST_DRAWS, **asked)
+    enough = 100.0 if context.quick else 1000.0
+    return importance_sample(best.problem.log_probability, enough=enough, first_draws=2000, **asked)
 
 
 def _is_cut(best: FittedHaloModel, gaussian: Posterior) -> bool:
@@ -283,10 +272,10 @@ def _flags(best: FittedHaloModel, posterior: Posterior, own: tuple[Array, Array,
     if own is None:
         return flags
     diameter = float(np.median(posterior["halo_diameter"]))
-    if diameter / 2.0 > WHOLE * series.radius_px[-1]:
+    if diameter / 2.0 > 0.92 * series.radius_px[-1]:
         flags += ("window-too-small",)
     apart, freedom = levels_apart(own)
-    return flags + (("model-misfit",) if freedom and chi2.sf(apart, freedom) < CONSTANT else ())
+    return flags + (("model-misfit",) if freedom and chi2.sf(apart, freedom) < 1e-4 else ())
 
 
 def _notes(context: Context, group: tuple[PointStack, ...], spots: tuple[PointStack, ...]) -> tuple[str, ...]:

@@ -26,10 +26,7 @@ SHARES = (0.5, 0.9)
 # Farthest ring that is summed, px: beyond it a halo has ended, and the background's error grows with the area.
 REACH_PX = 45.0
 # Within this radius the light is followed between pixels, in steps and directions, px.
-NEAR_PX, STEP_PX, ANGLES = 12, 0.25, 48
-# Share of full scale above which pixels may have been cut, and standard error of the whole light that is too much.
-CUT_SHARE = 0.97
-LEAST_KNOWN = 0.1
+STEP_PX, ANGLES = 0.25, 48
 
 
 def ring_energy_radii(view: SourceView, background: Background, *, seed: int) -> dict[float, Array] | str:
@@ -50,7 +47,7 @@ def ring_energy_radii(view: SourceView, background: Background, *, seed: int) ->
     and the error of the background counts over the whole area.
     """
     top = float((view.signal[view.polar.radius < view.rings.radius[-1]]).max())
-    if top > CUT_SHARE * view.top:
+    if top > 0.97 * view.top:
         return "the source's core is cut at the highest code, so that its light is not known: a fainter level tells it"
     if not background.even:
         return "the light still falls at the border of the frame: a wider frame holds the source's light"
@@ -67,7 +64,7 @@ def ring_energy_radii(view: SourceView, background: Background, *, seed: int) ->
     off = np.concatenate([np.zeros((DRAWS, 1)), np.cumsum(noise * area, axis=1)], axis=1)
     draws = held + np.array([np.interp(radius, np.arange(rings + 1.0), one) for one in off])
     whole = draws[:, -1]
-    if np.std(whole) > LEAST_KNOWN * np.mean(whole):
+    if np.std(whole) > 0.1 * np.mean(whole):
         return (
             f"the source's light is known to {np.std(whole) / abs(np.mean(whole)):.0%} only: more frames would tell it"
         )
@@ -78,7 +75,7 @@ def _cumulative_light(view: SourceView, light: Array, area: Array, floor: float)
     """Radii and encircled signal: by spline interpolation near the source, by rings beyond."""
     from scipy import ndimage
 
-    near = min(NEAR_PX, len(light))
+    near = min(12, len(light))
     fine = np.arange(0.0, near + STEP_PX / 2, STEP_PX)
     angle = 2.0 * np.pi * (np.arange(ANGLES) + 0.5) / ANGLES
     middle = fine[1:] - 0.5 * STEP_PX
@@ -103,13 +100,8 @@ def _first(held: Array, radius: Array, share: float) -> float:
 
 
 METHOD = "one-frame"
-# The steepest step of a blurred rim lies within about half a pixel of its edge; in one frame nothing confirms it.
-RADIUS_SD_PX = 0.7
-# A region at the highest code as wide as this hides halos, px.
-CUT_PX = 16.0
 # Box of another source in the frame, px to either side.
 BOX_PX = 12
-MOST_OTHERS = 8
 # What one frame cannot tell: quantity, unit, and what would.
 BEYOND_ONE_FRAME = (
     ("halo_fraction", "1", "the halo's share of the light needs levels at which core and halo are each not cut"),
@@ -157,7 +149,7 @@ def measure_frame(session: Session, *, context: Context) -> Result:
     ]
     if spot.others:
         out = [m.with_(region=_box(spot)) for m in out]
-    for other in spot.others[:MOST_OTHERS]:
+    for other in spot.others[:8]:
         beside = replace(spot_of(entry, stack, _dark_of(spot), other, context, []), others=(_place(spot),))
         out += [m.with_(region=_box(beside)) for m in _extents(beside, context, fields)]
     return Result(
@@ -215,11 +207,11 @@ def _halo(spot: PointStack, context: Context, fields: dict[str, Any]) -> Measure
     if spot.significance < DETECTED:
         return make_refusal("halo_diameter", "px", "no point source stands out of its surroundings", **common)
     radius, seen = edge_radius(profile_of(spot, reach_of(spot), context=context))
-    if seen < STEP_SEEN and spot.clip is not None and spot.clip.diameter_px > CUT_PX:
+    if seen < STEP_SEEN and spot.clip is not None and spot.clip.diameter_px > 16.0:
         reason = "the frame is cut to beyond any step of the rings: a fainter level would show the halo's edge"
         return make_refusal("halo_diameter", "px", reason, **common)
     if seen < STEP_SEEN:
         reason = "the rings show no step: a brighter level, whose halo rises above the noise, would show one"
         return make_refusal("halo_diameter", "px", reason, **common)
     notes = ("the steepest step of the rings; a series of levels tells it from other steps",)
-    return measurement_from_sd("halo_diameter", "px", 2 * radius, 2 * RADIUS_SD_PX, notes=notes, **common)
+    return measurement_from_sd("halo_diameter", "px", 2 * radius, 2 * 0.7, notes=notes, **common)

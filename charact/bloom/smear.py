@@ -22,28 +22,15 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 # Columns left and right of the core that are compared with it: how far from its own, and how many.
-GAP_PX, FLANK_PX = 3, 8
-# Rows on either side of the source over which its light is summed, and share of the core's brightest column that
-# belongs to it.
-LIGHT_ROWS_PX = 24
-CORE_SHARE = 0.25
+FLANK_PX = 8
 # Least rows above and below the streak together, and on either side for both to be compared.
-LEAST_ROWS, LEAST_SIDE = 16, 6
-# Rows where the source's own light adds so much to the noise of a pixel are left out.
-NOISY = 1.3
-# Share of full scale that no unsaturated source exceeds, and from which on light even along a column may be a streak.
-LINEAR_SHARE = 0.65
-# Standard errors at which smear is seen in a stack; and those by which two stacks, or above and below, may differ, two
-# stacks by some share besides.
-SEEN = 4.0
-APART, APART_SHARE = 5.0, 0.15
+LEAST_SIDE = 6
+APART = 5.0
 # Relative error of each stack's stated light beside the others': neutral-density steps are
 # seldom known better. Scatter of the stacks beyond their errors raises it up to the second number.
-LIGHT_SD, MOST_LIGHT_SD = 0.03, 0.3
+LIGHT_SD = 0.03
 # Light of two stacks that must see it, one over the other, for the light to be known to stay in proportion.
 LEAST_RATIO = 2.5
-# Relative standard error of the source's light beyond which a ratio to it is none.
-LEAST_KNOWN = 0.25
 NARROW = "the frame is too narrow: there are no columns far from the source to hold those of its core against"
 
 
@@ -138,7 +125,7 @@ def _light(spot: PointStack) -> float | None:
 def _linear(spot: PointStack) -> bool:
     row, col = round(spot.row), round(spot.col)
     peak = float(spot.image[max(0, row - 2) : row + 3, max(0, col - 2) : col + 3].max())
-    return peak - spot.dark_dn < LINEAR_SHARE * (spot.full_scale_dn - spot.dark_dn)
+    return peak - spot.dark_dn < 0.65 * (spot.full_scale_dn - spot.dark_dn)
 
 
 def core_of(spots: tuple[PointStack, ...], context: Context) -> Core | str:
@@ -151,11 +138,11 @@ def core_of(spots: tuple[PointStack, ...], context: Context) -> Core | str:
     if not linear:
         return "every level saturates the core: the light that its columns gather is unknown"
     spot = max(linear, key=lambda one: _light(one) or 0.0)
-    near = np.abs(np.arange(spot.image.shape[0]) - spot.row) * context.pitch_ratio <= LIGHT_ROWS_PX
+    near = np.abs(np.arange(spot.image.shape[0]) - spot.row) * context.pitch_ratio <= 24
     sums = spot.image[near].sum(axis=0)
     col = round(spot.col)
     wide = sums[max(0, col - 6) : col + 7] - np.median(sums)
-    over = np.flatnonzero(wide > CORE_SHARE * wide.max())
+    over = np.flatnonzero(wide > 0.25 * wide.max())
     half = int(np.clip(np.abs(over - min(6, col)).max(), 1, 6))
     value, sd = _contrast(spot.image, near, half, col)
     grain = grain_of(spot.image, spot.col, spot.dark_dn)
@@ -163,7 +150,7 @@ def core_of(spots: tuple[PointStack, ...], context: Context) -> Core | str:
     noise = np.hypot(sd * near.sum(), np.sqrt(grain.sum_variance((2 * half + 1) * value)) / (2 * half + 1))
     if np.isinf(noise):
         return NARROW
-    if not value > 0 or noise > LEAST_KNOWN * value:
+    if not value > 0 or noise > 0.25 * value:
         return "the light that the core's columns gather is known too badly: the unsaturated stacks are too faint"
     return Core(half_width_px=half, light_dn=value / light, light_sd_dn=float(noise) / light, stack=spot.label)
 
@@ -175,7 +162,7 @@ def _contrast(image: Array, rows: Mask, half: int, col: int) -> tuple[float, flo
     neighbours share is in it.
     """
     along = image[rows].mean(axis=0)
-    reach = half + GAP_PX + FLANK_PX
+    reach = half + 3 + FLANK_PX
     weight = np.zeros(2 * reach + 1)
     weight[:FLANK_PX], weight[-FLANK_PX:] = -0.5 / FLANK_PX, -0.5 / FLANK_PX
     weight[reach - half : reach + half + 1] = 1.0 / (2 * half + 1)
@@ -198,7 +185,7 @@ def _smear_of(spot: PointStack, core: Core, context: Context) -> Smear | str:
     middle = slice(max(0, col - half), col + half + 1)
     far = _far_rows(found, middle, grain_of(spot.image, spot.col, spot.dark_dn))
     above, below = far & (found.row_offset < 0), far & (found.row_offset > 0)
-    if far.sum() < LEAST_ROWS:
+    if far.sum() < 16:
         return "the source's streak or its halo reaches the frame's top and bottom: smear cannot be told from them"
     # One column that is full from end to end is enough: a streak's columns are of unlike length.
     even = float(np.median(spot.image[far, middle], axis=0).max()) - spot.dark_dn
@@ -220,7 +207,7 @@ def _far_rows(found: ColumnArtefacts, middle: slice, grain: MeanFrameNoise) -> M
     """Rows beyond the streak and outside the noisy part of the halo."""
     excess = found.excess_dn[:, middle].max(axis=1)
     noise = np.sqrt(grain.floor_variance)
-    quiet = found.sd_dn[:, middle].max(axis=1) < NOISY * max(noise, float(np.median(found.sd_dn[[0, -1]])))
+    quiet = found.sd_dn[:, middle].max(axis=1) < 1.3 * max(noise, float(np.median(found.sd_dn[[0, -1]])))
     out = np.zeros(len(excess), bool)
     for side in (-1, 1):
         rows = np.flatnonzero(found.row_offset * side > 0)[::side]
@@ -242,11 +229,11 @@ def _fraction(found: list[Smear], core: Core, rows: int, **fields: Any) -> Measu
     """Combine stacks; scatter beyond their errors widens the interval."""
     light, level, error = np.array([(one.light, one.level_dn, one.level_sd_dn) for one in found]).T
     share, sd = rows * level / (light * core.light_dn), rows * error / (light * core.light_dn)
-    seen = level > SEEN * error
+    seen = level > 4.0 * error
     weight = 1.0 / (sd**2 + (LIGHT_SD * float(np.average(share, weights=sd**-2))) ** 2)
     weight /= weight.sum()
     mean = float(weight @ share)
-    between = max(LIGHT_SD, min(_between(share[seen], sd[seen]), MOST_LIGHT_SD)) * mean
+    between = max(LIGHT_SD, min(_between(share[seen], sd[seen]), 0.3)) * mean
     # The light of the unsaturated stack is as little known as that of the others.
     known = float(np.hypot(mean * core.light_sd_dn / core.light_dn, between))
     total = float(np.sqrt(weight**2 @ (sd**2 + between**2) + known**2))
@@ -282,7 +269,7 @@ def _bends(light: Array, share: Array, sd: Array) -> bool:
     order = np.argsort(light)
     low, high = order[0], order[-1]
     apart = abs(share[high] - share[low]) > APART * np.hypot(sd[high], sd[low])
-    return bool(apart and abs(share[high] / share[low] - 1.0) > APART_SHARE)
+    return bool(apart and abs(share[high] / share[low] - 1.0) > 0.15)
 
 
 def _evidence(found: list[Smear], core: Core, rows: int) -> dict[str, Any]:

@@ -10,8 +10,6 @@ Array = NDArray[np.float64]
 
 # Sectors of the full circle.
 SECTORS = 24
-# Rings within this radius have sectors without pixels, so pixel noise is added to their means, px.
-FEW_PIXELS = 4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,7 +91,7 @@ class Rings:
         mean, number = self.mean(sectors), np.maximum(self.count[:, sectors].sum(axis=1), 1.0)
         apart = (self.total - mean[:, None] * self.count)[:, sectors] / number[:, None]
         weights = rng.standard_normal((count, apart.shape[1])) * np.sqrt(apart.shape[1] / max(apart.shape[1] - 1, 1))
-        near = np.where(self.radius < FEW_PIXELS, pixel_sd / np.sqrt(number), 0.0)
+        near = np.where(self.radius < 4, pixel_sd / np.sqrt(number), 0.0)
         return mean + weights @ apart.T + near * rng.standard_normal((count, len(mean)))
 
 
@@ -112,14 +110,8 @@ def rings_of(image: Array, polar: Polar) -> Rings:
 
 # Shares of full scale between which the noise of the light is read, and the fewest pixels that tell it.
 LIGHT = (0.1, 0.7)
-FEWEST = 8
-LEAST_LIGHT_DN = 1.0
-# Times by which what is well lit is brighter than what is faint, lest a line through both be no line.
-APART = 1.5
 # Variance of rounding, DN^2.
 ROUNDING = 1.0 / 12.0
-# Fall of the rings a px, share of their level and of full scale, beyond which a single frame's noise is not read.
-STEEP, STEEP_FAINT = 0.015, 0.004
 SMOOTHING_PX = 1.0
 # Rows that share no noise.
 APART_ROWS = 3
@@ -171,7 +163,7 @@ def noise_of(frames: NDArray, signal: Array, smooth: Array, top: float, polar: P
         variance = frames.var(axis=0, ddof=1, dtype=np.float64)
     else:
         # Where rings fall steeply, differences say nothing of noise; along columns they do even in a streak.
-        level = (np.abs(np.gradient(profile)) < np.maximum(STEEP * profile, STEEP_FAINT * top))[polar.ring]
+        level = (np.abs(np.gradient(profile)) < np.maximum(0.015 * profile, 0.004 * top))[polar.ring]
         level[:APART_ROWS] = level[-APART_ROWS:] = False
         around = 0.5 * (np.roll(signal, APART_ROWS, axis=0) + np.roll(signal, -APART_ROWS, axis=0))
         variance = np.where(level, (signal - around) ** 2 / 1.5, np.nan)
@@ -190,14 +182,14 @@ def _line(variance: Array, signal: Array, top: float, frames: int, tied: float) 
     faint = signal <= np.median(signal)
     lit = (signal > LIGHT[0] * top) & (signal < LIGHT[1] * top)
     at_faint, of_faint = float(np.maximum(signal[faint], 0.0).mean()), float(variance[faint].mean())
-    if lit.sum() < FEWEST:
+    if lit.sum() < 8:
         # All of the noise is laid to the light, as intensified cameras have it.
-        slope = max(of_faint - ROUNDING, 0.0) / max(at_faint, LEAST_LIGHT_DN)
+        slope = max(of_faint - ROUNDING, 0.0) / max(at_faint, 1.0)
         return PixelNoise(floor=ROUNDING, slope=slope, frames=frames, tied=tied)
     # Medians: pixels at the end of a streak, or across which a source moves, vary more than by their noise.
     at_lit = float(np.median(signal[lit]))
     of_lit = float(np.median(variance[lit])) / _median_share(max(frames - 1, 1))
-    if at_lit < APART * at_faint:
+    if at_lit < 1.5 * at_faint:
         return PixelNoise(floor=ROUNDING, slope=max(of_lit - ROUNDING, 0.0) / at_lit, frames=frames, tied=tied)
     slope = max(of_lit - of_faint, 0.0) / max(at_lit - at_faint, 1e-6)
     return PixelNoise(floor=max(of_faint - slope * at_faint, ROUNDING), slope=slope, frames=frames, tied=tied)
@@ -273,14 +265,6 @@ def view_of(
     )
 
 
-# Share of the farthest ring from which on the light is taken for background, if it falls no more beyond.
-OUTER = 0.6
-# Standard errors, and share of itself, by which the outer half may be darker than the inner one.
-FALLS_ERRORS, FALLS_SHARE = 4.0, 0.05
-# A level of twice the background is no level where the background is not above the dark by this, DN and errors.
-LEAST_DN, LEAST_ERRORS = 0.25, 5.0
-
-
 @dataclass(frozen=True, kw_only=True)
 class Background:
     """Signal far from the source above dark and its standard uncertainty, DN, and whether it is uniform."""
@@ -292,17 +276,17 @@ class Background:
     @property
     def is_illuminated(self) -> bool:
         """Whether the background is clearly above the dark level."""
-        return self.level_dn > max(LEAST_DN, LEAST_ERRORS * self.sd_dn)
+        return self.level_dn > max(0.25, 5.0 * self.sd_dn)
 
 
 def background_of(view: SourceView) -> Background:
     """Estimate the background from the outermost rings; medians over sectors exclude other sources."""
-    first = int(OUTER * view.polar.rings)
+    first = int(0.6 * view.polar.rings)
     half = (first + view.polar.rings) // 2
     inner, outer = _level(view, slice(first, half)), _level(view, slice(half, None))
     level, sd = _level(view, slice(first, None))
     falls = inner[0] - outer[0]
-    even = falls < max(FALLS_ERRORS * float(np.hypot(inner[1], outer[1])), FALLS_SHARE * abs(level), 0.1)
+    even = falls < max(4.0 * float(np.hypot(inner[1], outer[1])), 0.05 * abs(level), 0.1)
     return Background(level_dn=level, sd_dn=sd, even=bool(even))
 
 

@@ -13,7 +13,7 @@ ORDERS = np.linspace(0.02, 3.2, 160)
 # Fractions of a halo's light whose density rises to a rim as 1/sqrt(1 - x^2), peaks in the middle as arccos(x)/x, rises
 # evenly as x^2, and lies in a rim of finite width as x^12, x its radius over the disc's; half the powers.
 PROFILE = ("elastic_share", "even_share", "rising_share", "rim_share")
-RISE, RIM = 1, 6
+RIM = 6
 # Arguments at which the transforms of discs are tabulated: 160 px at 1.25 cycles a pixel.
 DISC_ARGUMENTS = np.arange(0.0, 650.0, 0.04)
 # Frequency that stands for 0 where a formula divides by it.
@@ -94,7 +94,7 @@ def _disc_table() -> tuple[Array, ...]:
         weight = np.array([(-1) ** k * comb(n, k) / (k + 1) for k in range(n + 1)])
         return (n + 1) * (weight @ np.array(sonine[: n + 1]))
 
-    return sonine[0], np.sinc(u / np.pi), sici(u)[0] / u, power(RISE), power(RIM)
+    return sonine[0], np.sinc(u / np.pi), sici(u)[0] / u, power(1), power(RIM)
 
 
 @lru_cache(maxsize=1)

@@ -140,11 +140,6 @@ def curve_observation(
     return Observation(name=name, value=value, covariance=covariance, predict=predict, speaks_of=speaks_of)
 
 
-# Pixels at the highest code pull the mean down; a mean near full scale is no longer a straight line of the light.
-MOST_CLIPPED_SHARE = 1e-3
-HIGHEST_SHARE_OF_FULL_SCALE = 0.85
-
-
 @dataclass(frozen=True, kw_only=True)
 class StackMean:
     """Mean of one stack.
@@ -187,7 +182,7 @@ def _level(session: Session, entry: StackEntry) -> StackMean | None:
     stack = entry.read()
     top = stack.full_scale_dn or float(2**session.sensor.video.bit_depth - 1)
     means = stack.data.mean(axis=(1, 2), dtype=np.float64)
-    if np.mean(stack.data >= top) > MOST_CLIPPED_SHARE or means.mean() > HIGHEST_SHARE_OF_FULL_SCALE * top:
+    if np.mean(stack.data >= top) > 1e-3 or means.mean() > 0.85 * top:
         return None
     scatter = float(means.std(ddof=1)) / np.sqrt(len(means)) if len(means) > 1 else float(stack.data.std()) / 10.0
     field_s = 1.0 / float(session.sensor.video.field_rate_hz)

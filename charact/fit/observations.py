@@ -29,10 +29,7 @@ Array = NDArray[np.float64]
 
 # What the chain's formulas leave out of an MTF, and points nearer than the correlation length are hardly independent.
 MTF_MODEL_SD = 0.004
-MTF_CORRELATION_CY_PER_PX = 0.08
 MTF_SPACING_CY_PER_PX = 0.04
-HIGHEST_CY_PER_PX = 0.45
-LEAST_MTF = 0.03
 
 
 def mtf_observations(session: Session, sensor: Sensor, result: Result) -> list[Observation]:
@@ -62,17 +59,17 @@ def _stack_of(name: str, line: Curve) -> str | None:
 
 def _curve(name: str, line: Curve, session: Session, sensor: Sensor, result: Result) -> Observation:
     """Observe an MTF curve at frequencies far enough apart."""
-    wanted = np.arange(MTF_SPACING_CY_PER_PX, HIGHEST_CY_PER_PX + 1e-9, MTF_SPACING_CY_PER_PX)
+    wanted = np.arange(MTF_SPACING_CY_PER_PX, 0.45 + 1e-9, MTF_SPACING_CY_PER_PX)
     frequency = np.asarray(line.frequency_cy_per_px, float)
     low, high = np.asarray(line.interval68, float)
     value = np.interp(wanted, frequency, line.value)
     sd = np.interp(wanted, frequency, (high - low) / (2.0 * 0.994458))
-    used = (wanted >= frequency[0]) & (wanted <= frequency[-1]) & (value > LEAST_MTF)
+    used = (wanted >= frequency[0]) & (wanted <= frequency[-1]) & (value > 0.03)
     angle_deg = _angle_deg(name, line, session, result)
     fx, fy = _components(wanted[used], angle_deg, sensor)
     return curve_observation(
         name, value[used], sd[used], wanted[used], lambda values: predicted_quantities.mtf(values, fx, fy), SPREAD,
-        correlation_length=MTF_CORRELATION_CY_PER_PX, model_sd=MTF_MODEL_SD,
+        correlation_length=0.08, model_sd=MTF_MODEL_SD,
     )  # fmt: skip
 
 
@@ -109,7 +106,6 @@ def _bars(m: Measurement, session: Session, sensor: Sensor) -> Observation:
 
 # Errors of the formulas, relative and of a correlation: sampling of the chip's rows, lag.
 NOISE_MODEL_SD = 0.01
-CORRELATION_MODEL_SD = 0.004
 # Noise of this many DN is rounded like a continuous number.
 LEAST_NOISE_DN = 0.5
 
@@ -179,7 +175,7 @@ def _neighbours(result: Result, volts: float) -> list[_Noise]:
         _Noise(
             mcp_v=volts,
             value=value,
-            sd=float(np.hypot(sd, CORRELATION_MODEL_SD)),
+            sd=float(np.hypot(sd, 0.004)),
             predict=lambda values, gain, shape: shape[1],
             speaks_of=SHAPE,
         )
@@ -249,15 +245,6 @@ def _volts_of(m: Measurement, session: Session, volts: float) -> float:
     return float(entry.conditions.mcp_v) if entry is not None and entry.conditions.mcp_v else volts
 
 
-# What the formula leaves out of a level, relative (uneven tube) and in DN.
-LEVEL_MODEL_SD = 0.003
-LEVEL_MODEL_SD_DN = 0.03
-# The halo's edge is found on pixels.
-HALO_MODEL_SD_PX = 0.1
-# Where the noise is small against a DN, the mean leans towards whole numbers.
-LEANING_SD_DN = 0.1
-
-
 def observations(
     session: Session, sensor: Sensor, result: Result, levels: tuple[StackMean, ...]
 ) -> tuple[Observation, ...]:
@@ -275,7 +262,8 @@ def observations(
 
 
 def _halo(m: Measurement) -> Observation:
-    sd = float(np.hypot(sd_of(m), HALO_MODEL_SD_PX))
+    # The halo edge is located on pixels.
+    sd = float(np.hypot(sd_of(m), 0.1))
     speaks_of = ("photocathode.gap_mm", "taper.demagnification")
     return one("halo diameter", m.value or 0.0, sd, predicted_quantities.halo_diameter_px, speaks_of)
 
@@ -302,8 +290,9 @@ def _levels(levels: tuple[StackMean, ...], reference_v: float) -> Observation:
         load = predicted_quantities.mcp_load(one, lux, gate_s, mcp_v, reference_v)
         return one["video.black_level_dn"] + gain * events / (1.0 + load)
 
-    leaning = np.array([LEANING_SD_DN if level.noise_dn < LEAST_NOISE_DN else 0.0 for level in levels])
-    variance = own**2 + LEVEL_MODEL_SD_DN**2 + (LEVEL_MODEL_SD * mean) ** 2 + leaning**2
+    # With little noise the mean is attracted to whole numbers.
+    leaning = np.array([0.1 if level.noise_dn < LEAST_NOISE_DN else 0.0 for level in levels])
+    variance = own**2 + 0.03**2 + (0.003 * mean) ** 2 + leaning**2
     extra = ("microchannel_plate.gain_exponent",) if len(set(mcp_v.tolist())) > 1 else ()
     return Observation(
         name="levels", value=mean, covariance=np.diag(variance), predict=predict, speaks_of=(*LEVEL, *extra)

@@ -251,11 +251,6 @@ _ACROSS, _ACROSS_WEIGHT = _nodes((0.0, 0.2, 0.8, 2.5), (5, 7, 10))
 _ALONG, _ALONG_WEIGHT = _nodes((0.0, 0.2, 1.0, 2.0, 5.0), (5, 6, 6, 8))
 
 
-MIDDLE_WAVELENGTH_MM = 0.7e-3
-# The largest logarithm whose exponential is still a number: a climb to the peak tries any exponent once.
-LARGEST_LOGARITHM = 700.0
-
-
 def lens_transfer(frequency_per_mm: Array, blur_um: Array, f_number: Array) -> Array:
     """Return diffraction times exp(-2 (pi f s)^2), a lens with Gaussian aberration blur of width s.
 
@@ -264,7 +259,7 @@ def lens_transfer(frequency_per_mm: Array, blur_um: Array, f_number: Array) -> A
     Diffraction of a round pupil, (2/pi)(acos x - x sqrt(1 - x^2)) with x = f wavelength N, falls as 1 - 4x/pi: three
     per cent where a fast lens is used, for light of the middle of the cathode's band.
     """
-    x = np.minimum(frequency_per_mm * MIDDLE_WAVELENGTH_MM * f_number, 1.0)
+    x = np.minimum(frequency_per_mm * 0.7e-3 * f_number, 1.0)
     diffraction = (2.0 / np.pi) * (np.arccos(x) - x * np.sqrt(1.0 - x**2))
     return diffraction * np.exp(-2.0 * (np.pi * frequency_per_mm * blur_um * 1e-3) ** 2)
 
@@ -272,7 +267,7 @@ def lens_transfer(frequency_per_mm: Array, blur_um: Array, f_number: Array) -> A
 def tube_transfer(frequency_per_mm: Array, cut_off_per_mm: Array, exponent: Array, share: Array | float = 1.0) -> Array:
     """Return exp(-share (f/fc)^n), the part `share` of an image tube's transfer (Johnson's form)."""
     logarithm = exponent * np.log(np.maximum(frequency_per_mm / cut_off_per_mm, 1e-9))
-    return np.exp(-share * np.exp(np.minimum(logarithm, LARGEST_LOGARITHM)))
+    return np.exp(-share * np.exp(np.minimum(logarithm, 700.0)))
 
 
 def halo_transfer(frequency_per_mm: Array, gap_mm: Array, elastic_share: Array) -> Array:

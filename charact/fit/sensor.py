@@ -29,8 +29,6 @@ from labdata.session import Session
 Array = NDArray[np.float64]
 
 KEPT_DRAWS = 400
-# Chance of a misfit that is none.
-CHANCE = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,7 +121,7 @@ def inflate_errors(model: Model) -> tuple[Model, str | None]:
     parts = {one.name: float(model.part(one, best[None])[0]) for one in model.observed}
     parts["the description's own ranges"] = -2.0 * float(model.prior.log_density(best[None])[0])
     numbers, total = sum(one.value.size for one in model.observed), sum(parts.values())
-    if total <= chi2.isf(CHANCE, numbers):
+    if total <= chi2.isf(1e-4, numbers):
         return model, None
     factor = float(np.sqrt(total / numbers))
     worst = max(parts, key=lambda name: parts[name])
@@ -152,7 +150,7 @@ def posterior_of(model: Model, *, seed: int) -> Posterior:
 
 
 FULL_WELL = "ccd.full_well_e"
-GAIN, BLACK = "video.conversion_gain_dn_per_e", "video.black_level_dn"
+GAIN = "video.conversion_gain_dn_per_e"
 CANDIDATES = 400
 
 
@@ -178,7 +176,7 @@ def full_well_draws(sensor: Sensor, drawn: dict[str, Array], rng: np.random.Gene
     prior = prior_of(sensor, (FULL_WELL,))
     if not prior.names or GAIN not in drawn:
         return None
-    black = drawn.get(BLACK, np.array([float(sensor.video.black_level_dn)]))
+    black = drawn.get("video.black_level_dn", np.array([float(sensor.video.black_level_dn)]))
     least = (2**sensor.video.bit_depth - 1 - black) / drawn[GAIN]
     tried = np.sort(prior.parameters(prior.draw(rng, CANDIDATES))[:, 0])
     first = np.searchsorted(tried, least)
@@ -190,8 +188,6 @@ Progress = Callable[[str, float], None]
 
 # A parameter is identified when the data leave less than this share of its prior's standard deviation.
 IDENTIFIED_SHARE = 0.7
-# The description's own values must reproduce the data this well, in units of chi-squared above the best there is.
-WORST_MISFIT = 1.0
 # Parameters that the light meter's one error goes into.
 _METERED = (
     "tube.luminous_gain",
@@ -317,7 +313,7 @@ def _consistent(model: Model, posterior: Posterior, left: dict[str, float]) -> t
     """
     share = np.array([left[name] for name in posterior.names])
     best = most_probable(model, np.median(posterior.draws, axis=0), np.ones(share.size, bool))
-    allowed = float(model.misfit(best[None])[0]) + WORST_MISFIT
+    allowed = float(model.misfit(best[None])[0]) + 1.0
     free = share < IDENTIFIED_SHARE
     own = free.copy()
     while True:

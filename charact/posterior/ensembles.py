@@ -16,8 +16,6 @@ Array = NDArray[np.float64]
 # Share, degrees of freedom and scale of the Student t densities drawn from: the body, and tails that leave no walker
 # where the posterior is many times denser than the draws.
 BODY_AND_TAILS = ((0.9, 20.0, 1.0), (0.1, 3.0, 1.5))
-# Every tenth difference is taken whole: from peak to peak where walkers stand on several.
-WHOLE_SHARE = 0.1
 INDEPENDENT_SHARE = 0.75
 
 
@@ -82,7 +80,7 @@ def _differences(others: Array, wanted: int, random: np.random.RandomState) -> A
     first = random.randint(count, size=(ensembles, wanted))
     second = (first + random.randint(1, count, size=(ensembles, wanted))) % count
     row = np.arange(ensembles)[:, None]
-    whole = random.rand(ensembles, wanted, 1) < WHOLE_SHARE
+    whole = random.rand(ensembles, wanted, 1) < 0.1
     gamma = np.where(whole, 1.0, 2.38 / np.sqrt(2.0 * parameters))
     return gamma * (others[row, first] - others[row, second])
 

@@ -12,8 +12,6 @@ Array = NDArray[np.float64]
 
 # Below this probability, shared out over the three signs, the model is called wrong.
 MISFIT_LEVEL = 0.01
-# Numbers replicated at a time, for memory's sake.
-BLOCK = 1 << 20
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,7 +93,7 @@ def predictive_check(
     spread = whiten((mean - mean.mean(axis=0)).T).T / np.sqrt(len(mean) - 1)
     residual = whiten((measured - mean.mean(axis=0))[:, None])[:, 0]
     ours = _discrepancies(residual[None])
-    blocks = np.array_split(np.arange(replicates), -(-replicates * measured.size // BLOCK))
+    blocks = np.array_split(np.arange(replicates), -(-replicates * measured.size // (1 << 20)))
     theirs = [
         _discrepancies(_shrink_by_fit(rng.standard_normal((len(block), measured.size)), spread)) for block in blocks
     ]

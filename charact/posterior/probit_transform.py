@@ -48,8 +48,6 @@ LONGER = np.array([1.5, 2.5, 4.0])
 BEYOND = INNER[-1] + 1.0 + np.arange(LONGER.size)
 PINS = np.concatenate([-BEYOND[::-1], INNER, BEYOND])
 STEPS = np.diff(PINS)
-# Least distance of two pins as a share of the mean one: draws may repeat.
-LEAST_WIDTH = 0.05
 
 
 class NormalScores:
@@ -69,7 +67,7 @@ class NormalScores:
     def __init__(self, draws: Array) -> None:
         quantiles = np.quantile(draws, SHARES, axis=0).T
         mean = np.maximum(np.ptp(quantiles, axis=1) / (SHARES.size - 1), 1e-300)
-        width = np.maximum(np.diff(quantiles, axis=1), LEAST_WIDTH * mean[:, None])
+        width = np.maximum(np.diff(quantiles, axis=1), 0.05 * mean[:, None])
         longer = LONGER / (INNER[1] - INNER[0])
         below, above = width[:, :1] * longer[::-1], width[:, -1:] * longer
         self._width = np.concatenate([below, width, above], axis=1)

@@ -13,9 +13,6 @@ from labdata.frames import FrameStack
 
 Array = NDArray[np.float64]
 
-# Probability that a right sensor fails any one of the statistics.
-FAMILY_LEVEL = 0.005
-
 
 TITLES = {
     "mean-variance": "Variance and covariance sum over signal, at every flat",
@@ -80,7 +77,7 @@ def statistics(
     """
     curves = [other.mtf for other in many if other.mtf is not None]
     sharp = one.mtf if len(curves) > len(many) // 2 else None
-    level = FAMILY_LEVEL / (3 if sharp is None else 4)
+    level = 0.005 / (3 if sharp is None else 4)
     noise_names = tuple(
         f"{what} of {shot.label}" for shot in chosen.flats for what in ("ln variance/signal", "ln covariance/signal")
     )
@@ -282,9 +279,6 @@ def distance(measured: Array, simulated: Array) -> Distance:
 METHOD = "edge-slanted"
 # Up to 0.8 of the sampling limit.
 FREQUENCY_CY_PER_PX = np.arange(0.05, 0.4001, 0.05)
-# Errors of neighbouring points of a curve go together over about this distance.
-CORRELATION_CY_PER_PX = 0.08
-FREEDOM = 9
 
 
 def mtf_features(frames: NDArray, context: Context) -> Features | None:
@@ -300,4 +294,4 @@ def mtf_features(frames: NDArray, context: Context) -> Features | None:
     )
     sd = np.maximum((high - low) / (2.0 * 0.994458), 1e-4)
     apart = np.abs(FREQUENCY_CY_PER_PX[:, None] - FREQUENCY_CY_PER_PX[None, :])
-    return Features(value=value, covariance=np.outer(sd, sd) * np.exp(-apart / CORRELATION_CY_PER_PX), freedom=FREEDOM)
+    return Features(value=value, covariance=np.outer(sd, sd) * np.exp(-apart / 0.08), freedom=9)

@@ -16,12 +16,7 @@ from labdata.target import Target
 SHAPE = (192, 256)
 # An edge is cut narrowly: what lies far beside it adds its noise and little light.
 ALONG_EDGE, ACROSS_EDGE = 192, 72
-FRAMES, EDGE_FRAMES = 8, 16
 FEWEST_FRAMES = 3
-FLATS = 3
-# Levels of flats that are compared, as shares of full scale, and the most pixels that may stand at either end.
-HIGHEST_SHARE = 0.8
-MOST_CLIPPED_SHARE = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,7 +132,7 @@ def _shots(session: Session, kind: Kind) -> list[tuple[MatchedFrames, StackEntry
             continue
         height, width = _cut_shape(entry)
         shape = (min(height, rows - rows % 2), min(width, columns))
-        most = EDGE_FRAMES if kind == "edge" else FRAMES
+        most = 16 if kind == "edge" else 8
         out.append(
             (
                 MatchedFrames(
@@ -185,14 +180,14 @@ def _flats(session: Session, measured: dict[str, NDArray]) -> tuple[list[Matched
     for shot, entry in _shots(session, "flat"):
         frames = _cut(shot, entry.read())
         clipped = float(np.mean((frames >= full) | (frames <= 0)))
-        if frames.mean() > HIGHEST_SHARE * full or clipped > MOST_CLIPPED_SHARE:
+        if frames.mean() > 0.8 * full or clipped > 1e-3:
             notes.append(f"{shot.label} is beyond the straight part of the range")
             continue
         usable.append((float(frames.mean()), shot, frames))
     if not usable:
         raise BadInput(f"a validation needs a flat inside the range with {FEWEST_FRAMES} frames or more, got none")
     usable.sort(key=lambda item: item[0])
-    picked = sorted({round(place) for place in np.linspace(0, len(usable) - 1, min(FLATS, len(usable)))})
+    picked = sorted({round(place) for place in np.linspace(0, len(usable) - 1, min(3, len(usable)))})
     for place in picked:
         measured[usable[place][1].label] = usable[place][2]
     return [usable[place][1] for place in picked], notes

@@ -19,10 +19,6 @@ from labdata.session import Session
 
 Array = NDArray[np.float64]
 
-BINS = 40
-# Shares of the pixels shown black and white.
-STRETCH = (0.002, 0.998)
-
 
 def overlays(
     measured: FrameFeatures, simulated: list[FrameFeatures], chosen: MatchedStacks
@@ -59,7 +55,7 @@ def pairs(chosen: MatchedStacks, simulated: dict[str, NDArray]) -> tuple[FramePa
     out = []
     for shot in shots:
         both = [np.asarray(frames[shot.label][0], float) for frames in (chosen.measured, simulated)]
-        low, high = np.quantile(np.concatenate([one.ravel() for one in both]), STRETCH)
+        low, high = np.quantile(np.concatenate([one.ravel() for one in both]), (0.002, 0.998))
         high = max(high, low + 1.0)
         shown = [np.rint(255 * np.clip((one - low) / (high - low), 0, 1)).astype(np.uint8) for one in both]
         out.append(
@@ -99,7 +95,7 @@ def _transfer(field: str, title: str, measured: FrameFeatures, simulated: list[F
 
 def _histogram(measured: FrameFeatures, simulated: list[FrameFeatures], chosen: MatchedStacks) -> dict[str, Any]:
     top = float(np.abs(measured.grey_dn).max())
-    edges = np.linspace(-top, top, BINS + 1)
+    edges = np.linspace(-top, top, 40 + 1)
 
     def density(sample: Array) -> Array:
         return np.histogram(sample, edges)[0] / (sample.size * np.diff(edges))
@@ -116,9 +112,6 @@ def _histogram(measured: FrameFeatures, simulated: list[FrameFeatures], chosen: 
 Progress = Callable[[str, float], None]
 
 DRAWS = 12
-# Of the tube's blur, what is left behind the gain in the negative control: the noise is then hardly correlated, while
-# the MTF stays what it was.
-REMOVED_SHARE = 1e-6
 NULL = "Frames of one more posterior draw in place of the measured ones: must pass"
 NEGATIVE = "Frames of the sensor with the blur behind the gain moved before it: must fail"
 NO_DRAWS = "the sensor has no posterior draws: simulated at its values"
@@ -168,7 +161,7 @@ def validate(
     progress("null control", (DRAWS + 1) / (DRAWS + 3))
     null = run.portrait(run.frames(run.draw_sensor()))
     progress("negative control", (DRAWS + 2) / (DRAWS + 3))
-    removed = run.draw_sensor().with_values({"tube.post_gain_share": REMOVED_SHARE})
+    removed = run.draw_sensor().with_values({"tube.post_gain_share": 1e-6})
     negative = run.portrait(run.frames(removed))
     progress("validated", 1.0)
     return Validation(

@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 MISFIT = ("model-misfit",)
 # What the two may differ by: px or a share, whichever is more, and the light that the fitted one may be off by.
-WITHIN_PX, WITHIN_SHARE, LIGHT_SHARE = 1.0, 0.05, 0.03
+LIGHT_SHARE = 0.03
 # Levels that the fitted light tells, and those whose extents it may contradict.
 LEVELS: dict[str, Callable[[PointStack], float]] = {
     "bloom_diameter": lambda spot: spot.half_dn,
@@ -35,19 +35,10 @@ JUDGED = "bloom_diameter"
 # short, up to about a diameter in px: what some hundred series in closed form show, of 4 to 16 frames. A contour of few
 # pixels is told by the same few to both. What the highest code hides from one next to it the fitted light knows.
 LONG = {"bloom_diameter": 0.44, "bloom_diameter_clip": 0.5, "bloom_diameter_background": 0.6}
-SHORT, SHORT_PX = {"bloom_diameter": 1.1, "bloom_diameter_clip": 1.5, "bloom_diameter_background": 1.5}, 6.0
-# Where the light falls slowly both err alike: what the mean keeps besides of a contour much less sure than this, px.
-SLOW, SLOW_PX = {"bloom_diameter": 0.35}, 0.06
-# Few frames tell their own noise badly: by so much over their number the mean keeps more.
-FEW = {"bloom_diameter": 3.0}
-# Share of the difference between both that is charged, as a standard error: to their mean, which thereby holds them
-# both at 95 %, and to a contour that stays alone.
-CHARGED_MEAN, CHARGED_ALONE = 0.3, 0.4
-# What the diameter of a fitted form is off by at its best, px.
-FORM_PX = 0.004
+SHORT = {"bloom_diameter": 1.1, "bloom_diameter_clip": 1.5, "bloom_diameter_background": 1.5}
 # Chance below which the two differ over all levels by more than noise: another source, or a form that none of ours is.
 # What they differ by without either, px, is that of the best forms.
-CHANCE, APART_PX = 1e-4, 0.02
+APART_PX = 0.02
 
 
 def compare_extents(
@@ -99,7 +90,7 @@ def _differ(apart: list[float]) -> bool:
     """Whether the normalised differences between contours and model exceed noise."""
     from scipy.stats import chi2
 
-    return bool(chi2.sf(np.sum(np.square(apart)), max(len(apart), 1)) < CHANCE)
+    return bool(chi2.sf(np.sum(np.square(apart)), max(len(apart), 1)) < 1e-4)
 
 
 def _sd(extent: Measurement) -> float:
@@ -114,8 +105,10 @@ def _combine_diameters(extent: Measurement, diameter_px: float, *, alone: bool, 
     if value is None or low68 is None or low95 is None or not np.isfinite(diameter_px):
         return extent
     mean = value if alone else 0.5 * (value + diameter_px)
-    kept, charged = (1.0, CHARGED_ALONE) if alone else (_error_factor(extent, mean, frames), CHARGED_MEAN)
-    sd = float(np.hypot(charged * (value - diameter_px), 0.0 if alone else FORM_PX))
+    # 30 % of the difference is charged as a standard error, so that the 95 % interval of the mean covers both; 40 %
+    # to a single contour.
+    kept, charged = (1.0, 0.4) if alone else (_error_factor(extent, mean, frames), 0.3)
+    sd = float(np.hypot(charged * (value - diameter_px), 0.0 if alone else 0.004))
     wide = [
         (
             mean - float(np.hypot(kept * (value - low), times * sd)),
@@ -129,9 +122,9 @@ def _combine_diameters(extent: Measurement, diameter_px: float, *, alone: bool, 
 def _error_factor(extent: Measurement, diameter_px: float, frames: int) -> float:
     """Factor on a contour's own error in the mean with the fitted model."""
     name = extent.quantity
-    long = LONG[name] + SLOW.get(name, 0.0) / (1.0 + (SLOW_PX / max(_sd(extent), 1e-9)) ** 2)
-    kept = long + (SHORT[name] - long) / (1.0 + (diameter_px / SHORT_PX) ** 4)
-    return kept * (1.0 + FEW.get(name, 0.0) / frames)
+    long = LONG[name] + {"bloom_diameter": 0.35}.get(name, 0.0) / (1.0 + (0.06 / max(_sd(extent), 1e-9)) ** 2)
+    kept = long + (SHORT[name] - long) / (1.0 + (diameter_px / 6.0) ** 4)
+    return kept * (1.0 + {"bloom_diameter": 3.0}.get(name, 0.0) / frames)
 
 
 def _is_off(node_px: Array, light_dn: Array, level_dn: float, interval: tuple[float, float]) -> bool:
@@ -141,7 +134,7 @@ def _is_off(node_px: Array, light_dn: Array, level_dn: float, interval: tuple[fl
     found = [_diameter(node_px, one, level_dn) for one in near]
     if not np.isfinite(found).all():
         return False
-    allowed = max(WITHIN_PX, WITHIN_SHARE * max(found))
+    allowed = max(1.0, 0.05 * max(found))
     return interval[1] < min(found) - allowed or interval[0] > max(found) + allowed
 
 

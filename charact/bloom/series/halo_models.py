@@ -39,15 +39,19 @@ class ModelParameter:
 
 
 CORE_SD = ModelParameter(name="core_sd", unit="px", low=0.35, high=8.0, start=1.2)
-# Tubes at large, where the camera is not described (Johnson's n of image tubes is 1.1 to 2.1).
-CORE_FREQUENCY = ModelParameter(name="core_frequency", unit="cy/px", low=0.03, high=2.0, mean=0.4, sd=0.3)
-CORE_EXPONENT = ModelParameter(name="core_exponent", unit="1", low=0.7, high=2.5, mean=1.3, sd=0.3)
 WING_SHARE = ModelParameter(name="wing_share", unit="1", low=0.0, high=0.7, start=0.05)
-WING_RADIUS = ModelParameter(name="wing_radius", unit="px", low=0.7, high=12.0, start=3.0)
-WING_EXPONENT = ModelParameter(name="wing_exponent", unit="1", low=1.1, high=4.0, start=2.0)
-WING_SD = ModelParameter(name="wing_sd", unit="px", low=1.0, high=20.0, start=4.0)
-WING_PEAK = ModelParameter(name="wing_peak", unit="1", low=0.0, high=1.3, start=0.5)
-WINGS = {"moffat": (WING_SHARE, WING_RADIUS, WING_EXPONENT), "matern": (WING_SHARE, WING_SD, WING_PEAK)}
+WINGS = {
+    "moffat": (
+        WING_SHARE,
+        ModelParameter(name="wing_radius", unit="px", low=0.7, high=12.0, start=3.0),
+        ModelParameter(name="wing_exponent", unit="1", low=1.1, high=4.0, start=2.0),
+    ),
+    "matern": (
+        WING_SHARE,
+        ModelParameter(name="wing_sd", unit="px", low=1.0, high=20.0, start=4.0),
+        ModelParameter(name="wing_peak", unit="1", low=0.0, high=1.3, start=0.5),
+    ),
+}
 LEAST_DIAMETER_PX = 12.0
 # Fractions of a disc's light by its profile: anything between rim, even disc and peak is as likely. Rims go
 # beyond 0..1 by a little: a wall at 0 would push the diameter to one side.
@@ -56,7 +60,6 @@ PROFILE = tuple(
     for name, low, mean in zip(transfer.PROFILE, (-0.15, -0.6, -0.6, -0.15), (0.3, 0.3, 0.1, 0.1), strict=True)
 )
 HALO_FRACTION = ModelParameter(name="halo_fraction", unit="1", low=1e-4, high=0.6, start=0.08)
-HALO_SD = ModelParameter(name="halo_sd", unit="px", low=3.0, high=40.0, start=12.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,7 +98,7 @@ class HaloModel:
         if self.halo == "none":
             return ()
         if self.halo == "gaussian":
-            return HALO_SD, HALO_FRACTION
+            return ModelParameter(name="halo_sd", unit="px", low=3.0, high=40.0, start=12.0), HALO_FRACTION
         widest = ModelParameter(name="halo_diameter", unit="px", low=LEAST_DIAMETER_PX, high=1.7 * self.reach_px,
                            start=0.8 * self.reach_px)  # fmt: skip
         return widest, *PROFILE, HALO_FRACTION
@@ -189,7 +192,9 @@ def pixel_of(pitch_ratio: float) -> Array:
 
 def _tube_priors(sensor: Sensor | None) -> tuple[ModelParameter, ModelParameter]:
     if sensor is None:
-        return CORE_FREQUENCY, CORE_EXPONENT
+        return ModelParameter(
+            name="core_frequency", unit="cy/px", low=0.03, high=2.0, mean=0.4, sd=0.3
+        ), ModelParameter(name="core_exponent", unit="1", low=0.7, high=2.5, mean=1.3, sd=0.3)
     tube = sensor.tube
     scale = float(sensor.ccd.pitch_x_um) * float(sensor.taper.demagnification) * 1e-3
     cut_off, exponent = float(tube.mtf_frequency_lp_per_mm) * scale, float(tube.mtf_exponent)

@@ -10,11 +10,10 @@ from charact.bloom.series.likelihood import AmplitudeSolution, SeriesLikelihood
 Array = NDArray[np.float64]
 
 # Dampings tried beside the last best one, the first, and how often none of them may help.
-NEAR, FIRST_DAMPING, FAILURES = 10.0 ** np.array([-2.0, 0.0, 2.0]), 1e-2, 2
+NEAR = 10.0 ** np.array([-2.0, 0.0, 2.0])
 ITERATIONS = 25
 # Gain of the log-probability below which a climb ends, and step of a difference as a share of a parameter's range.
 ENOUGH = 1e-3
-STEP = 1e-5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +40,7 @@ def optimise_from_starts(
     points = np.clip(starts, bounds[:, 0], bounds[:, 1])
     best, solved = _values(problem, points)
     residuals, slopes = _linear(problem, points, solved)
-    damping, failed = np.full(len(points), FIRST_DAMPING), np.zeros(len(points), int)
+    damping, failed = np.full(len(points), 1e-2), np.zeros(len(points), int)
     going = np.arange(len(points))
     for _ in range(iterations):
         moves = [_moves(points[i], residuals[i], slopes[i], bounds, held, damping[i] * NEAR) for i in going]
@@ -55,7 +54,7 @@ def optimise_from_starts(
         if len(better):
             points[better], best[better] = np.concatenate(moves)[top], values[top]
             residuals[better], slopes[better] = _linear(problem, points[better], solved.at(top))
-        going = going[(gain >= ENOUGH) | ((gain <= 0) & (failed[going] < FAILURES))]
+        going = going[(gain >= ENOUGH) | ((gain <= 0) & (failed[going] < 2))]
         if not len(going):
             break
     return tuple(
@@ -98,7 +97,7 @@ def _linear(problem: SeriesLikelihood, points: Array, solved: AmplitudeSolution)
     """
     bounds = problem.form.bounds
     width = len(bounds)
-    step = np.broadcast_to(STEP * (bounds[:, 1] - bounds[:, 0]), points.shape)
+    step = np.broadcast_to(1e-5 * (bounds[:, 1] - bounds[:, 0]), points.shape)
     step = np.where(points + step > bounds[:, 1], -step, step)
     moved = (points[:, None] + step[:, None] * np.eye(width)).reshape(-1, width)
     there, _ = problem.whiten(problem.parts(moved), np.repeat(solved.amplitudes, width, axis=2))

@@ -13,8 +13,6 @@ from charact.bloom.transfer import onto_nodes
 
 Array = NDArray[np.float64]
 
-# Rings up to here are about the core, column pitches: some 20 pixels each at most.
-ABOUT_CORE_PX = 4.0
 # All shares tried.
 SHARES = np.concatenate([[1e-5], np.geomspace(5e-4, 0.2, 14)])
 
@@ -39,13 +37,9 @@ class Misfit:
         return np.where(about_core(radius_px), self.core, self.share)
 
 
-# What is guessed at first.
-FIRST_MISFIT = Misfit(share=0.02, core=0.02)
-
-
 def about_core(radius_px: Array) -> NDArray[np.bool_]:
     """Return which rings are near the core, shape (ring,)."""
-    return radius_px < ABOUT_CORE_PX
+    return radius_px < 4.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,13 +86,8 @@ def most_likely_misfit(of_core: Array, beyond: Array) -> tuple[Misfit, float]:
 
 # Standard deviations of a pixel from the highest code within which some of its codes are cut.
 NEAR_TOP = 5.0
-# Standard error of a ring that says nothing, DN.
-LOST_DN = 1e5
 # Least light of a ring, of which forms are off by a share, DN.
 LEAST_LIGHT_DN = 1e-6
-STEPS = 2
-# What a step must promise of a level's chi squared to be taken.
-SETTLED = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -211,7 +200,7 @@ def series_of(levels: tuple[LevelRings, ...], noise: RingNoise, *, full_dn: floa
 
 def _own_covariance(data: Array, frames: int, geometry: Geometry, noise: RingNoise) -> Array:
     out = noise.covariance(data, geometry.count, frames)
-    return out + np.diag(np.where(geometry.lost, LOST_DN**2, 0.0))
+    return out + np.diag(np.where(geometry.lost, 1e5**2, 0.0))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -281,8 +270,8 @@ class SeriesLikelihood:
 
     series: RingSeries
     form: HaloModel
-    misfit: Misfit = FIRST_MISFIT
-    steps: int = STEPS
+    misfit: Misfit = Misfit(share=0.02, core=0.02)
+    steps: int = 2
 
     @cached_property
     def whitener(self) -> Array:
@@ -344,7 +333,7 @@ class SeriesLikelihood:
         residual, slopes = self.whiten(parts, amplitudes)
         for _ in range(self.steps):
             step, promise = best_step(slopes[0], slopes[1], residual)
-            if promise < SETTLED:
+            if promise < 1e-4:
                 break
             amplitudes = amplitudes + step
             residual, slopes = self.whiten(parts, amplitudes)

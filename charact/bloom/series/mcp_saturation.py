@@ -19,15 +19,8 @@ Array = NDArray[np.float64]
 PLATE_LOAD = ModelParameter(name="plate_load", unit="px/DN", low=0.0, high=0.05, start=0.0)
 # Share of the core's blur that acts behind the gain, where the tube is not described and where it is.
 POST_GAIN_SHARE = ModelParameter(name="post_gain_share", unit="1", low=0.0, high=1.0, mean=0.5, sd=0.3)
-DESCRIBED_SD = 0.15
-STEPS = 6
-# Steps of a climb after which a plate that tires must fit better than one at rest.
-NEAR_STEPS = 6
-# Gain of the log-probability that the first step must promise for a plate that tires to be fitted at all.
-PROMISING = 5.0
 # Gain in the end below which its two parameters are not worth their price in the criterion.
 WORTHWHILE = 10.0
-FIRST_LOADS = (1e-5, 1e-4, 1e-3)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +32,7 @@ class SaturatingHaloModel(HaloModel):
         """Parameters in the order of a point's coordinates."""
         share = POST_GAIN_SHARE
         if self.sensor is not None:
-            share = replace(share, mean=float(self.sensor.tube.post_gain_share), sd=DESCRIBED_SD)
+            share = replace(share, mean=float(self.sensor.tube.post_gain_share), sd=0.15)
         return (*self._core_parameters(), *self._halo_parameters(), PLATE_LOAD, share)
 
     def behind(self, points: Array) -> Array:
@@ -71,7 +64,7 @@ class SaturatingSeriesLikelihood(SeriesLikelihood):
     """Likelihood of a series under a saturating model."""
 
     form: SaturatingHaloModel
-    steps: int = STEPS
+    steps: int = 6
 
     @cached_property
     def _to_frequencies(self) -> Array:
@@ -155,15 +148,15 @@ def fit_mcp_saturation(
         misfit=problem.misfit,
     )  # fmt: skip
     share = tiring.form.parameters[-1].mean
-    starts = np.array([[*peak.point, load, share] for load in (0.0, *FIRST_LOADS)])
+    starts = np.array([[*peak.point, load, share] for load in (0.0, *(1e-5, 1e-4, 1e-3))])
     values = tiring.log_probability(starts)
     best = starts[int(np.argmax(values[1:])) + 1]
     first = optimise(tiring, best, iterations=2)
-    if first.log_probability - float(values[0]) < PROMISING:
+    if first.log_probability - float(values[0]) < 5.0:
         return None
     # With no load it is the form at rest but for where the core's blur acts: it must do better than that, too.
     rest = max(float(values[0]), peak.log_probability)
-    near = optimise(tiring, first.point, iterations=NEAR_STEPS)
+    near = optimise(tiring, first.point, iterations=6)
     if near.log_probability < rest:
         return None
     last = optimise(tiring, near.point)

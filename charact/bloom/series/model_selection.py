@@ -15,17 +15,11 @@ from labdata.sensor import Sensor
 Array = NDArray[np.float64]
 
 # Diameters from which a disc is looked for, the best of them that are climbed from, and steps of a first climb.
-STARTS, CLIMBED, FIRST_STEPS = 24, 2, 12
+FIRST_STEPS = 12
 # Numbers of a disc, and where it is first looked for: flat, rimmed and peaked in equal parts.
-HALO, FIRST_HALO = 6, (0.3, 0.3, 0.0, 0.0, 0.08)
-# Shares of electrons that keep their energy from which a disc is climbed to again.
-SHAKEN = (0.15, 0.6)
+HALO = 6
 # Excess of the criterion over the best form's beyond which a form need not be fitted to the end.
 WORTHWHILE = 400.0
-# Levels that tell a plate that tires.
-LEAST_LEVELS = 3
-# By how much its criterion must be better: cameras that are not quite round make small gains of their own.
-CLEARLY_BETTER = 15.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,12 +109,12 @@ def _saturating_candidates(best: FittedHaloModel, least: float) -> list[FittedHa
     the wings are seen, and a plate would make up for what is wrong with their form.
     """
     series = best.problem.series
-    if best.form.halo != "disc" or len(series.labels) < LEAST_LEVELS or series.cut[:, 0].all():
+    if best.form.halo != "disc" or len(series.labels) < 3 or series.cut[:, 0].all():
         return []
     found = fit_mcp_saturation(best.problem, best.peak)
     first = _candidate(*found) if found else best
     fitted_on = [refit_with_misfit(first)] if first.bic < best.bic else []
-    return [one for one in fitted_on if one.bic < least - CLEARLY_BETTER]
+    return [one for one in fitted_on if one.bic < least - 15.0]
 
 
 def _discs(
@@ -131,10 +125,13 @@ def _discs(
     A wing that was fitted without a halo stands for one: wings start beside the core of a plain one and its disc, too.
     """
     low, high = form.bounds[form.names.index("halo_diameter")]
-    diameters = np.linspace(LEAST_DIAMETER_PX + 2, high - 2, STARTS)
+    diameters = np.linspace(LEAST_DIAMETER_PX + 2, high - 2, 24)
     if np.isfinite(first_diameter_px):
         diameters = np.append(diameters, np.clip(first_diameter_px, low + 1, high - 1))
-    halos = [*(one.peak.point[-HALO:] for one in found), *([diameter, *FIRST_HALO] for diameter in diameters)]
+    halos = [
+        *(one.peak.point[-HALO:] for one in found),
+        *([diameter, *(0.3, 0.3, 0.0, 0.0, 0.08)] for diameter in diameters),
+    ]
     cores = [bare.peak.point, form.first[: len(bare.peak.point)]]
     out = [np.array([*core, *halo]) for halo in halos for core in cores[: 2 if len(found) else 1]]
     if form.core in WINGS:
@@ -147,7 +144,7 @@ def fit_model(series: RingSeries, form: HaloModel, starts: list[Array]) -> Fitte
     """Fit one model from the best of its starts, with a small relative model error."""
     problem = SeriesLikelihood(series=series, form=form)
     tried = np.array(starts or [form.first])
-    order = np.argsort(problem.log_probability(tried))[::-1][:CLIMBED]
+    order = np.argsort(problem.log_probability(tried))[::-1][:2]
     peaks = optimise_from_starts(problem, tried[order], iterations=FIRST_STEPS)
     return _candidate(problem, max(peaks, key=lambda one: one.log_probability))
 
@@ -157,7 +154,7 @@ def refit_from_other_profiles(candidate: FittedHaloModel) -> FittedHaloModel:
     form, point = candidate.form, candidate.peak.point
     at, core = form.names.index("elastic_share"), len(point) - HALO
     starts = [point]
-    for share in SHAKEN:
+    for share in (0.15, 0.6):
         for first in (point[:core], form.first[:core]):
             start = np.concatenate([first, point[core:]])
             start[at] = share
@@ -183,17 +180,11 @@ def _candidate(problem: SeriesLikelihood, peak: SeriesOptimum) -> FittedHaloMode
     return FittedHaloModel(problem=off, peak=peak, log_likelihood=value, bic=bic)
 
 
-# What a form without an edge must be worse by, in its criterion.
-CLEARLY_WORSE = 15.0
-# What a diameter off by these factors must cost in log-probability: wings without an edge pass for any disc.
-OFF, OFF_COST = (0.8, 1.25), 12.5
-# Standard errors of the halo's share in one level at which its own diameter is looked at.
-SEEN_LEVEL = 8.0
 # Share of the light by which rings are off from which on the form is called wrong.
 MISFIT_SHARE = 0.12
 # Sectors that differ by this share of their ring's light, and by so many standard errors, in rings on end, show
 # something besides the source; rings nearer than this are too small to be divided.
-UNEVEN_SHARE, UNEVEN_SD, UNEVEN_RINGS, INNERMOST_PX = 0.5, 4.0, 3, 6.0
+UNEVEN_RINGS = 3
 
 
 def halo_refusal_reason(found: list[FittedHaloModel]) -> str | None:
@@ -202,7 +193,7 @@ def halo_refusal_reason(found: list[FittedHaloModel]) -> str | None:
     if best.form.halo != "disc":
         return f"the data bear a {best.name} best: no halo with an edge is visible"
     rival = min((one for one in found if one.form.halo != "disc"), key=lambda one: one.bic)
-    if rival.bic - best.bic < CLEARLY_WORSE:
+    if rival.bic - best.bic < 15.0:
         return f"the data bear a {rival.name} nearly as well as a halo with an edge"
     return None if edge_is_tied(best) else "the light falls off smoothly: discs of quite other diameters fit as well"
 
@@ -211,11 +202,11 @@ def edge_is_tied(best: FittedHaloModel) -> bool:
     """Whether other diameters are clearly less probable with all other parameters free."""
     problem, at = best.problem, best.form.names.index("halo_diameter")
     low, high = best.form.bounds[at]
-    for factor in OFF:
+    for factor in (0.8, 1.25):
         start = best.peak.point.copy()
         start[at] = np.clip(factor * start[at], low, high)
         other = optimise(problem, start, held=(at,), iterations=8)
-        if best.peak.log_probability - other.log_probability < OFF_COST:
+        if best.peak.log_probability - other.log_probability < 12.5:
             return False
     return True
 
@@ -237,7 +228,7 @@ def own_diameters(best: FittedHaloModel) -> tuple[Array, Array, Array]:
         alone = replace(best.problem, series=select_levels(best.problem.series, number == one))
         seen = _significance(alone, best.peak.point, share)
         out[2, one] = seen
-        if seen > SEEN_LEVEL:
+        if seen > 8.0:
             peak = optimise(alone, best.peak.point, held=held, iterations=6)
             free = [i for i in range(len(names)) if i not in held]
             out[0, one], out[1, one] = peak.point[at], _sd(alone, peak.point, free, at)
@@ -264,7 +255,7 @@ def is_uneven(series: RingSeries) -> bool:
     """Whether rings of a stack are asymmetric: two sources, a tail, a border."""
     variance = SECTORS * np.diagonal(series.own_covariance, axis1=1, axis2=2)
     excess = np.maximum(series.sector_sd**2 - variance, 0.0)
-    clear = (excess > UNEVEN_SD**2 * variance) & (excess > (UNEVEN_SHARE * series.light) ** 2)
-    clear &= ~series.cut & (series.radius_px > INNERMOST_PX)
+    clear = (excess > 4.0**2 * variance) & (excess > (0.5 * series.light) ** 2)
+    clear &= ~series.cut & (series.radius_px > 6.0)
     on_end = np.array([np.convolve(one, np.ones(UNEVEN_RINGS)) for one in clear])
     return bool(on_end.max() >= UNEVEN_RINGS)

@@ -18,9 +18,6 @@ from labdata.session import Session
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-ITERATIONS = 3
-REACH_PX = 40
-MIN_CENTRE_RINGS = 6
 # Farthest that a place may move in all, px: a source is found to a pixel or two before.
 FARTHEST_PX = 3.0
 
@@ -55,7 +52,7 @@ def refine_centre(
     tell d best. Gauss-Newton, each pixel weighted as if its noise went as the root of its light.
     """
     first = row, col
-    for _ in range(ITERATIONS):
+    for _ in range(3):
         across, down = _step(images, row, col, pitch_ratio, full_dn, spoiled)
         row, col = row + down / pitch_ratio, col + across
         if abs(row - first[0]) > FARTHEST_PX or abs(col - first[1]) > FARTHEST_PX:
@@ -74,8 +71,8 @@ def _step(
     """Offset of the position, column pitches."""
     normal, right = np.zeros((2, 2)), np.zeros(2)
     for image, mask in zip(images, spoiled, strict=True):
-        geometry = geometry_of(image.shape, row, col, pitch_ratio=pitch_ratio, spoiled=mask, reach_px=REACH_PX)
-        if len(geometry.radius_px) < MIN_CENTRE_RINGS:
+        geometry = geometry_of(image.shape, row, col, pitch_ratio=pitch_ratio, spoiled=mask, reach_px=40)
+        if len(geometry.radius_px) < 6:
             return 0.0, 0.0
         direction = np.stack([np.cos(geometry.pixel_angle), np.sin(geometry.pixel_angle)])
         value = geometry.pixels(image[None])[0]
@@ -98,20 +95,15 @@ def _step(
     return float(np.clip(across, -1.0, 1.0)), float(np.clip(down, -1.0, 1.0))
 
 
-# Stacks whose sources lie farther apart than this are not one series, px.
-SAME_PLACE_PX = 2.0
 # Rings that a series needs, and the most that are fitted: halos of up to 1.1 mm at the cathode end well inside them.
-LEAST_RINGS, MOST_RINGS = 14, 64
-# A core counts as cut from this share of the highest code; overflow makes it higher than wide by so much, and from so
-# far on a streak is seen as one.
-CUT, HIGHER_PX, FARTHEST_UPRIGHT_PX = 0.98, 2.0, 8.0
+LEAST_RINGS = 14
 
 
 def one_place(spots: tuple[PointStack, ...]) -> tuple[PointStack, ...]:
     """Return the stacks with the most common source position; the clearest one's where several are equally common."""
 
     def near(spot: PointStack) -> tuple[PointStack, ...]:
-        return tuple(one for one in spots if np.hypot(one.row - spot.row, one.col - spot.col) < SAME_PLACE_PX)
+        return tuple(one for one in spots if np.hypot(one.row - spot.row, one.col - spot.col) < 2.0)
 
     return max((near(spot) for spot in spots), key=lambda group: (len(group), max(one.significance for one in group)))
 
@@ -142,7 +134,7 @@ def build_ring_series(
     if whole < LEAST_RINGS:
         return f"the source must lie {LEAST_RINGS} px or more inside the frame, got {whole}"
     noise = noise_of(levels, dark_dn=min(one.dark_dn for one in group))
-    series = series_of(levels, noise, full_dn=full, rings=min(MOST_RINGS, whole))
+    series = series_of(levels, noise, full_dn=full, rings=min(64, whole))
     return series, tuple(replace(one, row=row, col=col) for one in group)
 
 
@@ -180,9 +172,9 @@ def _levels(
 def _upright_px(image: Array, place: tuple[float, float], full_dn: float, pitch_ratio: float) -> float:
     """Radius of a core that overflow has made higher than wide, column pitches; 0 where it is round."""
     row, col = round(place[0]), round(place[1])
-    cut = image >= CUT * full_dn
+    cut = image >= 0.98 * full_dn
     high, wide = _run(cut[:, col], row) * pitch_ratio, float(_run(cut[row], col))
-    return min(high / 2.0, FARTHEST_UPRIGHT_PX) + ADJACENT_RINGS if high > wide + HIGHER_PX else 0.0
+    return min(high / 2.0, 8.0) + ADJACENT_RINGS if high > wide + 2.0 else 0.0
 
 
 def _run(line: NDArray[np.bool_], at: int) -> int:

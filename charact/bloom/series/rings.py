@@ -11,12 +11,9 @@ Mask = NDArray[np.bool_]
 
 # Farthest ring, column pitches, and share of a ring that must lie inside the frame for it to count.
 REACH_PX = 90
-LEAST_SHARE = 0.34
 INNERMOST = 3
-# Share of a ring's pixels that must be left unspoiled for it to say anything.
-LEAST_LEFT = 0.3
 # Nodes of the radius on which light is worked out: fine where a core is steep, coarser beyond.
-FINE_PX, COARSE_PX, FINE_TO_PX = 0.125, 0.4, 8.0
+COARSE_PX, FINE_TO_PX = 0.4, 8.0
 SECTORS = 16
 
 
@@ -133,7 +130,7 @@ def geometry_of(
     ring = radius.astype(np.int64)
     inside = ring < reach_px
     whole = np.pi * (2 * np.arange(reach_px) + 1) / pitch_ratio
-    enough = np.bincount(ring[inside], minlength=reach_px) > LEAST_SHARE * whole
+    enough = np.bincount(ring[inside], minlength=reach_px) > 0.34 * whole
     # The innermost rings are a few pixels each, more or fewer as the place lies among them.
     enough[:INNERMOST] |= np.bincount(ring[inside], minlength=reach_px)[:INNERMOST] > 0
     reach = int(np.argmin(enough)) if not enough.all() else reach_px
@@ -142,7 +139,7 @@ def geometry_of(
     if spoiled is not None:
         clean = kept & ~spoiled[rows, cols].ravel()
         left = np.bincount(ring[clean], minlength=reach) / np.bincount(ring[kept], minlength=reach)
-        lost = left < LEAST_LEFT
+        lost = left < 0.3
         kept &= clean | lost[np.minimum(ring, reach - 1)]
     order = np.flatnonzero(kept)
     order = order[np.argsort(ring[order], kind="stable")]
@@ -163,7 +160,7 @@ def geometry_of(
 
 
 def _nodes(reach_px: float) -> Array:
-    fine = np.arange(0.0, FINE_TO_PX, FINE_PX)
+    fine = np.arange(0.0, FINE_TO_PX, 0.125)
     return np.concatenate([fine, np.arange(FINE_TO_PX, reach_px + 3 * COARSE_PX, COARSE_PX)])
 
 
@@ -182,13 +179,7 @@ def _averages(radius: Array, ring: NDArray[np.int64], nodes: Array, rings: int) 
     return out / np.bincount(ring, minlength=rings)[:, None]
 
 
-# Rings apart up to which noise is shared, rings over which its strength is smoothed, and the smallest eigenvalue that a
-# correlation estimated from few frames may have.
-LAGS = 6
 SMOOTHED = 7
-LEAST_EIGENVALUE = 0.05
-# Means of codes are known no better than this, DN.
-LEAST_SD_DN = 0.01
 # Rings of so few pixels that their neighbours share less than others.
 FIRST_CORRELATED_RING = 4
 # Share of samples at the highest code from which on a ring's scatter says nothing of its noise.
@@ -300,7 +291,7 @@ class RingNoise:
     def covariance(self, level_dn: Array, count: Array, frames: int) -> Array:
         """Return the covariance of a stack's ring means at given signals, shape (ring, ring), DN^2."""
         sd = self.pixel_sd(level_dn) * np.sqrt(self.sharing[: len(count)] / count * min(self.fewer / frames, 1.0))
-        rounding = np.diag(self.rounding_sd(level_dn) ** 2 + LEAST_SD_DN**2)
+        rounding = np.diag(self.rounding_sd(level_dn) ** 2 + 0.01**2)
         return self._matrix[: len(count), : len(count)] * np.outer(sd, sd) + rounding
 
     def rounding_sd(self, level_dn: Array) -> Array:
@@ -319,7 +310,7 @@ class RingNoise:
         apart = np.abs(np.subtract.outer(np.arange(size), np.arange(size)))
         padded = np.concatenate([self.correlation, np.zeros(max(1, size - len(self.correlation)))])
         values, vectors = np.linalg.eigh(padded[apart])
-        return (vectors * np.maximum(values, LEAST_EIGENVALUE)) @ vectors.T
+        return (vectors * np.maximum(values, 0.05)) @ vectors.T
 
 
 def noise_of(levels: tuple[LevelRings, ...], *, dark_dn: float) -> RingNoise:
@@ -374,7 +365,7 @@ def _smooth_over_rings(square: Array, seen: Array) -> Array:
 def _correlation(alike: list[Array]) -> Array:
     """Correlation of ring means by ring separation, beyond the innermost."""
     out = [1.0]
-    for lag in range(1, LAGS + 1):
+    for lag in range(1, 6 + 1):
         pairs = [(one[:, FIRST_CORRELATED_RING:-lag], one[:, FIRST_CORRELATED_RING + lag :]) for one in alike]
         products = np.concatenate([(near * far).ravel() for near, far in pairs])
         squares = np.concatenate([(0.5 * (near**2 + far**2)).ravel() for near, far in pairs])

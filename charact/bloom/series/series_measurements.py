@@ -19,10 +19,6 @@ from labdata.measurement import Measurement, Posterior, make_refusal, measuremen
 
 Array = NDArray[np.float64]
 
-# Fewest pixels beyond the reach of a series, and how far other sources' own light reaches, px.
-LEAST_PIXELS, OTHERS_PX = 200, 40.0
-# Difference of both ratios in standard errors and over the larger one: glare of lenses falls slowly with distance.
-DIFFERENT_SD, DIFFERENT = 4.0, 0.3
 REMEDY = "a target that is opaque around its pinhole, or a series with the pinhole covered"
 
 
@@ -49,9 +45,9 @@ def find_leak(
         return []
     level, sd = np.array(seen, float).T
     far = glare(light, level, sd, area_px2)
-    if far is None or abs(beside[0] - far[0]) < DIFFERENT_SD * float(np.hypot(beside[1], far[1])):
+    if far is None or abs(beside[0] - far[0]) < 4.0 * float(np.hypot(beside[1], far[1])):
         return []
-    if abs(beside[0] - far[0]) < DIFFERENT * max(beside[0], far[0]):
+    if abs(beside[0] - far[0]) < 0.3 * max(beside[0], far[0]):
         return []
     near_percent, far_percent = (100.0 * ratio / (1.0 + max(ratio, 0.0)) for ratio in (beside[0], far[0]))
     effect = (
@@ -66,9 +62,9 @@ def _far(spot: PointStack, reach_px: float) -> tuple[float, float] | None:
     rows, cols = np.ogrid[: spot.image.shape[0], : spot.image.shape[1]]
     far = np.hypot((rows - spot.row) * spot.row_pitch, cols - spot.col) > reach_px
     for other in spot.others:
-        far &= np.hypot((rows - other.row) * spot.row_pitch, cols - other.col) > OTHERS_PX
+        far &= np.hypot((rows - other.row) * spot.row_pitch, cols - other.col) > 40.0
     values = spot.image[far]
-    if values.size < LEAST_PIXELS:
+    if values.size < 200:
         return None
     median = float(np.median(values))
     spread = 1.4826 * float(np.median(np.abs(values - median)))
@@ -76,8 +72,6 @@ def _far(spot: PointStack, reach_px: float) -> tuple[float, float] | None:
     return median, max(1.2533 * 2.0 * spread / float(np.sqrt(values.size)), 1e-6)
 
 
-# Radii in which the plateau is taken and the rim looked for, as shares of the halo's.
-PLATEAU = (0.3, 0.7)
 RIM = (0.75, 1.1)
 STEP_PX = 0.1
 
@@ -102,7 +96,7 @@ def halo_of(form: HaloModel, points: Array) -> HaloHeights:
     """Return plateau and rim of a disc at draws of its parameters, shape (draw, parameter)."""
     of = form.at(points)
     radius, profile = of["halo_diameter"] / 2.0, profile_of(of)
-    inner, outer = PLATEAU
+    inner, outer = (0.3, 0.7)
     within = _within(outer) - _within(inner)
     share = profile @ within[:-1] + (1.0 - profile.sum(axis=1)) * within[-1]
     per_px2 = share / (np.pi * radius**2 * (outer**2 - inner**2))
@@ -175,26 +169,9 @@ LEFT_OUT = {
     "veiling_glare": (0.05, 3.0, 0.7),
     "plate_saturation_density": (0.03, 6.0, 0.7),
 }
-# Distance in ln of the densities that two forms of the core ask for beyond which neither is told.
-MOST_UNLIKE = float(np.log(4.0))
-# A best fit so near a bound, as a share of the range, is pressed against it.
-AT_BOUND = 1e-3
-# Draws for which the glare is worked out, and what belongs to it as well.
-OF_GLARE = 200
 LEAKS = "light that leaks through the target beside its pinhole counts as glare"
 # Draws for which derived numbers are worked out.
 DERIVED = 400
-# Share of a halo's diameter by which another's that overlaps it moves its edge.
-OVERLAPPED = 0.005
-# Fraction by which a diameter is off, as a standard error, where a rim on a flat disc is a ring: noise-free discs with
-# rings of 5 to 30 % of their radius are at most 0.8 % off.
-RIM_WIDTH = 0.004
-# What the diameter of any disc is off by besides, px: drawn flat discs whose noise leaves 0.03 px scatter by so much.
-DISC_PX = 0.05
-# Degrees of freedom that the noise has at least: rings of single frames tell it, too.
-LEAST_FREEDOM = 3
-# Standard error below which a level's own diameter counts as no better.
-LEAST_SD_PX = 0.1
 
 
 def nearest_px(group: tuple[PointStack, ...]) -> float:
@@ -220,7 +197,7 @@ def levels_apart(own: tuple[Array, Array, Array]) -> tuple[float, int]:
     All of them share the core and the profile of the likeliest point: the median of a skewed posterior is not theirs.
     """
     seen = np.isfinite(own[0])
-    sd = np.maximum(own[1][seen], LEAST_SD_PX)
+    sd = np.maximum(own[1][seen], 0.1)
     mean = np.sum(own[0][seen] / sd**2) / max(float(np.sum(sd**-2.0)), 1e-300)
     return float(np.sum(((own[0][seen] - mean) / sd) ** 2)), max(int(seen.sum()) - 1, 0)
 
@@ -246,7 +223,7 @@ def halo_measurements(
     draws = {"halo_diameter": middle + wider * (posterior["halo_diameter"] - middle)}
     if nearest_px(group) < middle:
         rng = np.random.default_rng([posterior.seed or 0, 1])
-        draws["halo_diameter"] += OVERLAPPED * middle * rng.standard_normal(len(posterior.draws))
+        draws["halo_diameter"] += 0.005 * middle * rng.standard_normal(len(posterior.draws))
     draws["halo_diameter"] += _form_unknown(posterior, middle)
     halo = halo_of(best.form, posterior.draws[:DERIVED])
     of_light = {"halo_fraction": posterior["halo_fraction"], "halo_plateau": halo.plateau, "halo_rim": halo.rim}
@@ -271,13 +248,13 @@ def _form_unknown(posterior: Posterior, diameter_px: float) -> Array:
     profile = np.stack([posterior[name] for name in transfer.PROFILE], axis=1)
     elastic, rim, flat = profile[:, 0], profile[:, 3], 1.0 - profile.sum(axis=1)
     rimmed = np.clip(4.0 * np.maximum(elastic, rim) * flat, 0.0, 1.0)
-    sd = np.hypot(RIM_WIDTH * rimmed * diameter_px, DISC_PX)
+    sd = np.hypot(0.004 * rimmed * diameter_px, 0.05)
     return sd * np.random.default_rng([posterior.seed or 0, 3]).standard_normal(len(profile))
 
 
 def _noise_unknown(group: tuple[PointStack, ...], draws: int, seed: int | None) -> Array:
     """Factors for the uncertainty of a noise estimate from few frames (Student's), shape (draw,)."""
-    freedom = max(min(one.frames for one in group) - 1, LEAST_FREEDOM)
+    freedom = max(min(one.frames for one in group) - 1, 3)
     return np.sqrt(freedom / np.random.default_rng(seed).chisquare(freedom, draws))
 
 
@@ -295,7 +272,7 @@ def shows_core(best: FittedHaloModel, posterior: Posterior) -> bool:
         return True
     share = best.form.names.index("halo_fraction")
     bounds = best.form.bounds[[share]]
-    pressed = np.abs(bounds - best.peak.point[share]).min() < AT_BOUND * np.ptp(bounds)
+    pressed = np.abs(bounds - best.peak.point[share]).min() < 1e-3 * np.ptp(bounds)
     return not pressed and not crowds_at_bound(posterior.draws[:, [share]], bounds).any()
 
 
@@ -329,7 +306,7 @@ def glare_measurements(
     settings = {(one.conditions.mcp_v, one.conditions.camera_gain_db, one.conditions.gain_control) for one in group}
     if len(settings) > 1:
         return [make_refusal("veiling_glare", "%", "the levels were taken at different gains", **fields)]
-    solved = best.problem.solve_amplitudes(posterior.draws[:OF_GLARE])
+    solved = best.problem.solve_amplitudes(posterior.draws[:200])
     rows, cols = group[0].image.shape
     area = rows * cols * best.form.pitch_ratio
     sd = _background_sd(solved)
@@ -367,7 +344,7 @@ def mcp_saturation_measurements(
         reason = "cores keep their share of the light at all levels: a plate at rest says all they show"
         return [make_refusal("plate_saturation_density", "DN", reason, **fields)]
     unlike = _unlike_cores(forms)
-    if unlike > MOST_UNLIKE:
+    if unlike > float(np.log(4.0)):
         reason = (
             f"forms of the core ask for densities that differ by a factor of {np.exp(unlike):.2g}: describe the camera"
         )
