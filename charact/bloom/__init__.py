@@ -11,7 +11,7 @@ from labdata.session import Session
 
 __all__ = ["measure"]
 
-# The one method for edges, see `charact.bloom.lit_edge_halo`.
+# Method for edges, see `charact.bloom.lit_edge_halo`.
 EXTENDED = "lit-edge"
 
 
@@ -27,7 +27,7 @@ def measure(session: Session, *, method: str = "auto", within_percent: float = 2
     within_percent
         Tolerance that the automatic choice must meet, percent.
     context
-        What the method is told besides.
+        Settings common to all methods.
 
     Raises
     ------

@@ -18,11 +18,11 @@ from labdata.session import Session, StackEntry
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# Light belongs to a pixel if it entered within this distance: about a pixel of a thermal scanner beside such a camera.
+# Light within this distance of its entry is not blooming: about a pixel of a thermal imager next to the camera.
 NEAR_PX = 3.0
-# Transfer below which a frame's own noise is not sharpened any more.
+# Transfer below which noise is not amplified.
 LEAST_TRANSFER = 0.03
-# By so much a halo's radius may be off, and so far from a patch its own blurred edge is out of the way, px.
+# Uncertainty of the halo radius, and blurred margin around a patch, px.
 SMALLER_PX, PATCH_MARGIN_PX = 0.5, 4.0
 
 
@@ -33,20 +33,20 @@ class BloomMap:
     Parameters
     ----------
     fraction
-        Light that does not belong there over all light, mean over the draws, shape (row, col), 0 to 1; NaN where it is
-        unknown: near a clipped source whose light could not be told, and where there is hardly any light at all.
+        Blooming over total signal, mean over the draws, shape (row, col), 0 to 1; NaN where unknown: near a clipped
+        source of unknown signal, and without signal.
     sd
-        Its standard deviation: draws of the spread, and noise of the pixel, shape (row, col); NaN with it.
+        Standard deviation over draws of the PSF and pixel noise, shape (row, col); NaN likewise.
     blooming_dn
-        Light that does not belong there, DN over dark, mean over the draws, shape (row, col); NaN where unknown.
+        Blooming, DN above dark, mean over the draws, shape (row, col); NaN where unknown.
     clipped
-        Pixels at the highest code, shape (row, col): their light is a restored one.
+        Pixels at full scale, shape (row, col); their signal is reconstructed.
     near_border
-        Pixels that light from outside the frame may have reached unseen, shape (row, col).
+        Pixels within the range of sources outside the frame, shape (row, col).
     sources
         The clipped sources.
     near_px
-        Distance within which light belongs to a pixel, column pitches.
+        Distance within which light is not blooming, column pitches.
     noise_dn
         Standard deviation of every pixel's noise, DN, shape (row, col).
     """
@@ -83,24 +83,24 @@ def bloom_map(
     Parameters
     ----------
     signal
-        A frame, a mean of frames, or the expected picture of a scene, over dark, shape (row, col), DN.
+        Frame, mean frame or expected image of a scene, above dark, shape (row, col), DN.
     spread
-        Draws of the camera's spread.
+        Draws of the camera's PSF.
     clip_dn
-        Highest code over dark, DN; None: nothing is clipped.
+        Full scale above dark, DN; None: nothing is clipped.
     clipped
-        Pixels at the highest code, shape (row, col); None: those near `clip_dn`. A mean of frames in which some are
-        clipped needs it.
+        Pixels at full scale, shape (row, col); None: those near `clip_dn`. Required for a mean of partly clipped
+        frames.
     noise_dn
-        Standard deviation of a pixel's noise, DN, one number or of every pixel; None: found from the frame.
+        Standard deviation of a pixel's noise, DN, one number or per pixel; None: estimated from the frame.
     near_px
-        Light belongs to a pixel if it entered within this distance, column pitches.
+        Distance within which light is not blooming, column pitches.
     pitch_ratio
         Row pitch over column pitch.
     most_draws
-        So many draws of the spread are worked through at most.
+        Maximum number of PSF draws.
     rng
-        Generator of the error that noise leaves in the light of clipped sources.
+        Generator of the noise in the signal of clipped sources.
 
     Raises
     ------
@@ -109,10 +109,9 @@ def bloom_map(
 
     Notes
     -----
-    With P the transfer of the spread and N that of its part within `near_px`, a frame S = P L of light L shows N L =
-    (N/P) S of light that belongs; N/P is taken as 1 where P is so small that S holds nothing but noise. Of clipped
-    sources L itself is found first, see `charact.bloom.clipped_sources`. What lies outside the frame is taken to be as its
-    median.
+    With P the transfer of the PSF and N that of its part within `near_px`, a frame S = P L of light L contains N L =
+    (N/P) S that is not blooming; N/P is 1 where P is so small that S is noise. The light of clipped sources is
+    estimated first, see `charact.bloom.clipped_sources`. The surroundings of the frame have its median signal.
     """
     _check(signal, near_px=near_px, pitch_ratio=pitch_ratio, clip_dn=clip_dn)
     image, spread = np.asarray(signal, np.float32), spread.subsample(most_draws)
@@ -137,8 +136,7 @@ def bloom_map(
     for source in sources:
         if source.has_known_signal and source.shape == "patch":
             rows, cols = np.divmod(source.region, lattice.shape[1])
-            # Next to a patch the fraction depends on the position of its edge, which clipped pixels hide to within a
-            # pixel.
+            # Next to a patch the fraction depends on its edge, which clipping hides to within a pixel.
             variance += 0.12**2 * (_within(rows, cols, PATCH_MARGIN_PX, lattice) & ~clipped)
         if not source.has_known_signal:
             unknown |= _contaminated_pixels(source, image, spread.centre(), lattice, halo_px)
@@ -166,8 +164,8 @@ def _check(signal: NDArray, *, clip_dn: float | None, **positive: float) -> None
 def pixel_noise(image: NDArray) -> NDArray[np.float32]:
     """Estimate every pixel's noise, DN, shape (row, col); its variance is linear in the signal.
 
-    Found from second differences along rows, of pixels so far apart that blur does not tie their noise, in groups of
-    like light.
+    Noise comes from second differences along rows, of pixels separated by more than the blur, in groups of similar
+    signal.
     """
     lag = 4
     low, middle, high = image[:, : -2 * lag], image[:, lag:-lag], image[:, 2 * lag :]
@@ -177,7 +175,7 @@ def pixel_noise(image: NDArray) -> NDArray[np.float32]:
     groups = [group for group in np.array_split(order, 8) if len(group)]
     mean = np.array([max(0.0, float(light[group].mean())) for group in groups])
     variance = np.array([(1.4826 * float(np.median(second[group]))) ** 2 / 6.0 for group in groups])
-    # Bright groups hold edges besides noise: the law goes through the darkest group, and rises as the median slope.
+    # Bright groups include edges: the law passes through the darkest group and has the median slope.
     rise = (variance - variance[0]) / np.maximum(mean - mean[0], 1e-3)
     slope = max(0.0, float(np.median(rise[1:])))
     return np.sqrt(np.maximum(variance[0] + slope * np.maximum(image - mean[0], 0.0), 1e-6)).astype(np.float32)
@@ -283,7 +281,7 @@ def _contaminated_pixels(
     veil = float(np.asarray(one.glare_fraction)[0]) / (one.glare_area_px or float(image.size))
     if source.shape == "point":
         profile = profiles(one)[0] * lattice.pitch_ratio
-        # A halo a little smaller than thought would let more light pass for the same signal.
+        # A smaller halo would contain more light for the same signal.
         share, least = radial(away, profile), radial(away + SMALLER_PX, profile)
         clear = ~_within(rows, cols, SMALLER_PX + 1.0, lattice)
     else:
@@ -323,9 +321,9 @@ def spread_from(result: Result, *, area_px: float, pitch_ratio: float = 1.0, rng
     Parameters
     ----------
     result
-        Of `charact.bloom.measure`.
+        Result of `charact.bloom.measure`.
     area_px
-        Pixels of a frame, over which the veiling glare is spread.
+        Pixels of a frame, the area of the veiling glare.
     pitch_ratio
         Row pitch over column pitch.
     rng
@@ -334,7 +332,7 @@ def spread_from(result: Result, *, area_px: float, pitch_ratio: float = 1.0, rng
     Raises
     ------
     BadInput
-        If no method gave the posterior of core and halo.
+        If the result has no posterior of core and halo.
     """
     posterior = _posterior(result)
     found = [m for m in result.find("veiling_glare") if m.value is not None and m.interval68 is not None]
@@ -360,18 +358,18 @@ def map_of(session: Session, result: Result, *, label: str | None = None, contex
     Parameters
     ----------
     session
-        Session with the stack, a point series and, better, darks.
+        Session with the stack, a point series and preferably darks.
     result
-        What `charact.bloom.measure` found in it.
+        Result of `charact.bloom.measure` on it.
     label
-        Stack; None: the scene, else the point source with most light.
+        Stack; None: the scene, else the brightest point source.
     context
         Seed, full scale and pitches.
 
     Raises
     ------
     BadInput
-        If there is no such stack, or the session told no halo.
+        If there is no such stack, or no halo was measured.
     """
     entry = _entry(session, label)
     stack = entry.read()

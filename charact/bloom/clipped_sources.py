@@ -11,7 +11,7 @@ from charact.bloom.posterior_psf import FrameGrid, PosteriorPsf, profiles
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# Most pixels of a group of sources that enter the fit, and how many of them share their noise.
+# Maximum number of pixels in the fit of a group of sources.
 MOST_PIXELS = 4000
 
 
@@ -94,7 +94,7 @@ class ClippedSourceFit:
 def fit(templates: Array, around: Surroundings) -> ClippedSourceFit:
     """Weighted least squares with a common background; a clipped pixel counts only where the model is below full scale.
 
-    What departs by more than twice its standard deviation counts less (Huber): a scene has other things in it.
+    Residuals beyond two standard deviations are down-weighted (Huber), since a scene has other content.
     """
     design = np.concatenate([templates, np.ones((len(templates), 1))], axis=1)
     scale = np.abs(design).max(axis=0)
@@ -105,7 +105,7 @@ def fit(templates: Array, around: Surroundings) -> ClippedSourceFit:
         pull = (design / scale @ best - around.signal) / around.sd
         counted = (around.floor == 0) | (pull < 0)
         weight = counted / around.sd * np.minimum(1.0, np.sqrt(2.0 / np.maximum(np.abs(pull), 1e-9)))
-    # Half of the pixels may show other things of the scene.
+    # Up to half of the pixels may show other content of the scene.
     misfit = 1.4826 * float(np.median(np.abs(pull[counted])))
     rms = float(np.sqrt(np.mean(np.minimum(pull[counted] ** 2, 100.0))))
     normal = (design / scale * weight[:, None]).T @ (design / scale * weight[:, None])
@@ -116,10 +116,10 @@ def fit(templates: Array, around: Surroundings) -> ClippedSourceFit:
     )
 
 
-# Standard errors that a source's light needs, and the largest rms misfit, in what noise and model allow.
+# Standard errors required for a source's signal.
 SEEN = 5.0
 LEAST_PIXELS = 40
-# Width that overflow has at most, px.
+# Maximum width of an overflow streak, px.
 STREAK_PX = 7
 
 
@@ -130,18 +130,17 @@ class ClippedSource:
     Parameters
     ----------
     row, col
-        Its middle, px.
+        Centre, px.
     clipped_px
-        Pixels that it clips.
+        Number of its clipped pixels.
     shape
         "point" or "patch".
     light_dn_px
-        Its light without its glare, DN times pixels, of every draw of the spread, shape (draw,); NaN where it could not
-        be told.
+        Signal without glare, DN times pixels, of every draw of the PSF, shape (draw,); NaN where unknown.
     reason
-        Why not; empty where it could.
+        Refusal reason; empty where known.
     region, lit
-        Numbers of its clipped pixels in the flattened frame, and of those taken to be lit.
+        Flat indices of its clipped pixels, and of those assumed to be illuminated.
     """
 
     row: float
@@ -168,19 +167,19 @@ def find_clipped_sources(
     Parameters
     ----------
     signal
-        Frame over dark, shape (row, col), DN.
+        Frame above dark, shape (row, col), DN.
     clipped
-        Its pixels at the highest code, shape (row, col).
+        Pixels at full scale, shape (row, col).
     spread
-        Draws of the camera's spread.
+        Draws of the camera's PSF.
     lattice
-        Distances on the frame.
+        Grid of the frame.
     noise_dn
         Standard deviation of every pixel's noise, shape (row, col), DN.
     clip_dn
-        Highest code over dark, DN.
+        Full scale above dark, DN.
     rng
-        Generator of the error that noise leaves in the light.
+        Generator of the noise in the estimated signal.
     """
     found = list(_regions(clipped))
     reach = 0.5 * float(np.median(spread.halo_diameter_px)) + 8.0

@@ -13,12 +13,11 @@ from labdata.measurement import Measurement, make_refusal, measurement_from_sd
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# Rows from the source on which round light is compared: nearer, it falls too steeply.
+# Minimum row distance for the comparison; the profile is too steep closer to the source.
 FIRST_ROW_PX = 5.0
-# Rows averaged to see a streak, and standard errors by which their mean and all but one of them must be brighter than
-# what lies beside the source; those of the mean of a column's outer half, above and below, or on one side alone.
+# Rows averaged for the detection of a streak.
 BLOCK_ROWS = 4
-# Noise of a frame that rounding leaves without any, DN.
+# Noise of a frame without noise of its own, DN: quantisation.
 ROUNDED_DN = 0.02
 
 
@@ -29,15 +28,15 @@ class ColumnArtefacts:
     Parameters
     ----------
     first_col
-        Column of the frame that is the first here.
+        First column of the arrays.
     row_offset
         Distance of each row from the source, column pitches, shape (row,).
     round_dn
-        Light at equal distance to the left and right, over its faintest level, shape (row, col), DN.
+        Mean at the same distance left and right, above its minimum, shape (row, col), DN.
     excess_dn, sd_dn
-        What the frame shows beyond it, and the noise of one pixel, shape (row, col), DN.
+        Excess over it, and the noise of one pixel, shape (row, col), DN.
     block_factor
-        Variance of the mean of a few successive rows over that of as many independent pixels, dimensionless.
+        Variance of the mean of some successive rows over that of as many independent pixels, dimensionless.
     """
 
     first_col: int
@@ -56,19 +55,19 @@ def column_artefact_mask(spot: PointStack, context: Context) -> Mask:
     spot
         One stack of a point source.
     context
-        Its sensor's pitches, where known.
+        Pitches of the sensor, if known.
 
     Returns
     -------
     mask
-        True where light of the detector's columns lies on that of the source, shape (row, col): of each column next to
-        the source as many rows as show it, all of them under smear. Nothing is True where none is seen, and nothing
-        inside the core, whose own light outshines it. A radial profile leaves these pixels out.
+        True where column signal adds to that of the source, shape (row, col): for each column near the source the rows
+        with a visible streak, all of them under smear. The core, which outshines the column signal, is not included. A
+        radial profile excludes these pixels.
     """
     mask = np.zeros(spot.image.shape, bool)
     found = compare_columns(spot, context)
     (above, up), (below, down) = (_reach(found, side) for side in (-1, 1))
-    # Smear lies above and below alike; where the frame has no rows on one side the other must show it the more clearly.
+    # Smear is equal above and below; if one side is outside the frame, the other must be more significant.
     both = np.isfinite(up).all() and np.isfinite(down).all()
     smeared = (np.minimum(up, down) if both else np.fmax(up, down)) > (3.0 if both else 6.0)
     far = np.abs(found.row_offset).max() + 1.0
@@ -96,7 +95,7 @@ def compare_columns(spot: PointStack, context: Context, *, half_width_px: int | 
     Parameters
     ----------
     half_width_px
-        Columns looked at on either side of the source; None: those that may spill or smear.
+        Columns on either side of the source; None: those that may overflow or smear.
     """
     rows, cols = spot.image.shape
     dy = (np.arange(rows) - spot.row) * context.pitch_ratio
@@ -135,7 +134,7 @@ def _half_width(spot: PointStack) -> int:
 def _horizontal_profile(image: Array, dx: Array, dy: Array, radius: Array) -> tuple[Array, Array]:
     """Mean and scatter of pixels by distance left and right of the source; the fainter side where they differ.
 
-    Only what is nearer in rows than in columns counts, for there no column of the source passes.
+    Only pixels closer in rows than in columns count, outside the columns of the source.
     """
     beside = np.abs(dx)[None, :] > np.abs(dy)[:, None]
     reach = int(radius.max()) + 2
@@ -170,7 +169,7 @@ def _block_factor(image: Array) -> float:
     rows = image.shape[0] // BLOCK_ROWS * BLOCK_ROWS
     if rows < 4 * BLOCK_ROWS or image.shape[1] < 4:
         return 2.0
-    # Columns are compared within a row: whatever is common to them, as a gradient down the frame, is no noise.
+    # Columns are compared within a row, since common variations, such as a gradient, are not noise.
     even = image[:rows] - np.median(image[:rows], axis=1, keepdims=True)
     blocks = even.reshape(-1, BLOCK_ROWS, image.shape[1]).mean(axis=1)
     single, block = (float(np.median(np.abs(one - np.median(one)))) for one in (even, blocks))
@@ -180,7 +179,7 @@ def _block_factor(image: Array) -> float:
 def _reach(found: ColumnArtefacts, side: int) -> tuple[Array, Array]:
     """Distance over which each column stays brighter than its surroundings on one side, px, and its significance.
 
-    And by how many standard errors it does so on average in the outer half of its rows; NaN where there are too few.
+    The significance is that of the mean over the outer half of its rows; NaN with too few rows.
     """
     rows = np.flatnonzero(found.row_offset * side >= FIRST_ROW_PX)[::side]
     count = len(rows) // BLOCK_ROWS
@@ -191,7 +190,7 @@ def _reach(found: ColumnArtefacts, side: int) -> tuple[Array, Array]:
     blocks = rows.reshape(count, BLOCK_ROWS)
     excess, variance = found.excess_dn[blocks].mean(axis=1), (found.sd_dn[blocks] ** 2).mean(axis=1)
     error = np.sqrt(variance * found.block_factor / BLOCK_ROWS)
-    # A streak fills its rows; one bright pulse among dark pixels fills none but its own.
+    # A streak fills all its rows; a single pulse among dark pixels does not.
     filled = np.partition(found.excess_dn[blocks], 1, axis=1)[:, 1] > 1.5 * np.sqrt(variance)
     ends = np.abs(found.row_offset)[blocks].max(axis=1)
     for place in range(out.size):
@@ -224,7 +223,7 @@ def _shift_columns(values: Array, by: int) -> Array:
     return out
 
 
-# Pixels along a side of the patches whose means scatter as light does, blur after the gain or not.
+# Side of the patches whose means have the same noise with or without blur after the gain, px.
 PATCH_PX = 6
 
 
@@ -237,11 +236,11 @@ class MeanFrameNoise:
     floor_variance
         Variance of a pixel of the background, DN^2.
     per_light
-        Variance of a pixel over its light, DN; 0 where the background holds too little light to tell.
+        Variance of a pixel over its signal, DN; 0 where the background is too faint to measure it.
     neighbours
-        Variance of the sum of many neighbouring pixels over that of as many independent ones, dimensionless.
+        Variance of the sum of many adjacent pixels over that of as many independent ones, dimensionless.
     background_dn
-        Level of the background over dark, DN.
+        Background above dark, DN.
     """
 
     floor_variance: float
@@ -268,11 +267,11 @@ def grain_of(image: Array, col: float, dark_dn: float) -> MeanFrameNoise:
     col
         Column of the source, px.
     dark_dn
-        Level without light, DN.
+        Black level, DN.
 
     Notes
     -----
-    The scatter of patches is that of frames and of fixed pattern alike: both make one frame differ from its truth.
+    The scatter of patches includes temporal noise and fixed pattern, since both affect a single mean frame.
     """
     rows, cols = (n // PATCH_PX * PATCH_PX for n in image.shape)
     tiles = image[:rows, :cols].reshape(rows // PATCH_PX, PATCH_PX, cols // PATCH_PX, PATCH_PX)
@@ -280,7 +279,7 @@ def grain_of(image: Array, col: float, dark_dn: float) -> MeanFrameNoise:
     along = np.abs(PATCH_PX * (np.arange(patches.shape[1]) + 0.5) - col)
     # The 60 % of columns closest to the source contain its halo and its column.
     far = np.flatnonzero(along >= np.quantile(along, 0.6))
-    # Differences of neighbours leave gradients out, medians other sources.
+    # Differences of adjacent patches exclude gradients, medians exclude other sources.
     pairs = far[:-1][np.diff(far) == 1]
     patch = 0.5 * _robust(patches[:, pairs + 1] - patches[:, pairs]) ** 2
     single = float(np.median(tiles.var(axis=(1, 3), ddof=1)[:, far])) + patch
@@ -302,7 +301,7 @@ def _robust(values: Array) -> float:
 
 
 LEAST_ROWS = 3
-# Light even from top to bottom is a streak from this share of full scale on: digitisers see that of full wells.
+# A uniform column above this fraction of full scale is a streak of full wells, not smear.
 FULL_SHARE = 0.5
 
 
@@ -313,16 +312,16 @@ class Streak:
     Parameters
     ----------
     length_px, length_sd_px
-        Rows of the source's column at or above half of full scale, the core counted, and their standard error; 0 where
-        none is.
+        Rows of the source's column at or above half of full scale, core included, and their standard error; 0 without
+        any.
     overflows
-        Whether wells overflow: the column is bright far beyond what lies at the same distance beside the source.
+        Whether wells overflow: the column is far brighter than the same distance left and right of the source.
     level_dn, level_sd_dn
-        Level over dark at which the wells are full, DN; NaN where none overflow.
+        Signal above dark of full wells, DN; NaN without overflow.
     clipped
-        Whether that level is the highest code, so that the wells hold at least so much.
+        Whether that signal is at full scale, a lower limit of the full well.
     meets_border, uneven
-        Whether the streak ends at the frame's border; whether it is longer on one side, as no overflow is.
+        Whether the streak ends at the frame's border; whether it is longer on one side, unlike overflow.
     """
 
     length_px: float
@@ -340,9 +339,9 @@ def streak_of(spot: PointStack, context: Context) -> Streak:
 
     Notes
     -----
-    Charge beyond the full well goes half up and half down until every well holds it, so that the column is full to
-    sharp ends, the last pixels partly filled. Rows count as far as the noise leaves it sure that their mean is above
-    the level. In interlaced frames the two fields overflow each by itself: near the ends every second row counts.
+    Charge beyond the full well spreads up and down until every well holds its part: the column is full to sharp ends,
+    with partly filled last pixels. Rows count by the probability that their mean is above the threshold. In interlaced
+    frames the two fields overflow separately, so that every second row counts near the ends.
     """
     found = compare_columns(spot, context)
     grain = grain_of(spot.image, spot.col, spot.dark_dn)
@@ -380,7 +379,7 @@ def _rows_above(spot: PointStack, grain: MeanFrameNoise, col: int) -> tuple[floa
     share = ndtr((spot.image[:, col] - spot.dark_dn - half) / np.sqrt(grain.pixel_variance(half)))
     rows = float(share.sum())
     counted = float((share * (1.0 - share)).sum()) * grain.neighbours
-    # All light of the column ends up in the streak, so its length scatters as that light does.
+    # The column's total signal determines the streak's length and its scatter.
     spilled = float(grain.sum_variance(half * rows)) / (2.0 * half) ** 2 if rows > 12 else 0.0
     frames = spot.frame_streak_px
     seen = float(frames.var(ddof=1)) / len(frames) if len(frames) > 1 else 0.0
@@ -397,8 +396,7 @@ def _full_rows(spot: PointStack, found: ColumnArtefacts, side: int) -> NDArray[n
     top = float(np.sort(excess)[-2])
     if top < 0.2 * (spot.full_scale_dn - spot.dark_dn):
         return outward[:0]
-    # Smear lies evenly on the whole column: what the last rows hold is no streak, unless it is all there is and so
-    # bright that the wells may be full.
+    # Smear is uniform along the column: the last rows are no streak, unless they are bright enough for full wells.
     even = float(np.median(excess[-max(4, len(excess) // 8) :]))
     if even > 0.5 * top and even < FULL_SHARE * (spot.full_scale_dn - spot.dark_dn):
         return outward[:0]
@@ -410,8 +408,7 @@ def _full_rows(spot: PointStack, found: ColumnArtefacts, side: int) -> NDArray[n
 def streak_measurements(spot: PointStack, context: Context, **fields: Any) -> list[Measurement]:
     """Return length and signal of one stack's streak.
 
-    The length is defined whether wells overflow or not: it is a chord of the bloom then. A level is refused where none
-    overflow, for there is nothing that it would be the level of.
+    The length is defined with or without overflow, as a chord of the bloom. The level is refused without overflow.
     """
     level = spot.dark_dn + 0.5 * (spot.full_scale_dn - spot.dark_dn)
     common = {"stack": spot.label, **fields}

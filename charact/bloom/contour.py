@@ -9,7 +9,7 @@ from charact.bloom.source_view import PixelNoise, Polar, mean_with_clipping
 
 Array = NDArray[np.float64]
 
-# The same at first for a level next to the highest code: rings are cut on one side and say less well where it lies.
+# Signal over full scale above which rings are affected by clipping.
 CUT_SHARE = 0.85
 DIRECTIONS = np.linspace(-np.pi, np.pi, 72, endpoint=False)
 
@@ -65,19 +65,19 @@ def fit_contour(
     Parameters
     ----------
     signal
-        Mean frame over dark, shape (row, col), DN.
+        Mean frame above dark, shape (row, col), DN.
     profile
-        Radius and mean signal of rings, by which pixels near the level are chosen.
+        Radius and mean signal of rings, which select the pixels near the threshold.
     level
-        Level over dark, DN.
+        Threshold above dark, DN.
     radius
-        Where to look first, column pitches.
+        Start radius, column pitches.
     top
-        Highest code over dark, DN.
+        Full scale above dark, DN.
     sectors
-        Sectors in which the contour is looked for.
+        Sectors used.
     width
-        Share of the usual annulus that is fitted.
+        Fraction of the usual annulus that is fitted.
     """
     base = _surroundings(profile, level, radius)
     # Close to full scale the rings are clipped on one side and locate the threshold less well.
@@ -94,7 +94,7 @@ def fit_contour(
     beta, above = np.zeros(basis.shape[1]), level - base
     linear = np.log(np.clip(start - base, 0.05 * above, 20.0 * above) / above)
     if clear.sum() > 2 * basis.shape[1]:
-        # What is cut is drawn on from what is not, lest the cut be taken for a plateau.
+        # Clipped pixels are extrapolated from the others, since clipping resembles a plateau.
         lever = np.exp(linear[clear])[:, None]
         linear = basis @ np.linalg.lstsq(lever * basis[clear], lever[:, 0] * linear[clear], rcond=None)[0]
     weight, own, working, normal = np.ones(len(value)), np.ones(len(value)), linear, np.eye(len(beta))
@@ -110,7 +110,7 @@ def fit_contour(
         beta = normal @ (weighted.T @ working)
         linear = basis @ beta
     scores = basis * (weight * (working - linear))[:, None]
-    # Noise tied over an area is tied along a line by the root of it; the pixels' scatter says the same otherwise.
+    # Noise correlated over an area is correlated along a line by its square root; scatter gives a second estimate.
     noisy = np.sqrt(noise.tied) * normal @ (basis * own[:, None]).T @ basis @ normal
     # Up to a radius of 2 px the contour is so short that its noise is that of an area.
     told = noise.tied * normal if radius <= 2.0 else noisy

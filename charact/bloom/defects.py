@@ -27,9 +27,9 @@ class SoundEntry(StackEntry):
     Parameters
     ----------
     entry
-        The stack as recorded.
+        Stack as recorded.
     bad
-        Its misbehaving pixels, shape (row, col).
+        Its defective pixels, shape (row, col).
     """
 
     entry: StackEntry
@@ -90,8 +90,8 @@ def lone_pixels(image: Array) -> Mask:
 
     Notes
     -----
-    A Gaussian of 0.35 px, sharper than any lens behind a pixel, still gives those beside its brightest one or two
-    30 % of their light.
+    A Gaussian of 0.35 px, sharper than any lens, still gives the one or two pixels next to its brightest one 30 % of
+    the signal.
     """
     excess, sd = _excess(image)
     out = np.zeros(image.shape, bool)
@@ -104,7 +104,7 @@ def lone_pixels(image: Array) -> Mask:
         near = excess[max(0, row - 3) : row + 4, max(0, col - 3) : col + 4]
         local = 1.4826 * float(np.median(np.abs(near)))
         out[row, col] = own > DEFECT_SD * local and lit < LIT_NEIGHBOURS * own + NEIGHBOUR_SD * local
-    # Single pixels all over a frame are the noise of the light: pulses that nothing blurs.
+    # Single bright pixels all over a frame are unblurred pulses, photon noise.
     return out if out.mean() < MOST_DEFECTS else np.zeros(image.shape, bool)
 
 

@@ -13,12 +13,11 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 DRAWS = 200
-# Width of the 95 % range of crossings, px and share of the radius, inside which one contour is fitted.
+# A single contour is fitted if the 95 % range of crossings is narrower than this, px and fraction of the radius.
 ONE_CONTOUR = (3.0, 0.1)
-# A sector is pulled where so many pixels at the level (one near the centre, where sectors are narrow) lie so far beyond
-# the rings' crossing, px and shares of it.
+# Radius below which sectors are narrow, so that one pixel is significant, px.
 NARROW_PX = 4.0
-# What hangs together with the source has a pixel nearer than this.
+# The component of the source has a pixel closer than this, px.
 NEAR_PX = 2.5
 NORMAL = np.asarray([NormalDist().inv_cdf((n + 0.5) / DRAWS) for n in range(DRAWS)])
 
@@ -30,19 +29,19 @@ class Extent:
     Parameters
     ----------
     level_dn
-        The level, DN.
+        Threshold, DN.
     area
         Square column pitches.
     draws
-        Diameters of the circle of equal area as the noise allows them, column pitches, shape (draw,).
+        Equal-area diameters, column pitches, shape (draw,).
     region
         Its pixels, shape (row, col).
     contour
-        The contour of its round part; None where noise leaves it open.
+        Contour of its round part; None where noise prevents a fit.
     touches_border
-        Whether it runs into the border of the frame.
+        Whether it extends to the border of the frame.
     pulled
-        Whether some sectors reach farther than a round source does.
+        Whether some sectors extend beyond a round source.
     """
 
     level_dn: float
@@ -70,16 +69,16 @@ def extent_at(view: SourceView, level_dn: float, *, level_sd: float = 0.0, seed:
     Parameters
     ----------
     view
-        Mean frame as seen from the source.
+        Mean frame around the source.
     level_dn, level_sd
-        The level and its standard error, DN.
+        Threshold and its standard error, DN.
     seed
         Seed of the draws.
 
     Notes
     -----
-    Rings are averages over hundreds of pixels: a level within their noise (halo plateaus) leaves several places where
-    the light may first fall through it, and the draws say so.
+    Rings are averages over hundreds of pixels. A threshold within their noise (halo plateaus) has several possible
+    crossings, which the draws cover.
     """
     level = level_dn - view.dark_dn
     visible = float(mean_with_clipping(np.array([level]), view.noise, view.top)[0][0])
@@ -100,7 +99,7 @@ def extent_at(view: SourceView, level_dn: float, *, level_sd: float = 0.0, seed:
     shift = level_sd * rng.standard_normal(DRAWS)
     crossings = _crossings(radius[:usable], means, visible + shift[:, None])
     middle = float(np.median(crossings))
-    # Draws that never fall through the level cross it at infinity, which no interpolation bears.
+    # Draws without a crossing are infinite, which interpolation does not support.
     low, high = np.quantile(crossings, [0.025, 0.975], method="nearest")
     contour = None
     if high - low < max(ONE_CONTOUR[0], ONE_CONTOUR[1] * middle):
@@ -159,7 +158,7 @@ def _find_pulled_sectors(view: SourceView, visible: float, first: float) -> Mask
     margin = max(min(2.0, 0.4 * first), 0.1 * first, 1.0)
     pixels = np.bincount(view.polar.sector[region & (view.polar.radius > first + margin)], minlength=SECTORS)
     pulled = (pixels >= (3 if first > NARROW_PX else 1)) | _along_columns(view, visible, first + margin)
-    # What pulls a sector spills into those beside it.
+    # A streak extends into the adjacent sectors.
     return pulled | (np.roll(pulled, 1) & (pixels > 0)) | (np.roll(pulled, -1) & (pixels > 0))
 
 
@@ -187,8 +186,7 @@ def _refine_contour(view: SourceView, level: float, radius: float, sectors: Mask
         # If the radius is known to 0.04 px, half the annulus suffices and suits a polynomial better.
         narrow = width == 1.0 and fitted.area_sd / (2.0 * np.pi * again) < 0.04
         if width < 1.0 and found is not None:
-            # What the choice of the annulus moves is an error as well.
-            # The choice between two annuli has an error of a quarter of their difference.
+            # A quarter of the difference between the two annuli is a systematic uncertainty.
             apart = 0.25 * abs(fitted.area - found.area)
             fitted = replace(fitted, area_sd=float(np.hypot(fitted.area_sd, apart)))
         settled = abs(again - radius) < 0.05 and not narrow
@@ -248,7 +246,6 @@ def _extent_from_crossings(view: SourceView, level_dn: float, crossings: Array) 
 def _extent_from_pixels(view: SourceView, level_dn: float, visible: float) -> Extent | None:
     """Extent of a region that is not round, or as large as the frame, by counting pixels."""
     noise = float(view.noise.sd(visible)) / np.sqrt(view.noise.frames)
-    # Smoothing saves faint contours from fraying, and would wear away sharp narrow streaks.
     # Smoothing preserves faint contours, but would blur sharp narrow streaks.
     picture = view.signal if noise < 0.12 * visible else view.smooth
     parts = _component(view, picture >= visible)

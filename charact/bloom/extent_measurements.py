@@ -39,9 +39,9 @@ def ellipticity(extent: Extent, *, row_pitch: float) -> tuple[float, Interval, I
 
     Notes
     -----
-    A contour tells the axes without pixels: those of an ellipse whose squared radius has the second harmonic
-    1 + e cos 2(phi - phi_0) are as 1 - e/2 to 1 + e/2. Noise alone gives a positive e, so its mean square is taken off.
-    Regions with a streak or another source have the axes of the ellipse of equal second moments.
+    A contour gives the axes without pixels: those of an ellipse whose squared radius has the second harmonic 1 + e cos
+    2(phi - phi_0) have the ratio (1 - e/2)/(1 + e/2). Noise biases e upwards, so its mean square is subtracted. Regions
+    with a streak or another source have the axes of the ellipse of equal second moments.
     """
     if extent.region.sum() < 12:
         return None
@@ -55,7 +55,7 @@ def ellipticity(extent: Extent, *, row_pitch: float) -> tuple[float, Interval, I
     found = measure.regionprops(extent.region.astype(np.uint8), spacing=(row_pitch, 1.0))[0]
     major = float(found.axis_major_length)
     value = float(found.axis_minor_length) / major if major > 0 else 1.0
-    # A row of pixels more or less at either end.
+    # Uncertainty of one row of pixels at either end.
     sd = (0.5 + value * 0.5) / max(major, 1.0)
     low, high = ((value - k * sd, min(value + k * sd, 1.0)) for k in (0.994, 1.96))
     return value, low, high
@@ -86,15 +86,15 @@ def bloom_measurements(spots: tuple[PointStack, ...], *, square: bool, sensor: S
     Parameters
     ----------
     spots
-        The stacks.
+        Stacks.
     square
-        Whether pixels are taken as square because nobody knows better.
+        Whether pixels are assumed square since the pitches are unknown.
     sensor
-        The camera, where known: areas are told at its cathode and in the field of view as well.
+        Sensor description, if known: areas are also given at the photocathode and in the field of view.
     """
     notes = ("the row pitch is unknown: pixels are taken as square",) if square else ()
     notes += () if all(spot.dark_known for spot in spots) else (NO_DARKS,)
-    # Where blooms have run into one, only fainter levels show that there are two sources.
+    # Where blooms have merged, only fainter stacks show that there are two sources.
     beside = tuple(place for spot in spots for place in spot.others)
     out: list[Measurement] = []
     for spot in (replace(spot, others=beside) for spot in spots):
@@ -117,7 +117,7 @@ def flags_of(spot: PointStack, extent: Extent) -> tuple[str, ...]:
     within = [(round(one.row), round(one.col)) for one in spot.others]
     inside = [extent.region[row, col] for row, col in within if row < rows and col < cols]
     flags += ("several-targets",) if any(inside) else ()
-    # A background below the dark level is none: one of both was taken otherwise.
+    # A background below the dark level indicates different conditions.
     below = spot.dark_known and spot.light.level_dn < -5.0 * max(spot.light.sd_dn, 0.05)
     return flags + (("unlike-conditions",) if below else ())
 
@@ -183,7 +183,7 @@ def _areas_at_full_scale(spot: PointStack, sensor: Sensor | None, **common: Any)
         return [make_refusal("saturated_area", "px", _reason(spot, "bloom_diameter_clip"), **common)]
     value, draws = spot.clip.area / spot.row_pitch, np.pi / 4.0 * spot.clip.draws**2 / spot.row_pitch
     if spot.clip.pulled:
-        # Streaks fill whole pixels: those are counted.
+        # Streaks fill whole pixels, which are counted.
         value, draws = float(spot.clip.region.sum()), draws - np.median(draws) + spot.clip.region.sum()
     # Standard deviation of the number of pixels inside a randomly placed circle, over the root of its radius.
     whole = 0.84 * (value / np.pi) ** 0.25 * np.random.default_rng(SECTORS).standard_normal(len(draws))
@@ -260,11 +260,11 @@ def add_common_measurements(
     Parameters
     ----------
     session, spots
-        The session and its point sources.
+        Session and its point stacks.
     of_series, evidence
-        Measurements of the method, of all stacks together or with their stack's label, and what the report draws.
+        Measurements of the method, common or with their stack's label, and figure data.
     context
-        What the method was told.
+        Settings of the method.
     fields
         Method and provenance.
     """
@@ -283,7 +283,7 @@ def _add_flags(measurement: Measurement, flags: tuple[str, ...]) -> Measurement:
     return measurement if measurement.status == "refused" else measurement.with_(flags=flags)
 
 
-# What settles each flag that this room raises.
+# Remedy of each flag of this package.
 REMEDIES = {
     "model-misfit": "a frame with one round source alone in it, and a level between those that differ",
     "prior-bound": "a level whose core is not cut at full scale",
@@ -310,9 +310,9 @@ def add_findings(measurement: Measurement, effects: Mapping[str, str] | None = N
     Parameters
     ----------
     measurement
-        Of this room; a refused one stays as it is.
+        Measurement of this package; a refused one is returned unchanged.
     effects
-        Size of the effect by flag, where these data show one; otherwise the interval is the scale.
+        Effect size by flag, where measured; otherwise the interval gives the scale.
     """
     if measurement.status == "refused" or measurement.value is None:
         return measurement

@@ -28,7 +28,7 @@ class Profile:
     sd_dn
         Their standard errors, shape (ring,), DN.
     used
-        Rings that are neither saturated nor next to one that is, shape (ring,).
+        Rings neither saturated nor next to a saturated one, shape (ring,).
     """
 
     label: str
@@ -47,8 +47,8 @@ def reach_of(spot: PointStack, most_px: int = 60) -> int:
 def profile_of(spot: PointStack, reach_px: int, *, context: Context) -> Profile:
     """Average a stack's mean frame over rings one column pitch wide.
 
-    Standard errors come from the scatter of sixteen sectors of each ring, so that noise shared by neighbouring pixels
-    and by successive frames is in them, and are smoothed over rings.
+    Standard errors come from the scatter of sixteen sectors of each ring, which includes correlated noise of pixels and
+    successive frames, and are smoothed over rings.
     """
     rows = np.arange(spot.image.shape[0])[:, None]
     cols = np.arange(spot.image.shape[1])[None, :]
@@ -109,8 +109,8 @@ STEP_SEEN = 6.0
 def step_significance(profile: Profile) -> Array:
     """Return the excess of each ring's step over its neighbours' in standard errors, shape (ring,); 0 where unusable.
 
-    A smooth wing falls ever more slowly, so the step at r is about the mean of those inside and outside; at the edge
-    of a disc it stands out.
+    A smooth wing falls ever more slowly, so that the step at r is about the mean of the steps inside and outside. At
+    the edge of a disc it exceeds them.
     """
     mean, variance, half = profile.mean_dn, profile.sd_dn**2, 2
     out = np.zeros(len(mean))

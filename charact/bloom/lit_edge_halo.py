@@ -20,14 +20,14 @@ Array = NDArray[np.float64]
 NAMES = ("halo_diameter", "elastic_share", "halo_fraction", "edge_offset", "core_spread")
 GAUSSIAN = len(NAMES)
 LEAST_DIAMETER_PX = 12.0
-# Beyond 0..1 by a little: a wall at 0 would push the diameter of a halo without rim to one side.
+# Slightly beyond 0..1, since a bound at 0 would bias the diameter of a halo without rim.
 ELASTIC_SHARE = (-0.15, 1.15)
 SPREAD_PX2 = (0.05, 25.0)
-# Frequencies: enough for 160 px from the edge.
+# Maximum frequency, sufficient for 160 px from the edge.
 HIGHEST_CY_PER_PX, NODES = 0.75, 280
 Core = Literal["gaussian", "tube", "moffat"]
-# What a core has besides its Gaussian: name, unit, bounds, first guess, and mean and standard deviation of a prior.
-# Image tubes at large; a Moffat wing whose light is spread as (1 + r^2/a^2)^-b.
+# Core parameters besides the Gaussian: name, unit, bounds, start, and mean and standard deviation of a prior (image
+# tubes in general; a Moffat wing (1 + r^2/a^2)^-b).
 BESIDES: dict[Core, tuple[tuple[str, str, tuple[float, float], float, tuple[float, float] | None], ...]] = {
     "gaussian": (),
     "tube": (
@@ -56,17 +56,17 @@ class EdgeHaloLikelihood:
     Parameters
     ----------
     strips
-        Levels.
+        Strips of every stack.
     width_px
-        Width of the lit area, column pitches; inf for a half plane.
+        Width of the illuminated area, column pitches; inf for a half plane.
     walls
-        Bounds of the parameters that every core has, shape (parameter, 2).
+        Bounds of the parameters common to all cores, shape (parameter, 2).
     white
-        For each level the matrix that whitens its used strips.
+        Whitening matrix of each stack's used strips.
     waves
-        For each level sine and cosine of every frequency at its strips, shape (frequency, strip).
+        Sine and cosine of every frequency at the strips of each stack, shape (frequency, strip).
     core
-        Family of the core.
+        Core family.
     halo
         Whether there is a halo.
     """
@@ -201,7 +201,7 @@ class EdgeHaloOptimum:
 def optimise_edge_halo(problem: EdgeHaloLikelihood, *, diameter_px: float | None = None) -> EdgeHaloOptimum:
     """Return the best fit from several start diameters, since the disc edge causes many local optima.
 
-    `diameter_px` holds the diameter there.
+    `diameter_px` fixes the diameter.
     """
     low, high = problem.bounds[0]
     offset = 0.5 * problem.bounds[3].sum()
@@ -231,7 +231,7 @@ def _optimise_from(problem: EdgeHaloLikelihood, start: Array, free: NDArray[np.b
     step = 1e-4 * (high - low)
 
     def slopes(point: Array) -> Array:
-        # Inside the walls on either side.
+        # Inside the bounds on either side.
         sign = np.where(point + step > high, -1.0, 1.0)
         left = problem.residuals(all_parameters(np.concatenate([point[None], point + np.diag(sign * step)])))
         return ((left[1:] - left[0]) / (sign * step)[:, None]).T
@@ -249,7 +249,7 @@ def _optimise_from(problem: EdgeHaloLikelihood, start: Array, free: NDArray[np.b
 
 METHOD = "lit-edge"
 QUANTITIES = (("halo_diameter", "px"), ("halo_fraction", "1"))
-# Share of the way to the border that a halo may reach.
+# Maximum halo radius over the distance to the border.
 WHOLE = 0.85
 LEAST_STRIPS = 24
 
@@ -267,15 +267,14 @@ def measure_lit_edge(session: Session, *, context: Context) -> Result:
     Parameters
     ----------
     session
-        Session with stacks of kind "edge", all of one target at several lights; darks, better.
+        Session with stacks of kind "edge", all of one target at several illuminances; preferably with darks.
     context
         Seed and settings.
 
     Notes
     -----
-    Where a level does not reach the highest code it says where the edge is and how bright the lit side; brighter ones
-    show the halo. With cut levels alone the place of the edge is free in the fit, the diameter accordingly less sure,
-    and the halo's share unknown: nothing says how bright the lit side is.
+    An unclipped stack locates the edge and gives the signal of the illuminated side; brighter ones show the halo. With
+    clipped stacks alone the edge position is free in the fit, the diameter less certain, and the halo fraction unknown.
     """
     fields: dict[str, Any] = {"method": METHOD, "provenance": _provenance(context)}
     measurements, evidence = _measure(session, context, fields)
@@ -342,7 +341,7 @@ def _levels(session: Session, context: Context) -> tuple[LitEdgeLine, tuple[Stri
     kept = [one for one in frames if np.percentile(one[0], 99.0) - one[2] > 0.03 * (one[3] - one[2])]
     if not kept:
         return "no level rises above its dark frames by 3 % of full scale"
-    # The brightest level that is not cut tells best where the edge is, else the faintest that is.
+    # The brightest unclipped stack locates the edge best, else the faintest one.
     whole = [one for one in kept if np.percentile(one[0], 99.0) < one[2] + 0.75 * (one[3] - one[2])]
     image, _, dark, full = whole[-1] if whole else kept[0]
     low, high = np.percentile(image, (2.0, 98.0))

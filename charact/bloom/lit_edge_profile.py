@@ -7,11 +7,11 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# Farthest strip on the dark side and on the lit one, px.
+# Farthest strip on the dark side, px.
 DARK_PX = 90
-# Rows along the edge that must agree on a straight line, and by how much they may be off it, px.
+# Minimum number of rows along a straight edge.
 LEAST_ROWS = 24
-# Parts of the edge whose scatter gives the standard error of a strip, and strips apart that share noise.
+# Parts of the edge whose scatter gives standard errors, and maximum distance of correlated strips.
 PARTS, LAGS = 12, 6
 
 
@@ -28,13 +28,13 @@ class LitEdgeLine:
     at, slope
         Column at row 0, and columns per row.
     first, last
-        First and last row, ends left out where they lie in the frame.
+        First and last row, without ends that lie in the frame.
     room_px
-        Distance of the border behind the dark side, column pitches.
+        Distance of the border on the dark side, column pitches.
     ends_px
-        How much of the edge is left out at the nearer end that lies in the frame, column pitches; inf: none does.
+        Omitted length at the nearer end inside the frame, column pitches; inf without one.
     width_px
-        Distance of the opposite edge, column pitches; inf where it is not in the frame.
+        Distance of the opposite edge, column pitches; inf where it is outside the frame.
     """
 
     upright: bool
@@ -63,7 +63,7 @@ class Strips:
     Parameters
     ----------
     label
-        Its stack.
+        Label of the stack.
     distance_px
         Mean distance of each strip from the line, positive on the dark side, column pitches, shape (strip,).
     mean_dn, sd_dn
@@ -71,11 +71,11 @@ class Strips:
     correlation
         Correlation of strips 1, 2, ... apart, shape (lag,).
     used
-        Strips that are not cut by the highest code, shape (strip,).
+        Strips that are not clipped, shape (strip,).
     cut
-        Whether the lit side reaches the highest code.
+        Whether the illuminated side reaches full scale.
     least_light_dn
-        Light that the lit side has at least, DN over dark: the highest code where it is cut, else nothing.
+        Minimum signal of the illuminated side, DN above dark: full scale where it is clipped, else 0.
     """
 
     label: str
@@ -105,7 +105,7 @@ def edge_line(image: NDArray, level_dn: float, pitch_ratio: float) -> LitEdgeLin
     image
         Mean frame, shape (row, col), DN.
     level_dn
-        Level that the edge crosses, DN.
+        Threshold of the edge, DN.
     pitch_ratio
         Row pitch over column pitch.
     """
@@ -186,7 +186,7 @@ def strips_of(
 ) -> Strips:
     """Average a frame over strips one column pitch wide along an edge.
 
-    Standard errors come from the scatter of parts of the edge, so that noise shared by neighbours is in them.
+    Standard errors come from the scatter of parts of the edge, which includes correlated noise.
     """
     distance = line.distance((image.shape[0], image.shape[1]), pitch_ratio)
     along = np.indices(image.shape)[0 if line.upright else 1]

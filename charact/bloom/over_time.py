@@ -15,10 +15,9 @@ from labdata.measurement import Measurement, make_refusal, measurement_from_draw
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# Pixels along a side of the tiles whose means make up the background, the share of the frame farthest from the source
-# that they cover, and columns beside it where streak and smear lie, px.
+# Side of the tiles whose means form the background, px.
 TILE_PX = 6
-# Share of full scale from which on a pixel may be cut, and up to which it follows the light.
+# Fraction of full scale above which a pixel may be clipped.
 CUT_SHARE = 0.95
 SECTORS = 12
 
@@ -32,21 +31,21 @@ class FrameSeries:
     label, conditions
         As in the session.
     dark_dn, dark_known
-        Level without light, DN, and whether it was measured or recorded.
+        Black level, DN, and whether it was measured or recorded.
     time_s
         Time of each frame, shape (frame,), s; empty if unknown.
     background_dn, background_sd_dn
-        Level far from the source over dark, and its standard error, DN.
+        Mean far from the source above dark, and its standard error, DN.
     background_by_frame_dn
         The same of each frame, shape (frame,), DN.
     centre_px
-        Row and column of the middle of the bright region of each frame, shape (frame, 2), px; NaN without a source.
+        Row and column of the centre of the bright region of each frame, shape (frame, 2), px; NaN without a source.
     light_by_frame, light_noise
-        Light of the unsaturated pixels of each frame over that of all, shape (frame,), and the share that the noise of
-        pixels without light makes; NaN without a source.
+        Signal of the unsaturated pixels of each frame over the mean, shape (frame,), and the standard deviation due to
+        pixel noise; NaN without a source.
     noise_level_dn, noise_variance, noise_variance_sd
-        Levels over dark at which noise was read, its variance in time and the standard error of that, shape (level,),
-        DN and DN^2.
+        Signals above dark at which noise was measured, its temporal variance and standard error, shape (level,), DN and
+        DN^2.
     """
 
     label: str
@@ -71,7 +70,7 @@ def frame_series(spot: PointStack, stack: FrameStack, row_pitch: float) -> Frame
     Parameters
     ----------
     spot
-        Where its source is, and its levels.
+        Position and thresholds of the source.
     stack
         Its frames.
     row_pitch
@@ -133,7 +132,7 @@ def _centres(data: NDArray, mean: Array, noise_dn: float, spot: PointStack) -> A
     # A moving source may be far from the mean contour.
     half = int(np.ceil(0.5 * spot.bloom_px)) + 24
     near = _middles(data, threshold, 0.2 * span, (row - half, col - half), (row + half + 1, col + half + 1))
-    # Where frames show nothing near, the source has gone out, or elsewhere.
+    # A source that no frame shows near its position is switched off or elsewhere.
     return near if np.isfinite(near).all() else _middles(data, threshold, 0.2 * span, (0, 0), mean.shape)
 
 
@@ -162,7 +161,7 @@ def _light(
         return np.full(len(data), np.nan), float("nan")
     weight = over[lit] / (over[lit] ** 2).sum()
     light = (data[:, lit] - (background + spot.dark_dn)[:, None]) @ weight
-    # The noise of whole tiles in time holds what neighbours share.
+    # The temporal noise of tiles includes correlation between pixels.
     tile = float(_tiles(data)[:, tiles].var(axis=0, ddof=1).mean()) if len(data) > 1 else quiet**2
     return light, TILE_PX * float(np.sqrt(tile * (weight**2).sum()))
 
@@ -173,16 +172,16 @@ def _noise(
     """Signal, temporal variance and its standard error of the background and of groups of rings."""
     ring = radius.astype(int)
     count = np.maximum(np.bincount(ring.ravel()), 1)
-    # Rings are chosen by the mean of all their pixels: choosing pixels by their own would prefer odd ones.
+    # Rings are selected by their mean, since selection by the pixel's own value would be biased.
     by_ring = np.bincount(ring.ravel(), mean.ravel()) / count - spot.dark_dn
     level = by_ring[ring]
     small = _tiles(variance)[tiles]
     found = [(float(_tiles(mean)[tiles].mean()) - spot.dark_dn, float(small.mean()),
               float(small.std(ddof=1)) / np.sqrt(small.size))]  # fmt: skip
     cut = data.max(axis=0) >= spot.dark_dn + CUT_SHARE * (spot.full_scale_dn - spot.dark_dn)
-    # Where the highest code has cut some pixels, the others are those that happened to be dim.
+    # Where some pixels are clipped, the unclipped ones are a biased sample.
     cut = (np.bincount(ring.ravel(), cut.ravel()) > 0.02 * count)[ring] | cut
-    # Blur spreads a pulse's variance less far than its light: beside a steep edge there is more light than noise.
+    # Blur spreads variance less far than signal, so that variance is too small near a steep edge.
     steep = np.abs(np.gradient(by_ring)) > 0.3 * (by_ring - found[0][0])
     cut |= steep[ring]
     sector = ((angle / (2.0 * np.pi) + 0.5) * SECTORS).astype(int) % SECTORS
@@ -232,7 +231,7 @@ def _trend(values: Array, least: float) -> float:
     return run if seen and run > least else 0.0
 
 
-# Shares of the source's light to which it is to fall, by quantity.
+# Fractions of the signal at which recovery is measured, by quantity.
 SHARES = {"recovery_time_10": 0.1, "recovery_time_1": 0.01}
 LEAST_ON, LEAST_OUT = 2, 2
 
@@ -246,7 +245,7 @@ def frames_before_switch_off(watched: FrameSeries) -> int | None:
     count = int(np.argmin(on)) if not on.all() else len(on)
     if count < LEAST_ON or count > len(on) - LEAST_OUT or on[count:].any() or light[-1] > 0.5 * light[:count].mean():
         return None
-    # Frames that have begun to fade are no longer lit ones.
+    # Frames at the start of the decay are excluded.
     early = light[: max(LEAST_ON, count // 2)]
     least = early.mean() - 4.0 * max(float(early.std(ddof=1)), 0.005 * float(early.mean()))
     while count > LEAST_ON and light[count - 1] < least:
@@ -259,8 +258,8 @@ def recoveries(watched: tuple[FrameSeries, ...], seed: int, **fields: Any) -> li
 
     Notes
     -----
-    When it went out is known to lie between two frames: the interval holds it. Between frames the light falls like an
-    exponential. Pixels that the lit source saturates are left out.
+    Switch-off happens between two frames, which the interval includes. Between frames the decay is exponential. Pixels
+    saturated by the source are excluded.
     """
     found = [(one, count) for one in watched if (count := frames_before_switch_off(one)) is not None]
     if not found:

@@ -14,15 +14,15 @@ from labdata.session import Session, StackEntry
 
 Array = NDArray[np.float64]
 
-# Width of the smoothing that finds a source, px, and of its near surroundings in widths of the smoothing.
+# Width of the smoothing that detects a source, px; the local surroundings are three times as wide.
 SMOOTHING_PX = 1.5
-# Every other row and column tells a median as well.
+# Subsampling for medians.
 THIN = 2
-# Farthest that the middle of a contour may lie from where the source was found, px.
+# Maximum distance of a contour's centre from the detected position, px.
 FARTHEST_PX = 10.0
-# Places nearer than this are one, px; a source that stands out by less than so many errors has no place of its own.
+# Positions closer than this are the same, px.
 NEAR_PX = 1.5
-# A source besides the brightest: its height over full scale and in standard errors, and how far apart it lies, px.
+# Minimum distance of another source, px.
 APART_PX = 6
 DIRECTIONS = 16
 
@@ -34,13 +34,13 @@ class SourcePosition:
     Parameters
     ----------
     row, col
-        Its middle, px.
+        Centre, px.
     significance
-        How many standard deviations it stands above its surroundings.
+        Height above the surroundings in standard deviations.
     cut
-        Whether its peak is at the highest code, so that one source may pass for another.
+        Whether its peak is at full scale, so that its identity is uncertain.
     settled
-        Whether it is the middle of a whole contour.
+        Whether it is the centre of a contour over all sectors.
     """
 
     row: float
@@ -88,7 +88,7 @@ def brightest(image: Array, region: tuple[int, int, int, int] | None) -> SourceP
     above = found.smooth > floor + 0.5 * (found.smooth[top] - floor)
     labels = np.asarray(ndimage.label(above)[0])  # pyright: ignore[reportIndexIssue]
     rows, cols = np.nonzero(labels == labels[top]) if labels[top] else (np.array([top[0]]), np.array([top[1]]))
-    # Medians: a streak has few pixels beside the blob, and lies even about it.
+    # Medians: a streak has few pixels compared with the spot, and is symmetric about it.
     return SourcePosition(row=float(np.median(rows)), col=float(np.median(cols)), significance=significance)
 
 
@@ -97,7 +97,7 @@ def middle(view: SourceView, row: float, col: float) -> tuple[float, float, bool
 
     None where there is no contour.
 
-    What sectors say that a streak or another source pulls is left out, and cut codes lie inside the contour.
+    Sectors distorted by a streak or another source are excluded; clipped pixels lie inside the contour.
     """
     profile = view.profile[1]
     floor = float(np.median(profile))
@@ -135,9 +135,9 @@ def others(image: Array, place: SourcePosition, span_dn: float, row_pitch: float
     image
         Mean frame, shape (row, col), DN.
     place
-        The source already known.
+        The known source.
     span_dn
-        Full scale over dark, DN.
+        Full scale above dark, DN.
     row_pitch
         Row pitch over column pitch.
     """
@@ -166,13 +166,13 @@ def _falls_off(smooth: Array, row: int, col: int, height: float, row_pitch: floa
     return bool(np.all(smooth[row, col] - smooth[rows[inside], cols[inside]] > 0.4 * height))
 
 
-# Standard errors by which the smoothed source must stand above its surroundings.
+# Standard errors by which the smoothed source must exceed its surroundings.
 DETECTED = 8.0
-# Share of full scale from which on noise is cut by the highest code.
+# Fraction of full scale above which noise is clipped.
 LINEAR_SHARE = 0.75
-# Share of full scale from which on a peak is taken for cut.
+# Fraction of full scale above which a peak counts as clipped.
 CUT_SHARE = 0.9
-# The codes of a level are whole: from half a step below on, the highest one is shown.
+# Grey values are rounded: full scale is shown from half a step below.
 HALF_STEP_DN = 0.5
 
 
@@ -189,20 +189,20 @@ class PointStack:
     frames
         Number of frames.
     dark_dn, full_scale_dn
-        Level without light and highest code.
+        Black level and full scale.
     dark_known
-        Whether the level without light was measured or recorded.
+        Whether the black level was measured or recorded.
     row, col
         Centre, px.
     significance
-        Height of the smoothed source above its surroundings in their standard deviations.
+        Height of the smoothed source above its surroundings in standard deviations.
     frame_streak_px
         Streak length of single frames, shape (frame,), px.
     row_pitch
         Row pitch over column pitch.
     half, background, clip
-        The region at or above half of full scale, twice the background over dark, and the highest code; None where
-        the source does not reach the level (or there is no background to take twice).
+        Region at or above half of full scale, twice the background above dark, and full scale; None where the source
+        stays below the threshold or the background is not measurable.
     light
         The background.
     others
@@ -306,9 +306,9 @@ def _inside(row: float, col: float, shape: tuple[int, ...]) -> bool:
 def common_position(own: SourcePosition, places: list[SourcePosition], image: Array) -> SourcePosition:
     """Return the position common to the stacks, unless this stack's source is elsewhere.
 
-    The clearest stack knows it best, for there the source is neither faint nor a blob. Where two blobs have run into
-    one, the shared place still lies inside; where the source has moved, it does not. Places come in the order of the
-    light: two sources at the highest code look alike, and the faintest stack shows best which is the brighter one.
+    The clearest stack locates the source best: it is neither faint nor saturated. Where two spots have merged, the
+    common position still lies inside; where the source has moved, it does not. Positions are ordered by illuminance:
+    two sources at full scale look alike, and the faintest stack identifies the brighter one.
     """
     clear = [place for place in places if place.significance > 2 * DETECTED]
     whole = [place for place in clear if not place.cut]
@@ -346,12 +346,12 @@ def spot_of(entry: StackEntry, stack: FrameStack, dark: float | None, place: Sou
     entry, stack
         The stack and its frames.
     dark
-        Level without light from dark frames, DN.
+        Black level from dark frames, DN.
     place
-        Where the source is.
+        Position of the source.
     behind
-        Conditions and backgrounds of the stacks read before, the faintest first: the background of a level is that of
-        the faintest taken alike, for a bright source lights the whole frame.
+        Conditions and backgrounds of the previous stacks, the faintest first. The background of the faintest stack with
+        the same conditions is used, since a bright source illuminates the whole frame.
     """
     full, level = full_scale_of(stack, context), _level(stack, dark)
     view = view_of(stack.data, level, full, place.row, place.col, context.pitch_ratio)
@@ -363,7 +363,7 @@ def spot_of(entry: StackEntry, stack: FrameStack, dark: float | None, place: Sou
     if place.significance >= DETECTED:
         found["half"] = extent_at(view, half, seed=context.seed)
         if _dark_or_black_level(stack, dark) is None and found["half"] is not None:
-            # Where nothing tells the level without light it lies between 0 and what most pixels show.
+            # An unknown black level lies between 0 and the median of the frame.
             lowest = extent_at(view, 0.5 * full, seed=context.seed)
             draws = found["half"].draws if lowest is None else np.concatenate([found["half"].draws, lowest.draws])
             found["half"] = replace(found["half"], draws=draws)

@@ -14,8 +14,7 @@ Array = NDArray[np.float64]
 
 SHARES = ("halo_fraction", "wing_share", "glare_fraction")
 POSITIVE = ("halo_diameter_px", "core_frequency_cy_per_px", "core_exponent", "wing_radius_px")
-# Name of each parameter of a posterior and the field that takes it; a spread without core frequency is Gaussian, one
-# without a halo has none.
+# Parameter of a posterior and the corresponding field. Without core frequency the core is Gaussian.
 NAMES = {
     "halo_diameter": "halo_diameter_px",
     "elastic_share": "elastic_share",
@@ -45,29 +44,29 @@ class PosteriorPsf:
     halo_diameter_px
         Outer diameter of the halo before blur, four gaps, column pitches.
     elastic_share
-        Share of the bounced electrons that keep their energy, dimensionless.
+        Fraction of the backscattered electrons with elastic reflection, dimensionless.
     halo_fraction
-        Share of all light that lands in the halo, dimensionless.
+        Fraction of the light in the halo, dimensionless.
     core_frequency_cy_per_px, core_exponent
-        Of the core's transfer exp(-(f/fc)^n - 2 pi^2 f^2 s^2); an infinite fc leaves the Gaussian alone.
+        Parameters of the core's transfer exp(-(f/fc)^n - 2 pi^2 f^2 s^2); an infinite fc leaves the Gaussian alone.
     core_spread_px2
         s^2 of the core, px^2.
     wing_share, wing_radius_px, wing_exponent
-        Share of the light outside halo and glare that lies in a Moffat wing (1 + r^2/a^2)^-b, its a and its b.
+        Fraction of the light outside halo and glare in a Moffat wing (1 + r^2/a^2)^-b, its a and its b.
     wing_sd_px, wing_peak
-        Width of a wing of Matern's form instead, and its p (`charact.bloom.transfer.matern`); 0 px: Moffat's.
+        Width of a Matern wing instead, and its p (`charact.bloom.transfer.matern`); 0 px: Moffat.
     flat_share, rising_share, rim_share
-        Fractions of the halo that are flat, rise as x^2 and as x^12 to its edge; what is left bounced with an even
-        fraction of its energy.
+        Fractions of the halo that are flat, rise as x^2 and as x^12 to its edge; the remainder has uniformly
+        distributed energies.
     glare_fraction
-        Share of all light that is spread evenly, dimensionless.
+        Fraction of the light that is spread uniformly, dimensionless.
     glare_area_px
-        Over how many pixels; None: over the frame.
+        Area of the glare, pixels; None: the frame.
 
     Raises
     ------
     BadInput
-        If a share is outside 0 to 1 or a length is not positive.
+        If a fraction is outside 0 to 1 or a length is not positive.
     """
 
     halo_diameter_px: Array
@@ -148,7 +147,7 @@ class PosteriorPsf:
         Parameters
         ----------
         radius_px
-            Distances, column pitches, shape (radius,); true to about 150 px.
+            Distances, column pitches, shape (radius,); valid to about 150 px.
         """
         from scipy.special import j0
 
@@ -173,21 +172,21 @@ def spread_of(posterior: Posterior, *, pitch_ratio: float = 1.0, **known: ArrayL
     Parameters
     ----------
     posterior
-        Draws with the names of `NAMES`, or with `core_sd`, the core before the pixel's aperture, as the fits of a point
-        series give them.
+        Draws with the names of `NAMES`, or with `core_sd`, the core before the pixel aperture, as fitted to point
+        series.
     pitch_ratio
         Row pitch over column pitch, for that aperture.
     known
-        Fields of `PosteriorPsf` that the posterior does not have.
+        Fields of `PosteriorPsf` that the posterior lacks.
 
     Raises
     ------
     BadInput
-        If a parameter that is needed is missing, or the halo is of another form.
+        If a required parameter is missing, or the halo model has no edge.
     """
     found = {field: posterior[name] for name, field in NAMES.items() if name in posterior.names}
     if "core_sd" in posterior.names:
-        # A pixel's aperture is as wide as a Gaussian of a twelfth of its pitch squared; rows and columns are averaged.
+        # The pixel aperture has the variance of a twelfth of its squared pitch; rows and columns are averaged.
         found["core_spread_px2"] = posterior["core_sd"] ** 2 + (1.0 + pitch_ratio**2) / 24.0
     if "even_share" in posterior.names:
         found["flat_share"] = 1.0 - np.sum([posterior[name] for name in transfer.PROFILE], axis=0)
@@ -203,7 +202,7 @@ def spread_of(posterior: Posterior, *, pitch_ratio: float = 1.0, **known: ArrayL
     return PosteriorPsf(**{**given, **shares})  # pyright: ignore[reportArgumentType]
 
 
-# Steps of the tables that round functions are looked up in, cy/px and px, and how far the second reaches.
+# Steps of the frequency and radius tables, cy/px and px, and extent of the latter.
 FREQUENCY_STEP = 5e-4
 RADIUS_STEP_PX, REACH_PX = 0.1, 150.0
 
@@ -217,7 +216,7 @@ class FrameGrid:
     shape
         Rows and columns of the frame.
     room_px
-        Room on each side, px.
+        Padding on each side, px.
     pitch_ratio
         Row pitch over column pitch.
     """

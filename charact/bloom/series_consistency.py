@@ -21,7 +21,7 @@ from labdata.session import Session
 
 Array = NDArray[np.float64]
 
-# Standard errors at which a fall of the background, or a dark that does not fit, is seen.
+# Standard errors at which a fall of the background, or a dark mismatch, is significant.
 SEEN = 4.0
 SETTINGS = ("mcp_v", "camera_gain_db", "gate_ns", "exposure_s", "em_gain", "gain_control")
 BOUND = "glare of the source raises the background: the gain fell by at least so much"
@@ -51,8 +51,8 @@ def depressions(
 
     Notes
     -----
-    20 log10(B0 / B). An automatic gain lowers the background of a bright frame, glare of the source raises it: the gain
-    fell by at least so much. Where the background rises there is nothing but glare to be told, and it is refused.
+    20 log10(B0 / B). Automatic gain lowers the background of a bright frame, glare of the source raises it: the value
+    is a lower limit of the gain change. A background that rises is glare alone, and the value is refused.
     """
     out: list[Measurement] = []
     for one in watched:
@@ -67,7 +67,7 @@ def depressions(
         value = DECIBEL * float(np.log(reference.background_dn / one.background_dn))
         parts = [each.background_sd_dn / each.background_dn for each in (reference, one)]
         sd = DECIBEL * float(np.hypot(parts[0], parts[1]))
-        # A fall is what this number measures: it is no reason to distrust it.
+        # This quantity measures the fall itself, which is no reason to flag it.
         told = tuple(flag for flag in flags.get(one.label, ()) if flag != "agc")
         told += () if one.dark_known else ("no-darks",)
         common["notes"] = (*common.get("notes", ()), BOUND)
@@ -90,14 +90,14 @@ def dark_level_error(stacks: tuple[FrameSeries, ...], dark_variance: float | Non
     Parameters
     ----------
     stacks
-        Those that the dark belongs to, their source at rest.
+        Stacks with this dark and a stationary source.
     dark_variance
-        Variance of the dark frames in time, DN^2.
+        Temporal variance of the dark frames, DN^2.
 
     Notes
     -----
-    Noise in time grows with the light from that of darkness on. The level at which its line, drawn through background
-    and halo, comes down to the noise of the dark frames is the level without light, whatever the dark frames' mean.
+    Temporal variance grows with the signal from that of the dark frames. The signal at which the line through
+    background and halo reaches the dark variance is the black level, independent of the dark frames' mean.
     """
     if dark_variance is None or dark_variance < 0.24:
         return None
@@ -141,11 +141,11 @@ class SeriesConsistency:
     Parameters
     ----------
     flags
-        Flags of each stack's measurements, by label; empty where nothing changes.
+        Flags of each stack's measurements, by label; empty without an inconsistency.
     measurements
         Background depression of every stack but the faintest, and recovery times.
     evidence
-        What the report draws.
+        Figure data.
     """
 
     flags: dict[str, tuple[str, ...]]
@@ -166,9 +166,9 @@ def check_consistency(
     Parameters
     ----------
     session
-        Where the frames of the spots are, each stack read once more, and the dark ones.
+        Session with the frames of the point stacks, each read once more, and the darks.
     spots
-        Its point sources.
+        Point stacks.
     context
         Seed and pitches.
     fields
@@ -177,9 +177,9 @@ def check_consistency(
     Notes
     -----
     Flags: `agc` where the background falls below that of the faintest stack at the same settings; `drift` where the
-    source moves, or light or background run off; `lag` where the source goes out and what follows is its afterglow;
-    `dark-mismatch` where noise says that the level without light is not that of the dark frames, or the background is
-    below it. Afterglow of a source at rest changes no mean and is not flagged.
+    source moves, or its signal or the background drifts; `lag` where the source is switched off and decays;
+    `dark-mismatch` where noise contradicts the dark level, or the background lies below it. Decay of a constant source
+    changes no mean and is not flagged.
     """
     ratio = context.pitch_ratio
     shown = [spot for spot in spots if spot.significance >= DETECTED and min(spot.image.shape) >= 24]
@@ -188,7 +188,7 @@ def check_consistency(
     flags |= {one.label: _in_time(one) for one in watched}
     for label, told in _between(watched, flags, _dark_variance(session)).items():
         flags[label] += told
-    # A source that leaves its place has not gone out.
+    # A source that moves away has not been switched off.
     still = tuple(one for one in watched if "lag" in flags[one.label])
     out = [*depressions(watched, flags, **fields), *recoveries(still, context.seed, **fields)]
     return SeriesConsistency(
@@ -210,11 +210,11 @@ def _between(
 ) -> dict[str, tuple[str, ...]]:
     """Flags of each stack by comparison with the others."""
     out: dict[str, tuple[str, ...]] = {}
-    # A source that moves in one stack may do so, less clearly, in others, and what moves varies as noise does.
+    # Motion in one stack may occur less clearly in others, and varies like noise.
     rest = not any("drift" in told for told in flags.values())
     for one in watched:
         fallen = has_background_fallen(faintest(watched, one), one)
-        # Stacks of one dark level share its fault.
+        # Stacks with the same dark level have the same error.
         same = tuple(other for other in watched if other.dark_dn == one.dark_dn and not flags[other.label])
         misfit = dark_level_error(same, dark_variance) if one.dark_known and rest else None
         below = one.dark_known and one.background_dn < -max(4.0 * one.background_sd_dn, 0.3)

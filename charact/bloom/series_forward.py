@@ -117,8 +117,7 @@ def forms_evidence(forms: list[FittedHaloModel], *, quick: bool) -> dict[str, An
 def cross_validate(candidate: FittedHaloModel) -> float | None:
     """Reduced chi squared of stacks that a model was not fitted to; None with one stack.
 
-    Every second level is left out, then the others: core and halo come from the one half, each level's own light and
-    background from itself.
+    Every second stack is excluded in turn: core and halo come from one half, each stack's amplitudes from itself.
     """
     series = candidate.problem.series
     count = len(series.labels)
@@ -154,13 +153,14 @@ def series_forward(session: Session, *, context: Context) -> Result:
     session
         Session with stacks of kind "point".
     context
-        Seed and settings; the sensor, where known, gives pitches and the core's prior.
+        Seed and settings; the sensor description, if known, gives pitches and the core's prior.
 
     Notes
     -----
-    Cores (Gaussian, a tube's, Gaussian with a Moffat wing) and halos (none, a disc of bounced electrons, Gaussian) are
-    fitted to ring means of all levels together; the Bayesian information criterion chooses. Each level's light and
-    background are its own. A halo is told only where the disc is clearly the best and its edge is tied to one place.
+    Cores (Gaussian, image tube, Gaussian with a Moffat wing) and halos (none, a disc of backscattered electrons,
+    Gaussian) are fitted to the ring means of all stacks together and selected by the Bayesian information criterion.
+    Each stack has its own source signal and background. A halo is reported only if the disc is clearly the best model
+    with a well-determined edge.
     """
     spots = read_point_stacks(session, context=context)
     fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}

@@ -23,9 +23,9 @@ from labdata.session import Session, StackEntry
 Array = NDArray[np.float64]
 
 SHARES = (0.5, 0.9)
-# Farthest ring that is summed, px: beyond it a halo has ended, and the background's error grows with the area.
+# Outermost ring of the sum, px: halos end inside, and the background's error grows with the area.
 REACH_PX = 45.0
-# Within this radius the light is followed between pixels, in steps and directions, px.
+# Steps and directions of the interpolation near the source, px.
 STEP_PX, ANGLES = 0.25, 48
 
 
@@ -35,16 +35,16 @@ def ring_energy_radii(view: SourceView, background: Background, *, seed: int) ->
     Parameters
     ----------
     view
-        Mean frame as seen from the source.
+        Mean frame around the source.
     background
-        Light that is not the source's.
+        Signal not due to the source.
     seed
         Seed of the draws.
 
     Notes
     -----
-    The whole light is that inside the largest ring of the frame, or within `REACH_PX`: wings beyond are not counted,
-    and the error of the background counts over the whole area.
+    The total signal is that inside the largest ring of the frame, or within `REACH_PX`: wings beyond are excluded, and
+    the background's error includes the whole area.
     """
     top = float((view.signal[view.polar.radius < view.rings.radius[-1]]).max())
     if top > 0.97 * view.top:
@@ -100,9 +100,9 @@ def _first(held: Array, radius: Array, share: float) -> float:
 
 
 METHOD = "one-frame"
-# Box of another source in the frame, px to either side.
+# Half side of the region of another source, px.
 BOX_PX = 12
-# What one frame cannot tell: quantity, unit, and what would.
+# Quantities that one frame cannot determine: name, unit and reason.
 BEYOND_ONE_FRAME = (
     ("halo_fraction", "1", "the halo's share of the light needs levels at which core and halo are each not cut"),
     ("halo_plateau", "1/px2", "the plateau over the source's light needs a fainter level of stated light"),

@@ -21,15 +21,14 @@ from labdata.measurement import Measurement, make_refusal, measurement_from_sd
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# Columns left and right of the core that are compared with it: how far from its own, and how many.
+# Number of columns left and right of the core for comparison.
 FLANK_PX = 8
-# Least rows above and below the streak together, and on either side for both to be compared.
+# Minimum rows on each side of the streak for a comparison of both.
 LEAST_SIDE = 6
 APART = 5.0
-# Relative error of each stack's stated light beside the others': neutral-density steps are
-# seldom known better. Scatter of the stacks beyond their errors raises it up to the second number.
+# Relative uncertainty of the stated light between stacks: neutral-density steps are rarely known better.
 LIGHT_SD = 0.03
-# Light of two stacks that must see it, one over the other, for the light to be known to stay in proportion.
+# Minimum ratio of the light of two stacks with smear for a test of proportionality.
 LEAST_RATIO = 2.5
 NARROW = "the frame is too narrow: there are no columns far from the source to hold those of its core against"
 
@@ -41,12 +40,12 @@ class Core:
     Parameters
     ----------
     half_width_px
-        Columns on either side of the source's own.
+        Columns on either side of the source's column.
     light_dn, light_sd_dn
-        Mean over these columns of their summed light less that of their neighbours', at the light 1, and its standard
+        Mean over these columns of their summed signal above that of their neighbours', per unit light, and its standard
         error, DN.
     stack
-        Label of the unsaturated stack it is taken from.
+        Label of the unsaturated stack.
     """
 
     half_width_px: int
@@ -64,11 +63,11 @@ class Smear:
     label
         The stack.
     light
-        Its light as stated.
+        Stated light.
     level_dn, level_sd_dn
-        Mean of the core's columns over their neighbours far from the source, and its standard error, DN.
+        Mean of the core's columns above their neighbours far from the source, and its standard error, DN.
     uneven
-        Whether it differs above and below the source.
+        Whether it differs between above and below the source.
     """
 
     label: str
@@ -86,17 +85,16 @@ def smear_measurement(
     Parameters
     ----------
     spots
-        Stacks of one source at several known lights, one of them unsaturated.
+        Stacks of one source at several known illuminances, one of them unsaturated.
     context
         Pitches, and whether frames are interlaced.
 
     Notes
     -----
-    The fraction f is of the summed light S of a column, spread over its R rows: each gets f S / R. A stack that shows
-    it has a saturated core, so S is that of an unsaturated stack times the ratio of their lights. Nothing but a second
-    stack whose smear grows as its light does proves that the tube follows: with one alone the number is flagged
-    `extrapolated`. Where no stack shows smear nothing can prove it, and the number is refused with the most that it can
-    be if the tube does follow.
+    The fraction f refers to the summed signal S of a column of R rows, each of which receives f S / R. A stack with
+    visible smear has a saturated core, so that S is scaled from an unsaturated stack by the ratio of stated light.
+    Linearity of the tube is verified only by a second stack with proportional smear: with one alone the number is
+    flagged `extrapolated`. Without visible smear it is refused with an upper limit that assumes linearity.
     """
     clear = tuple(spot for spot in spots if spot.significance > DETECTED)
     core = core_of(clear, context)
@@ -158,8 +156,7 @@ def core_of(spots: tuple[PointStack, ...], context: Context) -> Core | str:
 def _contrast(image: Array, rows: Mask, half: int, col: int) -> tuple[float, float]:
     """Mean of the core's columns less their neighbours' over some rows, and its standard error.
 
-    The error is the scatter of the same difference taken everywhere else along these rows: what rows, columns and
-    neighbours share is in it.
+    The error is the scatter of the same difference elsewhere along these rows, which includes correlated noise.
     """
     along = image[rows].mean(axis=0)
     reach = half + 3 + FLANK_PX
@@ -180,21 +177,21 @@ def _contrast(image: Array, rows: Mask, half: int, col: int) -> tuple[float, flo
 def _smear_of(spot: PointStack, core: Core, context: Context) -> Smear | str:
     """Uniform column signal of one stack; or a refusal reason."""
     col, half = round(spot.col), core.half_width_px
-    # Round light is taken away first: across a halo or a wing it is bent enough to pass for a faint column.
+    # The round profile is subtracted first, since its curvature resembles a faint column.
     found = compare_columns(spot, context, half_width_px=spot.image.shape[1])
     middle = slice(max(0, col - half), col + half + 1)
     far = _far_rows(found, middle, grain_of(spot.image, spot.col, spot.dark_dn))
     above, below = far & (found.row_offset < 0), far & (found.row_offset > 0)
     if far.sum() < 16:
         return "the source's streak or its halo reaches the frame's top and bottom: smear cannot be told from them"
-    # One column that is full from end to end is enough: a streak's columns are of unlike length.
+    # One full column is sufficient, since a streak's columns differ in length.
     even = float(np.median(spot.image[far, middle], axis=0).max()) - spot.dark_dn
     if even > FULL_SHARE * (spot.full_scale_dn - spot.dark_dn):
         return "the columns are bright from top to bottom: smear cannot be told from a streak"
     level, sd = _contrast(found.excess_dn, far, half, col)
     if np.isinf(sd):
         return NARROW
-    # Halo and wing add noise to these columns that those farther off do not have.
+    # Halo and wing add noise to these columns.
     sd *= float(np.sqrt((found.sd_dn[far, middle] ** 2).mean() / np.median(found.sd_dn[far]) ** 2))
     uneven = False
     if min(above.sum(), below.sum()) >= LEAST_SIDE:
@@ -219,7 +216,7 @@ def _far_rows(found: ColumnArtefacts, middle: slice, grain: MeanFrameNoise) -> M
         spread = max(noise, 1.4826 * float(np.median(np.abs(last - level))))
         over = excess[rows] > level + 6.0 * spread
         run = np.flatnonzero(over[:-1] & over[1:])
-        # Two rows more: the last pixels of a streak are partly filled.
+        # The last pixels of a streak are partly filled: two rows more.
         beyond = rows[run[-1] + 4 :] if len(run) else rows
         out[beyond[quiet[beyond]]] = True
     return out
@@ -234,7 +231,7 @@ def _fraction(found: list[Smear], core: Core, rows: int, **fields: Any) -> Measu
     weight /= weight.sum()
     mean = float(weight @ share)
     between = max(LIGHT_SD, min(_between(share[seen], sd[seen]), 0.3)) * mean
-    # The light of the unsaturated stack is as little known as that of the others.
+    # The light of the unsaturated stack has the same uncertainty.
     known = float(np.hypot(mean * core.light_sd_dn / core.light_dn, between))
     total = float(np.sqrt(weight**2 @ (sd**2 + between**2) + known**2))
     if not seen.any():

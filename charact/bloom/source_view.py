@@ -23,7 +23,7 @@ class Polar:
     radius
         Distance, column pitches, shape (row, col).
     ring, sector
-        Number of the ring, one column pitch wide, and of the sector, shape (row, col).
+        Index of the ring, one column pitch wide, and of the sector, shape (row, col).
     row_pitch
         Row pitch over column pitch.
     """
@@ -61,7 +61,7 @@ class Rings:
     radius
         Mean radius of each ring, column pitches, shape (ring,).
     whole
-        Share of each ring that lies inside the frame, shape (ring,).
+        Fraction of each ring that lies inside the frame, shape (ring,).
     """
 
     total: Array
@@ -85,8 +85,8 @@ class Rings:
     def draws(self, pixel_sd: Array, count: int, rng: np.random.Generator, sectors: NDArray[np.bool_]) -> Array:
         """Draw ring means by a block bootstrap over sectors, shape (draw, ring).
 
-        The sectors are weighted at random (a bootstrap of blocks): what ties the noise of neighbouring pixels, rings
-        and frames is kept. `pixel_sd` is the noise of a pixel of the mean frame in each ring, shape (ring,).
+        Random weights of the sectors preserve the correlation of noise between pixels, rings and frames. `pixel_sd` is
+        the noise of a pixel of the mean frame in each ring, shape (ring,).
         """
         mean, number = self.mean(sectors), np.maximum(self.count[:, sectors].sum(axis=1), 1.0)
         apart = (self.total - mean[:, None] * self.count)[:, sectors] / number[:, None]
@@ -108,12 +108,12 @@ def rings_of(image: Array, polar: Polar) -> Rings:
     return Rings(total=total, count=count, radius=radius, whole=count.sum(axis=1) / full)
 
 
-# Shares of full scale between which the noise of the light is read, and the fewest pixels that tell it.
+# Range of signal, fractions of full scale, in which photon noise is measured.
 LIGHT = (0.1, 0.7)
-# Variance of rounding, DN^2.
+# Variance of quantisation, DN^2.
 ROUNDING = 1.0 / 12.0
 SMOOTHING_PX = 1.0
-# Rows that share no noise.
+# Rows with independent noise.
 APART_ROWS = 3
 
 
@@ -121,7 +121,7 @@ APART_ROWS = 3
 class PixelNoise:
     """Variance of a pixel in one frame, `floor + slope * signal`, DN^2, and the number of averaged frames.
 
-    `tied` is the variance of sums of many pixels over that of as many independent ones.
+    `tied` is the variance of a sum of many pixels over that of as many independent ones.
     """
 
     floor: float
@@ -151,18 +151,18 @@ def noise_of(frames: NDArray, signal: Array, smooth: Array, top: float, polar: P
     Parameters
     ----------
     frames, signal, smooth
-        The frames, shape (frame, row, col), their mean over dark and that smoothed by a pixel, shape (row, col), DN.
+        Frames, shape (frame, row, col), their mean above dark and that smoothed by one pixel, shape (row, col), DN.
     top
-        Highest code over dark, DN.
+        Full scale above dark, DN.
     polar, rings
-        Places of the pixels and sums over cells of the mean.
+        Polar coordinates of the pixels, and sums over cells of the mean.
     """
     profile = rings.median()
     expected = np.interp(polar.radius, rings.radius, profile)
     if len(frames) > 1:
         variance = frames.var(axis=0, ddof=1, dtype=np.float64)
     else:
-        # Where rings fall steeply, differences say nothing of noise; along columns they do even in a streak.
+        # Differences are no measure of noise where rings fall steeply; along columns they are, even in a streak.
         level = (np.abs(np.gradient(profile)) < np.maximum(0.015 * profile, 0.004 * top))[polar.ring]
         level[:APART_ROWS] = level[-APART_ROWS:] = False
         around = 0.5 * (np.roll(signal, APART_ROWS, axis=0) + np.roll(signal, -APART_ROWS, axis=0))
@@ -170,7 +170,7 @@ def noise_of(frames: NDArray, signal: Array, smooth: Array, top: float, polar: P
     faint = (signal <= np.median(signal[::2, ::2]))[::2, ::2]
     spread = [float(np.median(np.abs(one - expected)[::2, ::2][faint])) for one in (smooth, signal)]
     tied = max(1.0, (spread[0] / max(spread[1], 1e-6)) ** 2 * 4.0 * np.pi * SMOOTHING_PX**2)
-    # A single frame's pixels are not chosen by their own noise.
+    # In a single frame, selection by the pixel's own value would bias its noise.
     of = signal if len(frames) > 1 else expected
     return _line(variance.ravel(), of.ravel(), top, len(frames), tied)
 
@@ -183,10 +183,10 @@ def _line(variance: Array, signal: Array, top: float, frames: int, tied: float) 
     lit = (signal > LIGHT[0] * top) & (signal < LIGHT[1] * top)
     at_faint, of_faint = float(np.maximum(signal[faint], 0.0).mean()), float(variance[faint].mean())
     if lit.sum() < 8:
-        # All of the noise is laid to the light, as intensified cameras have it.
+        # Noise of intensified cameras is mostly photon noise.
         slope = max(of_faint - ROUNDING, 0.0) / max(at_faint, 1.0)
         return PixelNoise(floor=ROUNDING, slope=slope, frames=frames, tied=tied)
-    # Medians: pixels at the end of a streak, or across which a source moves, vary more than by their noise.
+    # Medians, since pixels at the end of a streak or under a moving source vary by more than their noise.
     at_lit = float(np.median(signal[lit]))
     of_lit = float(np.median(variance[lit])) / _median_share(max(frames - 1, 1))
     if at_lit < 1.5 * at_faint:
@@ -207,15 +207,15 @@ class SourceView:
     Parameters
     ----------
     signal
-        Mean frame over dark, shape (row, col), DN.
+        Mean frame above dark, shape (row, col), DN.
     smooth
         The same smoothed by one pixel.
     dark_dn
-        Level without light, DN.
+        Black level, DN.
     top
-        Highest code over dark, DN.
+        Full scale above dark, DN.
     polar, rings, noise
-        Places of the pixels, sums over cells, and noise of a pixel.
+        Polar coordinates of the pixels, sums over cells, and noise of a pixel.
     """
 
     signal: Array
@@ -242,7 +242,7 @@ def view_of(
     frames
         Shape (frame, row, col), DN.
     dark_dn, full_scale_dn
-        Level without light and highest code, DN.
+        Black level and full scale, DN.
     row, col
         Centre of the source, px.
     row_pitch

@@ -7,16 +7,16 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# Log-arguments and orders at which the transform of Moffat wings is tabulated.
+# Logarithmic arguments and orders of the Moffat table.
 ARGUMENTS = np.linspace(-10.0, 4.0, 1400)
 ORDERS = np.linspace(0.02, 3.2, 160)
-# Fractions of a halo's light whose density rises to a rim as 1/sqrt(1 - x^2), peaks in the middle as arccos(x)/x, rises
-# evenly as x^2, and lies in a rim of finite width as x^12, x its radius over the disc's; half the powers.
+# Fractions of the halo's light with the densities 1/sqrt(1 - x^2) (rim), arccos(x)/x (central peak), x^2 and x^12 (rim
+# of finite width), with x the radius over the disc's radius; half of the highest power.
 PROFILE = ("elastic_share", "even_share", "rising_share", "rim_share")
 RIM = 6
-# Arguments at which the transforms of discs are tabulated: 160 px at 1.25 cycles a pixel.
+# Arguments of the disc table: 160 px at 1.25 cy/px.
 DISC_ARGUMENTS = np.arange(0.0, 650.0, 0.04)
-# Frequency that stands for 0 where a formula divides by it.
+# Substitute for frequency 0 in denominators.
 LEAST_CY_PER_PX = 1e-9
 
 
@@ -65,16 +65,16 @@ def disc(frequency: Array, diameter_px: Array, profile: Array) -> Array:
     Parameters
     ----------
     frequency, diameter_px
-        As above.
+        As in the module docstring.
     profile
         Fractions of its light with the radial densities of `PROFILE`, shape (draw, fraction); the rest is flat.
 
     Notes
     -----
-    With x the radius over that of the disc and u = pi f D: electrons that bounce off a plate and keep their energy fall
-    with the density 1/sqrt(1 - x^2), those that keep an even fraction of it with arccos(x)/x (range 2 d e sin 2t in the
-    gap, cosine law), of transforms sin(u)/u and Si(u)/u. Powers of x are sums of (1 - x^2)^k, whose transforms are
-    Sonine's, Gamma(k + 2) (2/u)^(k + 1) J_(k+1)(u).
+    With x the radius over that of the disc and u = pi f D: elastically backscattered electrons have the density
+    1/sqrt(1 - x^2), those with uniformly distributed energies arccos(x)/x (range 2 d e sin 2t in the gap, cosine law),
+    with the transforms sin(u)/u and Si(u)/u. Powers of x are sums of (1 - x^2)^k, with Sonine's transforms Gamma(k + 2)
+    (2/u)^(k + 1) J_(k+1)(u).
     """
     u = np.pi * diameter_px[:, None] * np.maximum(frequency, LEAST_CY_PER_PX)
     first, weight = _four(DISC_ARGUMENTS, np.minimum(u, DISC_ARGUMENTS[-1]))
@@ -115,7 +115,7 @@ def _four(even: Array, value: Array) -> tuple[NDArray[np.intp], Array]:
     return first[..., None] + np.arange(4), weight
 
 
-# High enough for the sharpest core allowed, and nodes enough for the farthest ring.
+# Sufficient for the sharpest core and the outermost ring.
 HIGHEST_CY_PER_PX = 1.25
 NODES = 300
 

@@ -42,7 +42,7 @@ LEVEL = (
 )
 
 
-# Suspicions that widen a number rather than bend it; any other keeps a measurement out of the fit.
+# Flags that add no bias; any other flag excludes a measurement from the fit.
 MILD = {"defects", "drift", "flicker", "gradient", "low-signal", "not-converged", "prior-bound", "too-few-frames"}
 
 
@@ -73,15 +73,15 @@ class Observation:
     Parameters
     ----------
     name
-        What was measured, for messages.
+        Name of the quantity, for messages.
     value
         Measured numbers, shape (k,).
     covariance
-        Of their errors, what the model leaves out included, shape (k, k).
+        Covariance of their errors, model error included, shape (k, k).
     predict
         Predictions for parameter draws: values of shape (n,) each -> (n, k).
     speaks_of
-        Paths of the sensor parameters it depends on.
+        Paths of the sensor parameters that it depends on.
     """
 
     name: str
@@ -133,7 +133,7 @@ def curve_observation(
 
     Notes
     -----
-    Covariance sd_i sd_j exp(-|f_i - f_j|/L) + model_sd^2 on the diagonal: closely spaced points add little.
+    Covariance sd_i sd_j exp(-|f_i - f_j|/L) + model_sd^2 on the diagonal: closely spaced points add little information.
     """
     apart = np.abs(frequency[:, None] - frequency[None, :])
     covariance = np.outer(sd, sd) * np.exp(-apart / correlation_length) + model_sd**2 * np.eye(value.size)
@@ -147,13 +147,13 @@ class StackMean:
     Parameters
     ----------
     label
-        The stack.
+        Label of the stack.
     mean_dn
         Mean over frames and pixels, DN.
     sd_dn
-        Standard error of it, from the scatter of the frames' own means, DN.
+        Its standard error, from the scatter of the frames' means, DN.
     noise_dn
-        Spread of a pixel about its mean that holds for most pixels, DN: half the range of the middle 68 %.
+        Robust noise of a pixel, DN: half the range of the central 68 %.
     illuminance_lux, gate_s, exposure_s, mcp_v
         Conditions; a dark has no illuminance.
     """

@@ -27,7 +27,7 @@ from labdata.session import Session
 
 Array = NDArray[np.float64]
 
-# What the chain's formulas leave out of an MTF, and points nearer than the correlation length are hardly independent.
+# Model error of the MTF, and spacing of its points; closer points are correlated.
 MTF_MODEL_SD = 0.004
 MTF_SPACING_CY_PER_PX = 0.04
 
@@ -104,9 +104,9 @@ def _bars(m: Measurement, session: Session, sensor: Sensor) -> Observation:
     )
 
 
-# Errors of the formulas, relative and of a correlation: sampling of the chip's rows, lag.
+# Relative model error of noise quantities: sampling of the sensor rows, image lag.
 NOISE_MODEL_SD = 0.01
-# Noise of this many DN is rounded like a continuous number.
+# Minimum noise at which quantisation is additive, DN.
 LEAST_NOISE_DN = 0.5
 
 
@@ -235,7 +235,7 @@ def _dark(m: Measurement, dark: StackMean, sensor: Sensor, reference_v: float) -
 def _flat_volts(session: Session, reference_v: float) -> float:
     """Return the MCP voltage with most flats."""
     known = [entry.conditions.mcp_v for entry in session.of_kind("flat") if entry.conditions.mcp_v]
-    # Of several voltages the session's own gain is that of the one with most flats.
+    # Of several voltages, the one with most flats is the session's.
     return float(max(dict.fromkeys(known), key=known.count)) if known else reference_v
 
 
@@ -250,8 +250,8 @@ def observations(
 ) -> tuple[Observation, ...]:
     """Return the observations in the order MTF, noise, halo, stack means.
 
-    A mildly suspect measurement is used only where no sound one of its kind is there; one that is refused, or suspected
-    of more, never.
+    A mildly suspect measurement is used only if there is none with status ok; refused and otherwise flagged ones are
+    excluded.
     """
     reference_v = float(sensor.microchannel_plate.reference_v)
     found = mtf_observations(session, sensor, result) + noise_observations(session, sensor, result, levels)

@@ -21,7 +21,7 @@ def mtf(values: Values, across: ArrayLike, along: ArrayLike = 0.0) -> Array:
     across
         Horizontal frequencies, shape (m,), cycles per column pitch.
     along
-        Vertical frequencies, shape (m,), cycles per row pitch; a row as read sums two.
+        Vertical frequencies, shape (m,), cycles per row pitch; a field row is the sum of two sensor rows.
 
     Returns
     -------
@@ -53,11 +53,11 @@ def noise_shape(values: Values, gain_dn_per_pe: Array) -> tuple[Array, Array]:
 
     Notes
     -----
-    A photoelectron's light spreads with the transfer H of all that follows the gain. Poisson events anywhere on the
-    cathode have, x pixels apart, the covariance (rate) integral of |H|^2 cos(2 pi fx x) over the frequency plane in
-    cycles per field pixel, and the covariance sum (rate) |H(0)|^2 = (rate), since the pixels tile the plane. Electrons
-    counted in the detector are white before the video filter: its own weights correlate them. The two go together as
-    k F^2 and K.
+    A photoelectron's light spreads with the transfer H of all stages after the gain. Poisson events on the photocathode
+    have, x pixels apart, the covariance (rate) integral of |H|^2 cos(2 pi fx x) over the frequency plane in cycles per
+    field pixel, and the covariance sum (rate) |H(0)|^2 = (rate), since the pixels tile the plane. Electrons counted in
+    the detector are white before the video filter, which correlates them by its weights. The two contributions have the
+    ratio k F^2 to K.
     """
     weights = _video_weights(values)
     across = aperture_transfer(_ACROSS) * video_filter_transfer(weights, _ACROSS)
@@ -67,7 +67,7 @@ def noise_shape(values: Values, gain_dn_per_pe: Array) -> tuple[Array, Array]:
     down = aperture_transfer(_ALONG) ** 2 * _ALONG_WEIGHT
     columns = down @ after.reshape(-1, _ALONG.size, _ACROSS.size) ** 2
     power = 4.0 * columns * across**2 * _ACROSS_WEIGHT
-    electron = values["conversion_gain_dn_per_e"]
+    electron = values["video.conversion_gain_dn_per_e"]
     event = gain_dn_per_pe * excess_noise_factor(values)
     variance, neighbour = (
         (event * pulses + electron * filtered) / (event + electron)
@@ -90,18 +90,18 @@ def photoelectron_gain(values: Values, mcp_v: ArrayLike, reference_v: float) -> 
 
     Notes
     -----
-    A tube of luminous gain G sends G/(efficacy x photon energy) photons for each lumen on the cathode, which releases
-    S/e electrons; the taper passes T of the photons, the detector turns QE of them into electrons of K DN each. The
-    gain follows the plate's voltage as (V/V0)^m.
+    A tube of luminous gain G emits G/(efficacy x photon energy) photons per lumen on the photocathode, which releases
+    S/e electrons; the taper transmits T of the photons, the detector converts QE of them to electrons of K DN each. The
+    gain depends on the MCP voltage as (V/V0)^m.
     """
     electrons = values["taper.transmission"] * values["ccd.quantum_efficiency"]
-    return _photons_per_pe(values, mcp_v, reference_v) * electrons * values["conversion_gain_dn_per_e"]
+    return _photons_per_pe(values, mcp_v, reference_v) * electrons * values["video.conversion_gain_dn_per_e"]
 
 
 def covariance_gain(values: Values, gain_dn_per_pe: Array) -> Array:
     """Return K + k F^2 at the gain k per photoelectron, shape (n,), DN."""
     event = gain_dn_per_pe * excess_noise_factor(values)
-    return values["conversion_gain_dn_per_e"] + event
+    return values["video.conversion_gain_dn_per_e"] + event
 
 
 def photoelectrons(values: Values, illuminance_lux: ArrayLike, gate_s: ArrayLike) -> Array:
@@ -121,13 +121,13 @@ def mcp_load(
 
     Notes
     -----
-    G_loaded = G/(1 + load), load = j/(a j_strip), j = E S G gate/field over the whole plate.
+    G_loaded = G/(1 + load), load = j/(a j_strip), j = E S G gate/field averaged over the MCP.
     """
     per_pe = _photons_per_pe(values, mcp_v, reference_v) / values["phosphor.photons_per_electron"]
     cathode_a_per_cm2 = np.asarray(illuminance_lux) * 1e-4 * _electrons_per_lumen(values) * ELEMENTARY_CHARGE_C
     limit = values["microchannel_plate.strip_current_ua_per_cm2"] * 1e-6
     limit = limit * values["microchannel_plate.saturation_fraction"]
-    return cathode_a_per_cm2 * per_pe * np.asarray(gate_s) * values["field_rate_hz"] / limit
+    return cathode_a_per_cm2 * per_pe * np.asarray(gate_s) * values["video.field_rate_hz"] / limit
 
 
 def dark_variance(values: Values, gain_dn_per_pe: Array, blur: Array, gate_s: float) -> Array:
@@ -135,13 +135,13 @@ def dark_variance(values: Values, gain_dn_per_pe: Array, blur: Array, gate_s: fl
 
     Notes
     -----
-    K^2 (r^2 + d) sum w^2 + k^2 F^2 B n sum l^2 + 1/12: reading noise r and dark charge d pass the video filter w; the n
-    photoelectrons of the EBI are blurred (B, `blur`), and only the share sum l^2 of their noise is left where the
-    screen glows over several fields.
+    K^2 (r^2 + d) sum w^2 + k^2 F^2 B n sum l^2 + 1/12: read noise r and dark charge d pass the video filter w; the n
+    photoelectrons of the EBI are blurred (B, `blur`), and phosphor decay over several fields reduces their noise to the
+    fraction sum l^2.
     """
     filtered = np.sum(_video_weights(values) ** 2, axis=1)
-    dark_e = 2.0 * values["ccd.dark_current_e_per_s"] / values["field_rate_hz"]
-    reading = values["conversion_gain_dn_per_e"] ** 2 * (values["ccd.read_noise_e"] ** 2 + dark_e) * filtered
+    dark_e = 2.0 * values["ccd.dark_current_e_per_s"] / values["video.field_rate_hz"]
+    reading = values["video.conversion_gain_dn_per_e"] ** 2 * (values["ccd.read_noise_e"] ** 2 + dark_e) * filtered
     events = background_rate(values) * gate_s
     pulses = covariance_gain(values, gain_dn_per_pe) * gain_dn_per_pe * events * blur
     return reading + pulses * lag_noise_fraction(values, gate_s) + 1.0 / 12.0
@@ -164,10 +164,10 @@ def lag_noise_fraction(values: Values, gate_s: float) -> Array:
 
     Notes
     -----
-    Mean over the arrival of a pulse, anywhere in the gate at the start of a field, of sum_j l_j^2; l_j is the share of
-    its light that comes out in the j-th field after it, of two exponential components.
+    Mean of sum_j l_j^2 over the arrival of a pulse within the gate at the start of a field; l_j is the fraction of its
+    light in the j-th field after it, of two exponential components.
     """
-    field_s = 1.0 / values["field_rate_hz"][:, None, None]
+    field_s = 1.0 / values["video.field_rate_hz"][:, None, None]
     fast = values["phosphor.fast_fraction"]
     light = np.stack([fast * values["phosphor.fast_decay_ms"], (1.0 - fast) * values["phosphor.slow_decay_ms"]])
     decay_s = [values[f"phosphor.{name}_decay_ms"][:, None, None] * 1e-3 for name in ("fast", "slow")]
@@ -216,8 +216,8 @@ def _readout(values: Values, fx: Array, fy: Array) -> Array:
 
 
 def _video_weights(values: Values) -> Array:
-    clock_mhz, order = float(values["pixel_clock_mhz"][0]), int(values["filter_order"][0])
-    return video_filter_weights(values["bandwidth_mhz"], clock_mhz, order)
+    clock_mhz, order = float(values["video.pixel_clock_mhz"][0]), int(values["video.filter_order"][0])
+    return video_filter_weights(values["video.bandwidth_mhz"], clock_mhz, order)
 
 
 def _photons_per_pe(values: Values, mcp_v: ArrayLike, reference_v: float) -> Array:
@@ -246,7 +246,7 @@ def _nodes(edges: tuple[float, ...], counts: tuple[int, ...]) -> tuple[Array, Ar
     return np.concatenate(points), np.concatenate(weights)
 
 
-# Nodes of a quadrant of the frequency plane, cycles per field pixel, as far as fibres and their gaps let anything pass.
+# Nodes of a quadrant of the frequency plane, cycles per field pixel, up to the limit of fibres and gaps.
 _ACROSS, _ACROSS_WEIGHT = _nodes((0.0, 0.2, 0.8, 2.5), (5, 7, 10))
 _ALONG, _ALONG_WEIGHT = _nodes((0.0, 0.2, 1.0, 2.0, 5.0), (5, 6, 6, 8))
 
@@ -256,8 +256,8 @@ def lens_transfer(frequency_per_mm: Array, blur_um: Array, f_number: Array) -> A
 
     Notes
     -----
-    Diffraction of a round pupil, (2/pi)(acos x - x sqrt(1 - x^2)) with x = f wavelength N, falls as 1 - 4x/pi: three
-    per cent where a fast lens is used, for light of the middle of the cathode's band.
+    Diffraction of a circular pupil, (2/pi)(acos x - x sqrt(1 - x^2)) with x = f wavelength N, falls as 1 - 4x/pi: by 3
+    % for a fast lens at the central wavelength of the photocathode.
     """
     x = np.minimum(frequency_per_mm * 0.7e-3 * f_number, 1.0)
     diffraction = (2.0 / np.pi) * (np.arccos(x) - x * np.sqrt(1.0 - x**2))
@@ -275,10 +275,10 @@ def halo_transfer(frequency_per_mm: Array, gap_mm: Array, elastic_share: Array) 
 
     Notes
     -----
-    An electron re-emitted under the angle t with the share e of its energy lands at r = 2 e d sin 2t. Emission by the
+    An electron re-emitted at the angle t with the fraction e of its energy lands at r = 2 e d sin 2t. Emission by the
     cosine law makes sin^2 t uniform, so that x = r/(2 e d) has the density x/sqrt(1 - x^2) and the Hankel transform
-    sin(u)/u with u = 2 pi f 2 d e. Elastic electrons have e = 1; energies spread evenly give the mean over e in 0..1,
-    Si(u)/u.
+    sin(u)/u with u = 2 pi f 2 d e. Elastic electrons have e = 1; uniformly distributed energies give the mean over e in
+    0..1, Si(u)/u.
     """
     argument = 4.0 * np.pi * np.asarray(frequency_per_mm * gap_mm, float)
     safe = np.maximum(argument, 1e-6)
@@ -296,7 +296,7 @@ def aperture_transfer(frequency_cy_per_width: Array) -> Array:
     return np.abs(np.sinc(frequency_cy_per_width))
 
 
-# Weights beyond this many pixels are below 1e-6 for any bandwidth that a camera of this clock would have.
+# Weights beyond this many pixels are below 1e-6 for any bandwidth suitable for the pixel clock.
 LENGTH_PX = 14
 
 
@@ -306,19 +306,19 @@ def video_filter_weights(bandwidth_mhz: Array, clock_mhz: float, order: int, pha
     Parameters
     ----------
     bandwidth_mhz
-        Frequency where the low pass has lost 3 dB, shape (n,), MHz.
+        Frequency of 3 dB loss, shape (n,), MHz.
     clock_mhz
         Pixel clock, MHz.
     order
         Order of the Butterworth filter.
     phase
-        When in its clock a pixel is read, 0 (start) to 1 (end).
+        Sampling time within the pixel clock, 0 (start) to 1 (end).
 
     Notes
     -----
-    Poles p_k = w exp(i pi (2k + order + 1)/(2 order)); step response 1 + sum_k r_k exp(p_k t)/p_k with the residues
-    r_k = w^order / prod_{j != k} (p_k - p_j). A stair that begins j clocks before the pixel read has by then risen to
-    s(j + phase) and, its successor taking over, counts s(j + phase) - s(j + phase - 1).
+    Poles p_k = w exp(i pi (2k + order + 1)/(2 order)); step response 1 + sum_k r_k exp(p_k t)/p_k with the residues r_k
+    = w^order / prod_{j != k} (p_k - p_j). A step that begins j clocks before the sampled pixel has risen to s(j +
+    phase) and, with its successor, contributes s(j + phase) - s(j + phase - 1).
     """
     angle = np.pi * (2.0 * np.arange(order) + order + 1) / (2.0 * order)
     unit = np.exp(1j * angle)

@@ -12,7 +12,7 @@ from labdata.sensor import Sensor
 
 Array = NDArray[np.float64]
 
-# Shares and probabilities end at 1.
+# Fractions and probabilities with the upper bound 1.
 _AT_MOST_ONE = (
     "photocathode.halo_fraction",
     "photocathode.halo_elastic_share",
@@ -22,7 +22,7 @@ _AT_MOST_ONE = (
     "ccd.quantum_efficiency",
 )
 
-# Factors of products and powers: drawn as logarithms, so that a product that the data know is a straight ridge.
+# Factors of products and powers: drawn as logarithms, in which a constrained product is a straight ridge.
 _FACTORS = (
     "photocathode.luminous_sensitivity_ua_per_lm",
     "photocathode.ebi_lm_per_cm2",
@@ -38,7 +38,7 @@ _FACTORS = (
     "ccd.read_noise_e",
 )
 
-# What bends the response as 1 + c / parameter: drawn as -1/parameter, in which the bend is straight.
+# Parameters that enter as 1 + c / parameter: drawn as -1/parameter, in which the dependence is linear.
 _LIMITS = ("microchannel_plate.strip_current_ua_per_cm2",)
 
 # Half of a Gaussian's 95 % interval in standard deviations.
@@ -52,13 +52,13 @@ class SensorPrior:
     Parameters
     ----------
     names
-        Paths of the parameters asked.
+        Paths of the parameters.
     power
-        What a parameter's coordinate is, shape (parameter,): 1 the parameter, 0 its logarithm, -1 its negative inverse.
+        Coordinate of a parameter, shape (parameter,): 1 the parameter, 0 its logarithm, -1 its negative inverse.
     centre, sd_below, sd_above
         Coordinate of the value and the two widths, shape (parameter,).
     bounds
-        Of the coordinates, where a number loses its meaning, shape (parameter, 2).
+        Bounds of the coordinates, shape (parameter, 2).
     """
 
     names: tuple[str, ...]
@@ -74,7 +74,7 @@ class SensorPrior:
 
         Notes
         -----
-        Halves of the widths a and b with a common height have the variance (1 - 2/pi)(b - a)^2 + a b.
+        Half-Gaussians of the widths a and b with equal height have the variance (1 - 2/pi)(b - a)^2 + a b.
         """
         below, above = self.sd_below, self.sd_above
         return np.sqrt((1.0 - 2.0 / np.pi) * (above - below) ** 2 + below * above)
@@ -112,9 +112,9 @@ def prior_of(sensor: Sensor, asked: tuple[str, ...]) -> SensorPrior:
     Parameters
     ----------
     sensor
-        The description whose low..high hold each parameter with 95 % probability.
+        Sensor description whose low..high contain each parameter with 95 % probability.
     asked
-        Paths of the parameters that the session's data speak of.
+        Paths of the parameters on which the session's data depend.
     """
     known = sensor.parameters()
     rows = [(path, *_row(path, known[path])) for path in asked if _has_range(known[path])]
@@ -143,7 +143,7 @@ def _has_range(parameter: Parameter) -> bool:
 def _row(path: str, parameter: Parameter) -> tuple[int, float, float, float, float, float]:
     """Return the power of the coordinate, its centre, its two widths and its bounds.
 
-    A value on an end of its own range takes a little of the other side.
+    A value at an end of its range extends a little beyond.
     """
     low, value, high = float(parameter.low or 0.0), float(parameter.value), float(parameter.high or 0.0)
     floor, ceiling = 0.0 if low == 0 else 0.02 * value, 1.0 if path in _AT_MOST_ONE else np.inf
@@ -167,11 +167,11 @@ class Product:
     Parameters
     ----------
     carrier
-        Path of the parameter that carries it.
+        Path of the parameter that is drawn as the product.
     partners
-        Paths of the factors that ride along.
+        Paths of the other factors.
     factor
-        What the partners multiply the carrier with, from their values, shape (n,).
+        Factor of the partners, from their values, shape (n,).
     """
 
     carrier: str
@@ -214,8 +214,8 @@ def widen_to_products(sensor: Sensor, products: tuple[Product, ...]) -> Sensor:
 def distribute_product(sensor: Sensor, product: Product, carried: Array, rng: np.random.Generator) -> dict[str, Array]:
     """Distribute drawn products over carrier and partners, shape (draw,) each.
 
-    Of many prior draws of the partners, one is taken for each product with the probability that the carrier's own
-    prior gives to what is left for it.
+    For each product one of many prior draws of the partners is selected, with the probability of the remaining carrier
+    value under its prior.
     """
     partners, prior = _partners(sensor, product, rng, CANDIDATES * 20)
     relative = _relative(sensor, product, partners)

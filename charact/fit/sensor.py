@@ -38,13 +38,13 @@ class Model:
     Parameters
     ----------
     sensor
-        The description that holds the parameters not asked, and the prior ranges.
+        Sensor description with the prior ranges and the parameters not drawn.
     products
-        Products drawn as one: their partners stand at their values.
+        Products drawn as one, with the partners at their values.
     prior
-        Of the parameters drawn; that of a product's carrier is the product's.
+        Prior of the parameters drawn; that of a product's carrier is the product's.
     observed
-        What the session measured.
+        Observations of the session.
     """
 
     sensor: Sensor
@@ -111,9 +111,9 @@ def inflate_errors(model: Model) -> tuple[Model, str | None]:
 
     Notes
     -----
-    At the most probable point chi-squared of data and prior together has as many degrees of freedom as there are data.
-    One that chance would exceed with the probability `CHANCE` is a misfit: all errors are then scaled by the root of
-    chi-squared per number (Birge's ratio), so that ranges do not promise what the model does not hold.
+    At the most probable point chi squared of data and prior has as many degrees of freedom as there are data. A p-value
+    below 1e-4 is a misfit: all errors are then scaled by the root of the reduced chi squared (Birge's ratio), so that
+    ranges include the model error.
     """
     from scipy.stats import chi2
 
@@ -171,7 +171,7 @@ def full_well_draws(sensor: Sensor, drawn: dict[str, Array], rng: np.random.Gene
 
     Notes
     -----
-    The prior, cut off below (full scale - black level) / gain. Where a draw's gain leaves nothing of it, that charge.
+    The prior, truncated below (full scale - black level) / gain; that charge where nothing remains.
     """
     prior = prior_of(sensor, (FULL_WELL,))
     if not prior.names or GAIN not in drawn:
@@ -186,9 +186,9 @@ def full_well_draws(sensor: Sensor, drawn: dict[str, Array], rng: np.random.Gene
 
 Progress = Callable[[str, float], None]
 
-# A parameter is identified when the data leave less than this share of its prior's standard deviation.
+# A parameter is identified if its posterior is narrower than this fraction of its prior, in standard deviations.
 IDENTIFIED_SHARE = 0.7
-# Parameters that the light meter's one error goes into.
+# Parameters that the systematic uncertainty of the light meter affects.
 _METERED = (
     "tube.luminous_gain",
     "photocathode.luminous_sensitivity_ua_per_lm",
@@ -205,26 +205,26 @@ def fit_sensor(
     Parameters
     ----------
     session
-        The session; its sensor description gives the priors, its darks and flats the levels.
+        Session; its sensor description gives the priors, its darks and flats the stack means.
     result
-        What was measured in it.
+        Measurements of the session.
     seed
         Seed of the posterior draws.
     progress
-        Called with a sentence and the share done.
+        Called with a sentence and the fraction done.
 
     Returns
     -------
     Sensor
-        Every parameter that the data identify is `fitted` (value, 95 % range); every other one that was asked keeps
-        value and range of its prior and is marked `prior`; those never asked are untouched. `draws` holds the joint
-        posterior of all that were asked, for the light meter's reading as it stands: products of parameters are known
-        better than each of them.
+        Every parameter that the data identify is `fitted` (value, 95 % range); every other requested one keeps value
+        and range of its prior and is marked `prior`; the rest is unchanged. `draws` contains the joint posterior of all
+        requested parameters without the systematic uncertainty of the light meter: products of parameters are better
+        known than each of them.
 
     Raises
     ------
     BadInput
-        If the session names no sensor, one without interlaced analog video, or holds nothing that speaks of one.
+        If the session has no sensor, one without interlaced analog video, or no measurement of it.
     """
     if session.sensor is None:
         raise BadInput(f"a fit needs a sensor description with prior ranges, got none in session {session.name!r}")
@@ -261,11 +261,11 @@ def description_from_posterior(
     posterior
         Draws in the coordinates of the model's prior.
     illuminance_relative_sd
-        Relative standard uncertainty of the illuminance; widens the ranges of what is tied to the meter.
+        Relative standard uncertainty of the illuminance; widens the ranges of the parameters that depend on the meter.
     seed
-        Seed of what the draws alone do not fix.
+        Seed of additional draws.
     scale_filled
-        Whether frames reach full scale, which the full well then allows.
+        Whether frames reach full scale, which constrains the full well.
     """
     left = dict(zip(posterior.names, posterior.draws.std(axis=0, ddof=1) / model.prior.sd, strict=True))
     point, carriers = _consistent(model, posterior, left)
@@ -308,8 +308,8 @@ def _all_draws(model: Model, posterior: Posterior, rng: np.random.Generator) -> 
 def _consistent(model: Model, posterior: Posterior, left: dict[str, float]) -> tuple[Array, set[str]]:
     """Return a point consistent with the data while unidentified parameters keep their prior value.
 
-    Where the data know only a combination, none of its parameters need be identified; the one they tell most of is
-    then fitted too, and named in the second result.
+    If the data determine only a combination, none of its parameters may be identified; the best-determined one is then
+    fitted as well, and returned in the second result.
     """
     share = np.array([left[name] for name in posterior.names])
     best = most_probable(model, np.median(posterior.draws, axis=0), np.ones(share.size, bool))

@@ -36,7 +36,7 @@ TAU_CHANGE = 0.1
 R_HAT = 1.01
 # Single walkers have only some tens of autocorrelation times each: this bound tells those that never leave a peak.
 WALKER_R_HAT = 1.15
-# Climbs in search of other peaks, shared out over the parameters: a climb costs as their square.
+# Number of optimisations in search of other modes, divided by the number of parameters: the cost of each is quadratic.
 CLIMBS = 30
 # Steps of the first round of learning, how alike two rounds must be, and the steps before the first judgement.
 LEARNING_STEPS = 60
@@ -44,10 +44,10 @@ ALIKE = 1.5
 FIRST_STEPS = 150
 # Differences of fewer walkers than these, four in each half, are too few to choose from.
 LEAST_WALKERS = 8
-# A second peak is further than this from the first and not lower than this in log-probability.
+# A second mode is further than this from the first and not lower than this in log-probability.
 FAR_SD = 6.0
 LOWEST_PEAK = 8.0
-# How far from the start climbs begin where a parameter has no bound.
+# Distance from the start at which optimisations begin where a parameter has no bound.
 FAR_AROUND_SD = 50.0
 
 

@@ -13,8 +13,8 @@ from charact.posterior.probit_transform import NormalScores
 
 Array = NDArray[np.float64]
 
-# Share, degrees of freedom and scale of the Student t densities drawn from: the body, and tails that leave no walker
-# where the posterior is many times denser than the draws.
+# Weight, degrees of freedom and scale of the Student t densities: body, and tails that prevent stuck walkers where the
+# posterior is much denser than the proposal.
 BODY_AND_TAILS = ((0.9, 20.0, 1.0), (0.1, 3.0, 1.5))
 INDEPENDENT_SHARE = 0.75
 
@@ -27,13 +27,13 @@ def walker_moves(
     Parameters
     ----------
     places
-        Peaks about which independent draws are made, shape (place, parameter).
+        Optima of the independent draws, shape (place, parameter).
     covariance
-        Covariance about each, shape (parameter, parameter).
+        Covariance around each, shape (parameter, parameter).
     ensembles
-        How many ensembles lie one after the other in the state.
+        Number of consecutive ensembles in the state.
     scores
-        Coordinates in which places and covariance are given; None: the parameters themselves.
+        Coordinates of places and covariance; None: the parameters themselves.
     """
     return [
         (DifferentialEvolution(ensembles), 1.0 - INDEPENDENT_SHARE),
@@ -52,7 +52,7 @@ class DifferentialEvolution:
     Attributes
     ----------
     proposed, accepted
-        How many walkers were to move and did.
+        Numbers of proposed and accepted moves.
     """
 
     def __init__(self, ensembles: int) -> None:
@@ -146,11 +146,11 @@ class Ensembles:
     log_probability
         Vectorised: points (n, parameter) -> (n,).
     moves
-        Moves with their weights, as of `charact.posterior.ensembles.walker_moves`.
+        Moves with their weights, as from `walker_moves`.
     first
-        Where the walkers begin, shape (ensemble, walker, parameter).
+        Initial walkers, shape (ensemble, walker, parameter).
     seed
-        Seed of all their draws.
+        Seed of all draws.
     """
 
     def __init__(self, log_probability: Vectorised, moves: list[tuple[Any, float]], first: Array, seed: int) -> None:
@@ -198,7 +198,7 @@ def first_places(
 ) -> Array:
     """Return the initial walkers of an ensemble around its optima, wider than the curvature.
 
-    No walker begins where the log-probability is not finite, for it might stay there for ever.
+    A walker at a log-probability that is not finite might never move.
     """
     share = np.array_split(np.arange(walkers), len(places))
     first = np.concatenate(
@@ -218,8 +218,8 @@ def first_places(
 def _emcee() -> ModuleType:
     """Import emcee without scipy.stats, at a tenth of the time; only its kernel density move needs it.
 
-    emcee takes the absence of scipy.stats for granted where it is absent, and only its kernel density move then
-    refuses; whoever has loaded scipy.stats or emcee before has them whole.
+    If scipy.stats cannot be imported, emcee does without it, and only its kernel density move fails; modules that are
+    already loaded are not affected.
     """
     if "emcee" not in sys.modules and "scipy.stats" not in sys.modules:
         sys.modules["scipy.stats"] = None  # pyright: ignore[reportArgumentType]

@@ -10,7 +10,7 @@ from labdata.errors import BadInput
 
 Array = NDArray[np.float64]
 
-# Below this probability, shared out over the three signs, the model is called wrong.
+# Probability of rejecting a correct model, divided between the three discrepancies.
 MISFIT_LEVEL = 0.01
 
 
@@ -21,13 +21,13 @@ class PredictiveCheck:
     Parameters
     ----------
     chi_squared
-        Of a sum of squares as large: noise beyond what was stated, or any misfit.
+        p-value of the sum of squares: excess noise, or any misfit.
     runs
-        Of as few runs of one sign along the data: a mean of the wrong shape.
+        p-value of the number of runs of one sign: a wrong mean.
     neighbours
-        Of residuals as like their neighbours, over lags up to the root of their number: a mean of the wrong shape.
+        p-value of the correlation of neighbouring residuals, over lags up to the root of their number: a wrong mean.
     level
-        Chance of calling a right model wrong.
+        Probability of rejecting a correct model.
     """
 
     chi_squared: float
@@ -60,17 +60,17 @@ def predictive_check(
     Parameters
     ----------
     data
-        What was measured, along its natural order, shape (datum,).
+        Measured data in their natural order, shape (datum,).
     predictions
-        The model's mean of the data at each posterior draw, shape (draw, datum).
+        Predicted mean of the data at each posterior draw, shape (draw, datum).
     noise
         Standard deviation of the noise, shape (datum,), or its covariance, shape (datum, datum).
     rng
         Generator of the replicates.
     replicates
-        How many data sets are replicated; probabilities are no finer than their inverse.
+        Number of replicated data sets, which limits the resolution of the p-values.
     level
-        Chance of calling a right model wrong.
+        Probability of rejecting a correct model.
 
     Raises
     ------
@@ -79,10 +79,10 @@ def predictive_check(
 
     Notes
     -----
-    Whitened residuals at the posterior's mean prediction, z = L^-1 (y - m), have covariance 1 - H under the model,
-    H the posterior covariance of L^-1 times the prediction: exactly so for Gaussian noise and a mean linear in the
-    parameters with a Gaussian prior, where H is the hat matrix. Replicates are drawn from that law, so that the data
-    are not used twice, which would pull the probabilities towards 1/2 (Meng 1994, doi 10.1214/aos/1176325622).
+    Whitened residuals at the posterior's mean prediction, z = L^-1 (y - m), have covariance 1 - H under the model, with
+    H the posterior covariance of L^-1 times the prediction: exact for Gaussian noise and a mean linear in the
+    parameters with a Gaussian prior, where H is the hat matrix. Replicates are drawn from that distribution, so that
+    the data are not used twice, which would bias the p-values towards 1/2 (Meng 1994, doi 10.1214/aos/1176325622).
     """
     measured, mean = np.asarray(data, float), np.asarray(predictions, float)
     if measured.ndim != 1 or mean.ndim != 2 or mean.shape[1] != measured.size or len(mean) < 2 or measured.size < 4:
@@ -116,16 +116,16 @@ def predictive_probability(
     draws
         Posterior draws, shape (draw, parameter).
     data
-        What was measured, any shape.
+        Measured data, any shape.
     replicate
-        Maps draws (draw, parameter) and a generator to data of their own, shape (draw, *data).
+        Function of draws (draw, parameter) and a generator that returns replicates, shape (draw, *data).
     discrepancy
-        Maps data (draw, *data) and draws to how far each lies from the model, shape (draw,).
+        Function of data (draw, *data) and draws that returns discrepancies, shape (draw,).
 
     Notes
     -----
-    Gelman, Meng & Stern 1996: P(T(y_rep, theta) >= T(y, theta)). It uses the data twice and so lies nearer to 1/2
-    than a uniform probability: one below alpha comes at most about as often as alpha, mostly more seldom.
+    Gelman, Meng & Stern 1996: P(T(y_rep, theta) >= T(y, theta)). The data are used twice, so that the p-value is closer
+    to 1/2 than a uniform one: values below alpha occur with at most about the probability alpha.
     """
     drawn = np.atleast_2d(np.asarray(draws, float))
     measured = np.asarray(data, float)
@@ -152,8 +152,7 @@ def _whitener(noise: Array, size: int) -> Callable[[Array], Array]:
 def _shrink_by_fit(white: Array, spread: Array) -> Array:
     """Return white noise (replicate, datum) after a fit: each direction has variance 1 - H.
 
-    A direction of which the posterior knows no more than its noise allows has H = 1 at most; scatter of the draws
-    beyond that is cut.
+    A direction that the noise alone determines has H = 1 at most; excess scatter of the draws is clipped.
     """
     _, values, directions = np.linalg.svd(spread, full_matrices=False)
     left = np.sqrt(np.clip(1.0 - values**2, 0.0, 1.0))

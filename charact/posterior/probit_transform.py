@@ -10,7 +10,7 @@ Array = NDArray[np.float64]
 class ProbitTransform:
     """Unconstrained coordinates z = Phi^-1((x - low)/(high - low)) where both bounds are finite.
 
-    A density that is cut off at a wall is awkward to propose for; in z it has the tail of a normal one.
+    A density truncated at a bound is difficult to propose for; in z it has a normal tail.
     """
 
     def __init__(self, walls: NDArray) -> None:
@@ -39,11 +39,11 @@ class ProbitTransform:
         return np.where(self._bounded, slope, 1.0)
 
 
-# Normal scores at which the margins of draws are pinned down, and the shares of draws below them.
+# Normal scores at which the margins are tabulated, and the corresponding quantiles.
 INNER = np.linspace(-2.0, 2.0, 9)
 SHARES = np.array([0.02275, 0.06681, 0.15866, 0.30854, 0.5, 0.69146, 0.84134, 0.93319, 0.97725])
-# Pins beyond, one score apart, where margins are taken as so many times longer than they look: few draws have been
-# there, and a walker in a tail that is longer than the proposal's stays in it.
+# Further nodes, one score apart, with extended intervals: they contain few draws, and a walker would stay in a tail
+# longer than the proposal's.
 LONGER = np.array([1.5, 2.5, 4.0])
 BEYOND = INNER[-1] + 1.0 + np.arange(LONGER.size)
 PINS = np.concatenate([-BEYOND[::-1], INNER, BEYOND])
@@ -60,8 +60,8 @@ class NormalScores:
 
     Notes
     -----
-    Piecewise linear and carried on beyond the outer pins, hence exactly invertible with a known density: whatever the
-    draws it is learnt from, a proposal made in scores has a density in the parameters.
+    Piecewise linear and extrapolated beyond the outer nodes, hence exactly invertible with a known density: a proposal
+    in scores has a density in the parameters for any draws.
     """
 
     def __init__(self, draws: Array) -> None:

@@ -10,8 +10,8 @@ from charact.posterior.importance import importance_sample
 from charact.posterior.laplace import Vectorised
 from labdata.measurement import Posterior
 
-# Effective draws by importance that are wanted: 95 % intervals of a hundred edges are then as wide as at nine thousand,
-# within half a percent. Fewer than the others tell no posterior.
+# Requested effective sample size: 95 % intervals of a hundred edges are within 0.5 % of those at nine thousand. Below
+# the second number the posterior is not determined.
 WANTED, ENOUGH = 2000.0, 1000.0
 
 
@@ -33,21 +33,21 @@ def sample_posterior(
     Parameters
     ----------
     log_probability, names, units, start, covariance, seed, bounds, draws
-        As of `charact.posterior.importance_sample`.
+        As of `importance_sample`.
     max_steps
-        Steps of each ensemble after which a Markov chain is given up.
+        Maximum number of steps of each ensemble of the Markov chain.
     effort
-        Share of the effective draws by importance that are wanted: of a form of little evidence few draws count.
+        Fraction of the requested effective sample size: low for models of small weight.
 
     Returns
     -------
     Posterior
-        Its sampler says how it was drawn; `several-modes` where its draws have several peaks.
+        Its sampler is recorded; `several-modes` if its draws have several modes.
 
     Notes
     -----
-    Importance meets the peaks into which draws from about the first one fall. Others, far away, only a chain's climbs
-    look for.
+    Importance sampling finds the modes near the first one. Distant modes are found only by the optimisations of a
+    Markov chain.
     """
     asked = {
         "names": names, "units": units, "start": start, "covariance": covariance, "seed": seed, "bounds": bounds,

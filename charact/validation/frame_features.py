@@ -69,9 +69,9 @@ def statistics(
     Parameters
     ----------
     one, many
-        The portrait in question and those of the posterior draws.
+        Features in question and those of the posterior draws.
     chosen
-        The stacks, for their names.
+        Stacks, for their labels.
     rng
         Draws of the null distributions.
     """
@@ -141,7 +141,7 @@ class TileStatistics:
     mean
         Mean level of each tile, shape (tile,), DN.
     autocovariance
-        Autocovariance of the changes in each tile, DN^2, lag zero in the middle; shape (tile, lag, lag).
+        Autocovariance of the changes in each tile, DN^2, lag zero at the centre; shape (tile, lag, lag).
     """
 
     mean: Array
@@ -237,7 +237,7 @@ class Distance:
     kolmogorov
         Largest difference of the distribution functions, dimensionless.
     wasserstein_sd
-        Mean shift that turns one sample into the other, in standard deviations of the measured one.
+        Mean shift that converts one sample into the other, in standard deviations of the measured one.
     p_value
         Probability of a Kolmogorov distance at least as large, dimensionless.
     """
@@ -250,8 +250,8 @@ class Distance:
 def sample_of(frames: NDArray, rng: np.random.Generator) -> Array:
     """Return independent pixels (n,) without quantisation, less their mean, DN.
 
-    Every second frame gives a lattice of pixels, and lattices of neighbouring frames lie between each other: neither
-    blur, nor the screen's decay, nor the fixed pattern ties two of them together.
+    Every second frame contributes a lattice of pixels, interleaved between frames, so that neither blur, phosphor decay
+    nor fixed pattern correlate them.
     """
     row, col = (int(rng.integers(STRIDE)) for _ in range(2))
     parts = []
@@ -277,7 +277,7 @@ def distance(measured: Array, simulated: Array) -> Distance:
 
 
 METHOD = "edge-slanted"
-# Up to 0.8 of the sampling limit.
+# Frequencies up to 0.8 of the sampling limit.
 FREQUENCY_CY_PER_PX = np.arange(0.05, 0.4001, 0.05)
 
 

@@ -12,9 +12,9 @@ from labdata.sensor import Sensor
 from labdata.session import Kind, Session, StackEntry
 from labdata.target import Target
 
-# Frames are cut to this size about the middle: enough for every statistic, and quickly simulated many times.
+# Size of a centred crop: sufficient for every statistic, and fast to simulate.
 SHAPE = (192, 256)
-# An edge is cut narrowly: what lies far beside it adds its noise and little light.
+# Size of an edge crop: pixels far from the edge add noise and little signal.
 ALONG_EDGE, ACROSS_EDGE = 192, 72
 FEWEST_FRAMES = 3
 
@@ -28,11 +28,11 @@ class MatchedFrames:
     label, kind, conditions, target
         As in the session.
     frames
-        Number of frames taken of it.
+        Number of frames used.
     corner
-        First row and column of the cut.
+        First row and column of the crop.
     shape
-        Rows and columns of the cut.
+        Rows and columns of the crop.
     """
 
     label: str
@@ -51,13 +51,13 @@ class MatchedStacks:
     Parameters
     ----------
     dark, flats, edge
-        Their shots; no edge: the MTF is not compared.
+        Stacks; without an edge the MTF is not compared.
     others
-        Shots of which only a picture is shown.
+        Stacks for display only.
     measured
         Measured frames by label, shape (frame, row, col), DN.
     notes
-        What was left out, and why.
+        Excluded stacks with reasons.
     """
 
     dark: MatchedFrames
@@ -105,7 +105,7 @@ def choose(session: Session) -> MatchedStacks:
 def simulate_frames(sensor: Sensor, shots: tuple[MatchedFrames, ...], *, seed: int) -> dict[str, NDArray]:
     """Simulate frames of a sensor under the stacks' conditions by label, shape (frame, row, col), DN.
 
-    The chip is as small as the cut, and its fixed patterns follow from the sensor's name.
+    The sensor is as small as the crop, and its fixed patterns follow from the sensor's name.
     """
     from simulate.lab import LabBench
 

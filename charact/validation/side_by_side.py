@@ -125,20 +125,20 @@ def validate(
     Parameters
     ----------
     session
-        The session: darks, flats and, for the MTF, an edge.
+        Session with darks, flats and, for the MTF, an edge.
     sensor
-        The fitted sensor; each simulated set is one of its joint posterior draws. One without draws is simulated at
-        its values, and a note says so.
+        Fitted sensor; each simulated set is one of its joint posterior draws. One without draws is simulated at its
+        values, with a note.
     seed
         Seed of draws and frames.
     progress
-        Called with a sentence and the share done.
+        Called with a sentence and the fraction done.
 
     Returns
     -------
     Validation
-        Statistics with their verdicts, a null control (frames of one more draw, which must pass) and a negative one
-        (the blur behind the gain moved before it, which must fail), overlays and pictures.
+        Statistics, a null control (frames of one more draw, which must pass) and a negative one (the blur after the
+        gain moved before it, which must fail), overlays and frame pairs.
 
     Raises
     ------

@@ -22,18 +22,17 @@ class Statistic:
     Parameters
     ----------
     name, title
-        Short name, and in words what is compared.
+        Short name, and description.
     distance
-        How far the measured value is from the simulated ones, in units that 1 is usual.
+        Distance of the measured value from the simulated ones, about 1 if they agree.
     p_value
         Probability of a distance at least as large if the sensor is right, dimensionless.
     level
-        p-value below which it fails, several comparisons counted in.
+        p-value below which it fails, corrected for several comparisons.
     labels, measured, low95, high95
-        What was compared: names of the numbers, measured values, and the 95 % interval that the simulation predicts for
-        each.
+        Names of the numbers, measured values, and predicted 95 % intervals.
     note
-        What a reader should know of it.
+        Note for the reader.
     """
 
     name: str
@@ -63,9 +62,9 @@ class ValidationControl:
         "null": frames of the fitted sensor itself, which must pass. "negative": of the fitted sensor with one stage
         removed, which must fail.
     title
-        What was done, in words.
+        Description.
     statistics
-        The statistics.
+        Statistics.
     """
 
     name: Literal["null", "negative"]
@@ -88,9 +87,9 @@ class FramePair:
     kind, label
         Kind and label of the stack.
     measured, simulated
-        Pictures, shape (row, col), uint8.
+        Images, shape (row, col), uint8.
     low_dn, high_dn
-        Levels shown black and white, DN.
+        Grey values shown black and white, DN.
     """
 
     kind: str
@@ -108,7 +107,7 @@ class Validation:
     Parameters
     ----------
     session, sensor
-        Names of the session and of the sensor that was simulated.
+        Names of the session and of the simulated sensor.
     seed, draws, seconds
         Seed, number of posterior draws simulated and time taken, s.
     statistics
@@ -116,12 +115,12 @@ class Validation:
     controls
         Null and negative controls under the same statistics.
     overlays
-        What a report draws, by name: JSON-ready mappings; "mtf", "photon-transfer", "autocorrelation", "histogram".
-        Each carries "x" with "x_title", "measured", "simulated", "low95" and "high95" and its "title".
+        Figure data by name, JSON-ready mappings: "mtf", "photon-transfer", "autocorrelation", "histogram". Each has "x"
+        with "x_title", "measured", "simulated", "low95", "high95" and "title".
     pairs
-        Pictures side by side.
+        Images for display.
     notes
-        What a reader should know.
+        Notes for the reader.
     """
 
     session: str

@@ -15,9 +15,9 @@ from labdata.measurement import Measurement
 Array = NDArray[np.float64]
 
 MISFIT = ("model-misfit",)
-# What the two may differ by: px or a share, whichever is more, and the light that the fitted one may be off by.
+# Relative uncertainty of the fitted signal.
 LIGHT_SHARE = 0.03
-# Levels that the fitted light tells, and those whose extents it may contradict.
+# Thresholds of the extents that the fitted model predicts, and the extents that it may contradict.
 LEVELS: dict[str, Callable[[PointStack], float]] = {
     "bloom_diameter": lambda spot: spot.half_dn,
     "bloom_diameter_clip": lambda spot: spot.full_scale_dn - HALF_STEP_DN,
@@ -29,15 +29,14 @@ READ: dict[str, Callable[[PointStack], Extent | None]] = {
     "bloom_diameter_background": lambda spot: spot.background,
 }
 CONTRADICTED = ("bloom_diameter", "bloom_diameter_clip")
-# The extents by which both are compared over all levels.
+# Extent compared over all stacks.
 JUDGED = "bloom_diameter"
-# Times the contour's own error that the mean of both keeps, by the quantity where the contour is long, and where it is
-# short, up to about a diameter in px: what some hundred series in closed form show, of 4 to 16 frames. A contour of few
-# pixels is told by the same few to both. What the highest code hides from one next to it the fitted light knows.
+# Factors on the contour's own error in the mean of both, for long contours and for short ones, calibrated on some
+# hundred closed-form series of 4 to 16 frames. A short contour and the model depend on the same few pixels. Next to
+# full scale the model replaces what clipping hides.
 LONG = {"bloom_diameter": 0.44, "bloom_diameter_clip": 0.5, "bloom_diameter_background": 0.6}
 SHORT = {"bloom_diameter": 1.1, "bloom_diameter_clip": 1.5, "bloom_diameter_background": 1.5}
-# Chance below which the two differ over all levels by more than noise: another source, or a form that none of ours is.
-# What they differ by without either, px, is that of the best forms.
+# Difference of both without noise or model error, px.
 APART_PX = 0.02
 
 
@@ -49,17 +48,17 @@ def compare_extents(
     Parameters
     ----------
     best
-        The form fitted to the stacks.
+        Model fitted to the stacks.
     group
-        The stacks, in the order of the series' levels.
+        Stacks in the order of the series.
     extents
-        Measurements of the stacks, streaks among them.
+        Measurements of the stacks, including streaks.
 
     Notes
     -----
-    A streak belongs to the frame alone: the extent that it pulls stays as read, and is flagged where the streak may
-    have joined it to a rim which the round light leaves apart. So is one that the fitted light contradicts, and so are
-    all whose differences from it over the levels are more than noise makes.
+    A streak belongs to the frame alone: an extent that it distorts stays as measured, and is flagged where the streak
+    may have joined it to a separate rim. Extents that the model contradicts are flagged, and all extents where the
+    differences over the stacks exceed noise.
     """
     problem = best.problem
     light = problem.light_at(best.peak.point[None])[..., 0]
@@ -105,8 +104,7 @@ def _combine_diameters(extent: Measurement, diameter_px: float, *, alone: bool, 
     if value is None or low68 is None or low95 is None or not np.isfinite(diameter_px):
         return extent
     mean = value if alone else 0.5 * (value + diameter_px)
-    # 30 % of the difference is charged as a standard error, so that the 95 % interval of the mean covers both; 40 %
-    # to a single contour.
+    # Part of the difference charged as a standard error, so that the 95 % interval of the mean covers both values.
     kept, charged = (1.0, 0.4) if alone else (_error_factor(extent, mean, frames), 0.3)
     sd = float(np.hypot(charged * (value - diameter_px), 0.0 if alone else 0.004))
     wide = [

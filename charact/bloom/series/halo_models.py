@@ -14,7 +14,7 @@ from labdata.sensor import Sensor
 
 Array = NDArray[np.float64]
 Core = Literal["gaussian", "tube", "moffat", "matern"]
-# Cores that are tried: of any camera, and of one whose session shows that it has a tube.
+# Cores tried: of any camera, and of cameras with a tube.
 CORES: tuple[Core, ...] = ("gaussian", "matern", "moffat")
 CORES_OF_TUBES: tuple[Core, ...] = ("gaussian", "tube", "moffat")
 Halo = Literal["none", "disc", "gaussian"]
@@ -53,8 +53,8 @@ WINGS = {
     ),
 }
 LEAST_DIAMETER_PX = 12.0
-# Fractions of a disc's light by its profile: anything between rim, even disc and peak is as likely. Rims go
-# beyond 0..1 by a little: a wall at 0 would push the diameter to one side.
+# Fractions of a disc's light by density, with weak priors. Bounds slightly beyond 0..1, since a bound at 0 would bias
+# the diameter.
 PROFILE = tuple(
     ModelParameter(name=name, unit="1", low=low, high=1.2, mean=mean, sd=0.4)
     for name, low, mean in zip(transfer.PROFILE, (-0.15, -0.6, -0.6, -0.15), (0.3, 0.3, 0.1, 0.1), strict=True)
@@ -69,13 +69,13 @@ class HaloModel:
     Parameters
     ----------
     core, halo
-        Families.
+        Families of core and halo.
     reach_px
-        Farthest ring, which bounds what can be told of a halo.
+        Radius of the outermost ring, which limits the halo diameter.
     pitch_ratio
         Row pitch over column pitch, for the pixel's aperture.
     sensor
-        Description of the camera, whose tube gives the core's priors; None if unknown.
+        Sensor description, whose tube gives the core's priors; None if unknown.
     """
 
     core: Core

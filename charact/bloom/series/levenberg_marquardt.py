@@ -9,10 +9,10 @@ from charact.bloom.series.likelihood import AmplitudeSolution, SeriesLikelihood
 
 Array = NDArray[np.float64]
 
-# Dampings tried beside the last best one, the first, and how often none of them may help.
+# Factors on the last successful damping.
 NEAR = 10.0 ** np.array([-2.0, 0.0, 2.0])
 ITERATIONS = 25
-# Gain of the log-probability below which a climb ends, and step of a difference as a share of a parameter's range.
+# Gain in log-probability below which an optimisation ends.
 ENOUGH = 1e-3
 
 
@@ -92,8 +92,8 @@ def _values(problem: SeriesLikelihood, points: Array) -> tuple[Array, AmplitudeS
 def _linear(problem: SeriesLikelihood, points: Array, solved: AmplitudeSolution) -> tuple[Array, Array]:
     """Residuals, shape (point, datum), and their Jacobian, shape (point, datum, parameter).
 
-    Amplitudes stay where they are best while a parameter moves; what they would make good is projected out afterwards
-    (variable projection, Kaufman 1975, doi 10.1007/BF01932995).
+    Amplitudes stay at their optimum while a parameter moves; their effect is projected out afterwards (variable
+    projection, Kaufman 1975, doi 10.1007/BF01932995).
     """
     bounds = problem.form.bounds
     width = len(bounds)

@@ -13,7 +13,7 @@ from charact.bloom.transfer import onto_nodes
 
 Array = NDArray[np.float64]
 
-# All shares tried.
+# Trial values of the relative model error.
 SHARES = np.concatenate([[1e-5], np.geomspace(5e-4, 0.2, 14)])
 
 
@@ -24,9 +24,9 @@ class Misfit:
     Parameters
     ----------
     share
-        Of rings beyond the core, dimensionless.
+        Relative error of rings beyond the core, dimensionless.
     core
-        Of rings about the core, no less than of the others, dimensionless.
+        Relative error of rings near the core, at least that of the others, dimensionless.
     """
 
     share: float
@@ -49,7 +49,7 @@ class Modes:
     Parameters
     ----------
     variance
-        Of each mode, shape (level, mode).
+        Variance of each mode, shape (level, mode).
     modes
         Shape (level, ring, mode).
     """
@@ -76,17 +76,17 @@ def most_likely_misfit(of_core: Array, beyond: Array) -> tuple[Misfit, float]:
     Parameters
     ----------
     of_core, beyond
-        Log-likelihoods with each share, shape (share,).
+        Log-likelihoods for each trial error, shape (share,).
     """
     share = int(np.argmax(beyond))
-    # Of few rings, to which the core was fitted besides, chance makes some look surer than all those beyond.
+    # Few rings near the core, to which the core was fitted, would underestimate the error.
     core = share + int(np.argmax(of_core[share:]))
     return Misfit(share=float(SHARES[share]), core=float(SHARES[core])), float(beyond[share] + of_core[core])
 
 
-# Standard deviations of a pixel from the highest code within which some of its codes are cut.
+# Distance from full scale, in standard deviations of a pixel, within which noise is clipped.
 NEAR_TOP = 5.0
-# Least light of a ring, of which forms are off by a share, DN.
+# Minimum signal of a ring for its relative error, DN.
 LEAST_LIGHT_DN = 1e-6
 
 
@@ -97,23 +97,23 @@ class RingSeries:
     Parameters
     ----------
     labels
-        Their stacks.
+        Labels of the stacks.
     data
         Ring means, shape (level, ring), DN.
     cut
-        Rings with samples at the highest code, shape (level, ring).
+        Rings with samples at full scale, shape (level, ring).
     own_covariance
-        Covariance of the ring means by noise alone, shape (level, ring, ring), DN^2.
+        Covariance of the ring means due to noise alone, shape (level, ring, ring), DN^2.
     node_sd
         Standard deviation of a pixel at every node, shape (level, node), DN.
     sector_sd
-        Root mean square of what sectors are brighter or darker than their ring, shape (level, ring), DN.
+        Root mean square deviation of sectors from their ring, shape (level, ring), DN.
     averages
-        Takes light at the nodes to ring means, shape (level, ring, node).
+        Matrix from signal at the nodes to ring means, shape (level, ring, node).
     node_px, radius_px
         Radii of the nodes and of the rings, column pitches.
     full_dn
-        Highest code, DN.
+        Full scale, DN.
     """
 
     labels: tuple[str, ...]
@@ -210,11 +210,11 @@ class AmplitudeSolution:
     Parameters
     ----------
     amplitudes
-        Light, DN px^2, and background, DN, of each level, shape (level, amplitude, point).
+        Source signal, DN px^2, and background, DN, of each stack, shape (level, amplitude, point).
     residual
-        What the best amplitudes leave of the rings, whitened, shape (level, ring, point).
+        Whitened residuals at the optimum amplitudes, shape (level, ring, point).
     slopes
-        How the whitened rings follow the amplitudes, shape (amplitude, level, ring, point).
+        Derivatives of the whitened rings by the amplitudes, shape (amplitude, level, ring, point).
     """
 
     amplitudes: Array
@@ -244,9 +244,9 @@ class ModelParts:
     Parameters
     ----------
     straight
-        Light at the nodes of one DN px^2 of source, shape (node, point).
+        Signal at the nodes of a source of one DN px^2, shape (node, point).
     white, uncut
-        Its ring means, whitened and by the weights of uncut rings, shape (level, ring, point).
+        Its ring means, whitened and weighted by the unclipped rings' precision, shape (level, ring, point).
     """
 
     straight: Array
@@ -261,11 +261,11 @@ class SeriesLikelihood:
     Parameters
     ----------
     series, form
-        What is put to what.
+        Series and halo model.
     misfit
-        Shares of the light by which rings of the form are off.
+        Relative model error of the rings.
     steps
-        Most steps to the best amplitudes.
+        Maximum number of steps to the optimum amplitudes.
     """
 
     series: RingSeries
@@ -355,7 +355,7 @@ class SeriesLikelihood:
     def lost(self, parts: ModelParts, amplitudes: Array) -> Array:
         """Clipped signal and its derivatives, shape (level, node, 1 + amplitude, point).
 
-        Nodes end where nothing is lost any more.
+        The nodes end beyond the last clipped one.
         """
         return lost_at_top(parts.straight, amplitudes, self.series.node_sd, self.series.full_dn, NEAR_TOP)
 

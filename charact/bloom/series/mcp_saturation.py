@@ -15,11 +15,11 @@ from labdata.sensor import Sensor
 
 Array = NDArray[np.float64]
 
-# One over DN per pixel: from a plate that never tires to one that does at a few codes.
+# Reciprocal signal density at half gain, px/DN: from no saturation to saturation at a few DN.
 PLATE_LOAD = ModelParameter(name="plate_load", unit="px/DN", low=0.0, high=0.05, start=0.0)
-# Share of the core's blur that acts behind the gain, where the tube is not described and where it is.
+# Fraction of the core's blur after the gain, without a sensor description.
 POST_GAIN_SHARE = ModelParameter(name="post_gain_share", unit="1", low=0.0, high=1.0, mean=0.5, sd=0.3)
-# Gain in the end below which its two parameters are not worth their price in the criterion.
+# Minimum gain in log-probability of the two additional parameters.
 WORTHWHILE = 10.0
 
 
@@ -126,9 +126,9 @@ class SaturatingModelParts(ModelParts):
     Parameters
     ----------
     arriving, loading
-        Light at the plate of one DN px^2 of source, and load in units of one that halves the gain, shape (node, point).
+        Signal at the MCP of a source of one DN px^2, and its load relative to that at half gain, shape (node, point).
     behind
-        Transform of what blurs behind the gain, shape (frequency, point).
+        Transfer function of the blur after the gain, shape (frequency, point).
     """
 
     arriving: Array
@@ -154,7 +154,7 @@ def fit_mcp_saturation(
     first = optimise(tiring, best, iterations=2)
     if first.log_probability - float(values[0]) < 5.0:
         return None
-    # With no load it is the form at rest but for where the core's blur acts: it must do better than that, too.
+    # Without load the model differs only in the position of the blur: it must improve on that as well.
     rest = max(float(values[0]), peak.log_probability)
     near = optimise(tiring, first.point, iterations=6)
     if near.log_probability < rest:

@@ -14,11 +14,11 @@ from labdata.sensor import Sensor
 
 Array = NDArray[np.float64]
 
-# Diameters from which a disc is looked for, the best of them that are climbed from, and steps of a first climb.
+# Steps of a first optimisation.
 FIRST_STEPS = 12
-# Numbers of a disc, and where it is first looked for: flat, rimmed and peaked in equal parts.
+# Number of parameters of a disc.
 HALO = 6
-# Excess of the criterion over the best form's beyond which a form need not be fitted to the end.
+# Excess in the criterion over the best model above which a model is not fitted further.
 WORTHWHILE = 400.0
 
 
@@ -29,11 +29,11 @@ class FittedHaloModel:
     Parameters
     ----------
     problem
-        The form put to the series, with the shares of the light by which its rings are off.
+        Likelihood of the series under the model, with its relative model error.
     peak
-        Where it is best.
+        Optimum.
     log_likelihood
-        There, of the rings and in DN.
+        Log-likelihood of the rings at the optimum, in DN.
     bic
         -2 log L + k ln N.
     """
@@ -67,9 +67,9 @@ def candidates(
     series
         Ring means of all levels.
     pitch_ratio, sensor
-        Row pitch over column pitch; description of the camera, None if unknown.
+        Row pitch over column pitch; sensor description, None if unknown.
     has_tube
-        Whether the session shows that the camera has one, whose gain may saturate where it is bright.
+        Whether the camera has a tube, whose MCP may saturate.
     first_diameter_px
         Diameter of the clearest step of the rings; NaN where there is none.
     """
@@ -95,7 +95,7 @@ def candidates(
     )
     if not has_tube:
         return out
-    # A plate that tires changes which core fits best: each is tried with one; a described tube's core is known.
+    # Saturation changes which core fits best, so that each core is tried with it; a described tube's core is known.
     near = [one for one in reversed(out) if one.bic < least + WORTHWHILE]
     cores = {one.form.core: one for one in near if sensor is None or one.form.core == "tube"}
     tiring = [found for one in cores.values() for found in _saturating_candidates(one, out[0].bic)]
@@ -105,8 +105,8 @@ def candidates(
 def _saturating_candidates(best: FittedHaloModel, least: float) -> list[FittedHaloModel]:
     """Fit a core's best model with a saturating MCP, where several stacks can constrain it.
 
-    It must be clearly better than the least criterion of any form without. Of cores that are cut at every level only
-    the wings are seen, and a plate would make up for what is wrong with their form.
+    It must be clearly better than any model without saturation. If the core is clipped in every stack, only its wings
+    are visible, and saturation would compensate errors of their model.
     """
     series = best.problem.series
     if best.form.halo != "disc" or len(series.labels) < 3 or series.cut[:, 0].all():
@@ -122,7 +122,7 @@ def _discs(
 ) -> list[Array]:
     """Start points of a disc: those of other cores, the observed step, and a range of diameters.
 
-    A wing that was fitted without a halo stands for one: wings start beside the core of a plain one and its disc, too.
+    A wing fitted without a halo takes the halo's place, so that wings also start with a Gaussian core and its disc.
     """
     low, high = form.bounds[form.names.index("halo_diameter")]
     diameters = np.linspace(LEAST_DIAMETER_PX + 2, high - 2, 24)
@@ -180,10 +180,9 @@ def _candidate(problem: SeriesLikelihood, peak: SeriesOptimum) -> FittedHaloMode
     return FittedHaloModel(problem=off, peak=peak, log_likelihood=value, bic=bic)
 
 
-# Share of the light by which rings are off from which on the form is called wrong.
+# Relative model error above which the model is rejected.
 MISFIT_SHARE = 0.12
-# Sectors that differ by this share of their ring's light, and by so many standard errors, in rings on end, show
-# something besides the source; rings nearer than this are too small to be divided.
+# Consecutive rings with asymmetric sectors that reveal another source.
 UNEVEN_RINGS = 3
 
 
@@ -217,7 +216,7 @@ def own_diameters(best: FittedHaloModel) -> tuple[Array, Array, Array]:
     Returns
     -------
     diameter_px, sd_px, significance
-        Shape (level,) each; NaN where a level does not show the halo.
+        Shape (level,) each; NaN for a stack without visible halo.
     """
     names = best.form.names
     held = tuple(i for i, name in enumerate(names) if name not in ("halo_diameter", "halo_fraction"))

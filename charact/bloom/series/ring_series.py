@@ -18,7 +18,7 @@ from labdata.session import Session
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# Farthest that a place may move in all, px: a source is found to a pixel or two before.
+# Maximum correction of a position, px: a source is located to a pixel or two before.
 FARTHEST_PX = 3.0
 
 
@@ -36,20 +36,20 @@ def refine_centre(
     Parameters
     ----------
     images
-        Mean frame of every level, shape (row, col) each, DN.
+        Mean frame of every stack, shape (row, col) each, DN.
     row, col
-        Where the source is about, px.
+        Approximate position of the source, px.
     pitch_ratio
         Row pitch over column pitch.
     full_dn
-        Highest code; pixels near it say nothing of the side they are on.
+        Full scale, DN; clipped rings are excluded.
     spoiled
-        Pixels of each image to leave out.
+        Pixels of each image to exclude.
 
     Notes
     -----
-    A place wrong by d leaves -L'(r) (d . e_r) of the light L; the steepest rings, which are those beside the cut core,
-    tell d best. Gauss-Newton, each pixel weighted as if its noise went as the root of its light.
+    A position error d leaves the residual -L'(r) (d . e_r) of the signal L; the steepest rings, next to the clipped
+    core, determine d best. Gauss-Newton, with pixel weights for photon noise.
     """
     first = row, col
     for _ in range(3):
@@ -82,10 +82,10 @@ def _step(
         light = np.interp(geometry.pixel_radius_px, geometry.radius_px, mean)
         whole = geometry.largest(value) < 0.9 * full_dn
         use = np.repeat(whole, geometry.count.astype(int))
-        # Rings averaged over a pixel's width hide how light bends inside them: the innermost say nothing.
+        # Averages over a pixel's width hide the curvature of the innermost rings.
         weight = use / (1.0 + np.maximum(light - floor, 0.0))
         design = -slope * direction
-        # Rings that the border cuts take part of the shift for their mean.
+        # The mean of rings cropped by the border includes part of the shift.
         design = design - np.repeat(geometry.means(design), geometry.count.astype(int), axis=1)
         normal += (design * weight) @ design.T
         right += (design * weight) @ (value - light)
@@ -95,7 +95,7 @@ def _step(
     return float(np.clip(across, -1.0, 1.0)), float(np.clip(down, -1.0, 1.0))
 
 
-# Rings that a series needs, and the most that are fitted: halos of up to 1.1 mm at the cathode end well inside them.
+# Minimum number of rings of a series; halos of up to 1.1 mm at the photocathode fit into 64.
 LEAST_RINGS = 14
 
 
@@ -116,7 +116,7 @@ def build_ring_series(
     Returns
     -------
     tuple or str
-        The series with the stacks in it, about where they all lie; or why there is none, as a sentence.
+        Series with its stacks at their common position; or a refusal reason.
     """
     group = one_place(spots)
     clearest = max(group, key=lambda one: one.significance)

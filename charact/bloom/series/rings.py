@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# Farthest ring, column pitches, and share of a ring that must lie inside the frame for it to count.
+# Outermost ring, column pitches.
 REACH_PX = 90
 INNERMOST = 3
-# Nodes of the radius on which light is worked out: fine where a core is steep, coarser beyond.
+# Node spacing, column pitches: fine within the core, coarser beyond.
 COARSE_PX, FINE_TO_PX = 0.4, 8.0
 SECTORS = 16
 
@@ -24,19 +24,19 @@ class Geometry:
     Parameters
     ----------
     rows, cols
-        Slices of the frame that hold all rings.
+        Slices of the frame that contain all rings.
     order
         Pixels of that window, ring by ring, flat indices.
     first
-        Where each ring begins in `order`, shape (ring,).
+        First index of each ring in `order`, shape (ring,).
     radius_px
         Mean radius of each ring, column pitches, shape (ring,).
     count
         Pixels of each ring, shape (ring,).
     lost
-        Rings most of whose pixels are spoiled: they have them all and say nothing, shape (ring,).
+        Rings with mostly excluded pixels: they retain them and are not used, shape (ring,).
     node_px
-        Radii at which light is worked out, column pitches, shape (node,).
+        Radii of the nodes, column pitches, shape (node,).
     pixel_radius_px, pixel_angle
         Radius, column pitches, and angle, radians, of each pixel of `order`.
     """
@@ -117,9 +117,9 @@ def geometry_of(
     pitch_ratio
         Row pitch over column pitch.
     spoiled
-        Pixels to leave out, shape of the frame.
+        Pixels to exclude, shape of the frame.
     reach_px
-        Farthest ring asked for; rings end where less than `LEAST_SHARE` of one lies inside the frame.
+        Requested outermost ring; rings end where less than 34 % of one lies inside the frame.
     """
     up = int(np.ceil(reach_px / pitch_ratio))
     rows = slice(max(0, int(row) - up), min(shape[0], int(row) + up + 2))
@@ -131,7 +131,7 @@ def geometry_of(
     inside = ring < reach_px
     whole = np.pi * (2 * np.arange(reach_px) + 1) / pitch_ratio
     enough = np.bincount(ring[inside], minlength=reach_px) > 0.34 * whole
-    # The innermost rings are a few pixels each, more or fewer as the place lies among them.
+    # The innermost rings contain few pixels, depending on the subpixel position.
     enough[:INNERMOST] |= np.bincount(ring[inside], minlength=reach_px)[:INNERMOST] > 0
     reach = int(np.argmin(enough)) if not enough.all() else reach_px
     kept = ring < reach
@@ -180,11 +180,11 @@ def _averages(radius: Array, ring: NDArray[np.int64], nodes: Array, rings: int) 
 
 
 SMOOTHED = 7
-# Rings of so few pixels that their neighbours share less than others.
+# Innermost rings, of few pixels, are less correlated.
 FIRST_CORRELATED_RING = 4
-# Share of samples at the highest code from which on a ring's scatter says nothing of its noise.
+# Fraction of clipped samples above which a ring's scatter is no measure of its noise.
 HARDLY_CUT = 1e-3
-# Rings beside a cut core into which a streak reaches before it is seen as one.
+# Rings next to a clipped core that an undetected streak may contaminate.
 ADJACENT_RINGS = 2
 
 
@@ -195,21 +195,21 @@ class LevelRings:
     Parameters
     ----------
     label
-        Its stack.
+        Label of the stack.
     geometry
         Its rings.
     mean_dn
-        Ring means over all frames, codes cut at full scale among them, shape (ring,), DN.
+        Ring means over all frames, clipped values included, shape (ring,), DN.
     cut_share
-        Share of each ring's samples at the highest code, shape (ring,).
+        Fraction of each ring's samples at full scale, shape (ring,).
     pixel_variance
-        Variance of single pixels from frame to frame, averaged over the ring, shape (ring,), DN^2.
+        Temporal variance of single pixels, averaged over the ring, shape (ring,), DN^2.
     scatter
-        Ring means of single frames less their mean; of a single frame those of sectors, scaled to whole rings.
+        Ring means of single frames less their mean; for a single frame those of sectors, scaled to complete rings.
     frames
         Number of frames.
     sector_sd
-        Root mean square of what sectors are brighter or darker than their ring, shape (ring,), DN.
+        Root mean square deviation of sectors from their ring, shape (ring,), DN.
     """
 
     label: str
@@ -266,15 +266,15 @@ class RingNoise:
     Parameters
     ----------
     floor_dn2, slope_dn
-        Variance of a single pixel, floor + slope x (level - dark).
+        Variance of a pixel, floor + slope x (signal - dark).
     dark_dn
-        Level without light, DN.
+        Black level, DN.
     sharing
-        Variance of a ring's mean over that of as many pixels that share no noise, shape (ring,).
+        Variance of a ring's mean over that of independent pixels, shape (ring,).
     correlation
-        Of ring means 0, 1, 2, .. apart, shape (lag,).
+        Correlation of ring means by distance 0, 1, 2, .., shape (lag,).
     fewer
-        Frames that are worth one, as successive ones share light.
+        Frames per independent frame.
     """
 
     floor_dn2: float
@@ -297,8 +297,7 @@ class RingNoise:
     def rounding_sd(self, level_dn: Array) -> Array:
         """Return the rounding error of a mean, DN: at most exp(-2 pi^2 s^2)/pi for noise of s DN.
 
-        Light that comes in rare pulses does not stir the codes between them: below a code of light only the noise
-        without light counts.
+        Rare pulses do not dither the values between them: below 1 DN only the dark noise counts.
         """
         stirred = self.floor_dn2 + self.slope_dn * np.maximum(level_dn - self.dark_dn - 1.0, 0.0)
         return np.exp(-2.0 * np.pi**2 * stirred) / np.pi
@@ -387,6 +386,6 @@ def _frames_per_independent_frame(alike: list[Array], levels: tuple[LevelRings, 
         frames.append(level.frames)
     if not bottom:
         return 1.0
-    # Deviations from a mean of N are correlated by -1/N of themselves.
+    # Deviations from a mean of N have the correlation -1/N.
     one_apart = top / bottom + 1.0 / float(np.mean(frames))
     return float(max(1.0, 1.0 + 2.0 * max(0.0, one_apart)))

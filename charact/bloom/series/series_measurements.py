@@ -30,15 +30,15 @@ def find_leak(
     Parameters
     ----------
     group
-        Levels of one source.
+        Stacks of one source.
     light
-        Light of the source at each level, DN px^2, shape (level,).
+        Source signal of each stack, DN px^2, shape (level,).
     reach_px
-        Distance up to which the background beside the source was fitted, column pitches.
+        Radius of the fitted background around the source, column pitches.
     area_px2
         Area of the frame, column pitches squared.
     beside
-        Light spread evenly over the frame over the light of the source by that background, and its standard error.
+        Uniformly spread light over the source signal from that background, and its standard error.
     """
     seen = [_far(one, reach_px) for one in group]
     if any(one is None for one in seen):
@@ -68,7 +68,7 @@ def _far(spot: PointStack, reach_px: float) -> tuple[float, float] | None:
         return None
     median = float(np.median(values))
     spread = 1.4826 * float(np.median(np.abs(values - median)))
-    # Neighbours share the noise of pulses: a quarter of the pixels counts. A median is 1.25 times as unsure as a mean.
+    # Pulse noise is correlated: a quarter of the pixels counts. A median has 1.25 times the error of a mean.
     return median, max(1.2533 * 2.0 * spread / float(np.sqrt(values.size)), 1e-6)
 
 
@@ -83,9 +83,9 @@ class HaloHeights:
     Parameters
     ----------
     plateau
-        Mean light between 0.3 and 0.7 of its radius over the source's whole light, 1/px^2.
+        Mean light between 0.3 and 0.7 of its radius over the source's total light, 1/px^2.
     rim
-        Highest light of the rim, blurred by the core without its wing, over the plateau, dimensionless.
+        Maximum light of the rim, blurred by the core without its wing, over the plateau, dimensionless.
     """
 
     plateau: Array
@@ -121,7 +121,7 @@ def energy_radii(form: HaloModel, points: Array, shares: tuple[float, ...], reac
     light = form.transform(points) @ onto_nodes(at)
     within = np.cumsum(light * 2.0 * np.pi * at * STEP_PX, axis=1)
     edges = at + STEP_PX / 2
-    # Light falls nowhere below nothing, but its transform rings a little: radii need a rising sum.
+    # Ringing of the transform may give small negative light: radii need an increasing sum.
     rising = np.maximum.accumulate(within, axis=1)
     out = [[np.interp(share, one, edges, right=np.nan) for share in shares] for one in rising]
     return np.array(out)
@@ -133,17 +133,16 @@ def glare(light: Array, background_dn: Array, sd_dn: Array, area_px2: float) -> 
     Parameters
     ----------
     light
-        Light of the source at each level, DN px^2, shape (level,).
+        Source signal of each stack, DN px^2, shape (level,).
     background_dn, sd_dn
-        Background at each level and its standard error, shape (level,).
+        Background of each stack and its standard error, shape (level,).
     area_px2
         Area of the frame, column pitches squared.
 
     Returns
     -------
     tuple or None
-        The ratio and its standard error, widened where the levels scatter more than their errors; None with fewer than
-        three levels.
+        Ratio and standard error, widened by excess scatter of the stacks; None with fewer than three stacks.
     """
     if len(light) < 3:
         return None
@@ -157,9 +156,9 @@ def glare(light: Array, background_dn: Array, sd_dn: Array, area_px2: float) -> 
 
 
 OF_THE_HALO = (("halo_diameter", "px"), ("halo_fraction", "1"), ("halo_plateau", "1/px2"), ("halo_rim", "1"))
-# Relative error that forms leave out of a number: of any source, and as multiples of the shares of the light by which
-# rings are off beyond the core and about it. The first is as closed-form series with wings show it, the others as
-# simulated cameras do: about the core all levels are off alike, and what that does to its light does not average away.
+# Relative model error of a quantity: a constant, and multiples of the relative model errors beyond the core and near
+# it. The constant is calibrated on closed-form series with wings, the others on simulated cameras: near the core all
+# stacks have the same error, which does not average out.
 LEFT_OUT = {
     "halo_fraction": (0.012, 3.0, 0.7),
     "halo_plateau": (0.012, 3.0, 0.7),
@@ -170,7 +169,7 @@ LEFT_OUT = {
     "plate_saturation_density": (0.03, 6.0, 0.7),
 }
 LEAKS = "light that leaks through the target beside its pinhole counts as glare"
-# Draws for which derived numbers are worked out.
+# Draws of derived quantities.
 DERIVED = 400
 
 
@@ -194,7 +193,7 @@ def several_flag(group: tuple[PointStack, ...]) -> tuple[str, ...]:
 def levels_apart(own: tuple[Array, Array, Array]) -> tuple[float, int]:
     """Chi squared of the stacks' own diameters about their mean, and its degrees of freedom.
 
-    All of them share the core and the profile of the likeliest point: the median of a skewed posterior is not theirs.
+    All stacks have the core and profile of the optimum, so that the median of a skewed posterior is not their mean.
     """
     seen = np.isfinite(own[0])
     sd = np.maximum(own[1][seen], 0.1)
@@ -213,7 +212,7 @@ def halo_measurements(
 ) -> list[Measurement]:
     """Return the halo's diameter, fraction, plateau and rim; scatter of the stacks widens the diameter's interval.
 
-    Light of another source lies on the rings of this one: only the place of the edge stands apart from it.
+    Light of another source contaminates the rings, but not the position of the edge.
     """
     beside = several_flag(group)
     middle = float(np.median(posterior["halo_diameter"]))
@@ -337,7 +336,7 @@ def mcp_saturation_measurements(
 ) -> list[Measurement]:
     """Return the signal density at half MCP gain, and each stack's core compression.
 
-    Cores of different forms ask for densities that differ by factors: how far apart they lie is an error of each.
+    The densities of different core models differ by factors; their distance is a systematic uncertainty.
     """
     best = forms[0]
     if not isinstance(best.problem, SaturatingSeriesLikelihood):
@@ -352,7 +351,7 @@ def mcp_saturation_measurements(
     load = best.form.names.index("plate_load")
     if crowds_at_bound(posterior.draws[:, [load]], best.form.bounds[[load]]).any():
         flags = (*flags, "prior-bound")
-    # Of two cores as likely, their distance over root two is the error of either.
+    # For two equally likely cores, the error of either is their distance over root two.
     rng = np.random.default_rng([posterior.seed, 2])
     factors = np.exp(unlike / np.sqrt(2.0) * rng.standard_normal(len(posterior.draws)))
     points = posterior.draws.copy()
