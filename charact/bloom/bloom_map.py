@@ -291,8 +291,8 @@ def _contaminated_pixels(
     ring = (away / 2.0).astype(int).ravel()
     count = np.bincount(ring)
     signal, of_unit = (np.bincount(ring, of.ravel()) / np.maximum(count, 1) for of in (image, least))
-    told = np.bincount(ring, ~clear.ravel()) == 0
-    most = (signal[told] / np.maximum(of_unit[told], 1e-12)).min(initial=np.inf)
+    complete = np.bincount(ring, ~clear.ravel()) == 0
+    most = (signal[complete] / np.maximum(of_unit[complete], 1e-12)).min(initial=np.inf)
     # Unknown where the source may exceed 5 % of the pixel's signal.
     return near | (most * share > 0.05 * np.maximum(image, 1e-6))
 
@@ -400,8 +400,8 @@ def _entry(session: Session, label: str | None) -> StackEntry:
 
 
 def _full_scale(stack: FrameStack, context: Context) -> float:
-    told = context.full_scale_dn if context.full_scale_dn is not None else stack.full_scale_dn
-    return float(told if told is not None else stack.data.max())
+    stated = context.full_scale_dn if context.full_scale_dn is not None else stack.full_scale_dn
+    return float(stated if stated is not None else stack.data.max())
 
 
 def _dark_dn(session: Session, entry: StackEntry, stack: FrameStack) -> float:

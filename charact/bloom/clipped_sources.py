@@ -267,11 +267,11 @@ def _with_light(
             other = [*guesses[:one], patch, *guesses[one + 1 :]]
             found = fit(templates(other, centre, 0, lattice, around), around)
             if point is not None and _alike(point, found, one):
-                reason = "what is around it fits a point behind its halo and a lit patch about as well"
+                reason = "its surroundings fit a point source with halo and a uniform patch about equally well"
             if found.rms < best.rms:
                 guesses, best = other, found
     if best.misfit > 2.5:
-        reason = f"what is around it departs from the spread by {best.misfit:.1f} times what noise and model allow"
+        reason = f"its surroundings deviate from the PSF by {best.misfit:.1f} times the noise and model error"
     if reason:
         return [_unknown(r, g, reason, spread, lattice) for r, g in zip(regions, guesses, strict=True)]
     return _with_draws(regions, guesses, spread, lattice, around, rng)
@@ -285,7 +285,7 @@ def _alike(point: ClippedSourceFit, patch: ClippedSourceFit, one: int) -> bool:
 
 
 def _patches(region: NDArray[np.int64], lattice: FrameGrid) -> Iterator[Guess]:
-    """Uniform patches as large as the clipped pixels and smaller, since blur clips pixels beside a bright patch."""
+    """Uniform patches as large as the clipped pixels and smaller, since blur clips pixels next to a bright patch."""
     from scipy import ndimage
 
     rows, cols = np.divmod(region, lattice.shape[1])
@@ -338,7 +338,7 @@ def _with_draws(
     for one, (region, guess) in enumerate(zip(regions, guesses, strict=True)):
         seen = float(np.median(clear[:, one]))
         if seen < SEEN:
-            reason = f"its halo stands {seen:.1f} standard errors above its surroundings out of {SEEN:g} needed"
+            reason = f"its halo is {seen:.1f} standard errors above its surroundings, at least {SEEN:g} needed"
             out.append(_unknown(region, guess, reason, spread, lattice))
             continue
         row, col = lattice.middle(region)
@@ -378,5 +378,5 @@ def _reason(regions: list[NDArray[np.int64]], shapes: list[str], around: Surroun
     if any(lattice.at_border(region) for region in regions):
         return "it touches the border of the frame"
     if (count := int((around.floor == 0).sum())) < LEAST_PIXELS:
-        return f"only {count} pixels around it are not clipped, out of {LEAST_PIXELS} needed"
+        return f"only {count} pixels around it are unclipped, at least {LEAST_PIXELS} needed"
     return "" if all(shapes) else "all of its halo is clipped"

@@ -136,11 +136,11 @@ def _horizontal_profile(image: Array, dx: Array, dy: Array, radius: Array) -> tu
 
     Only pixels closer in rows than in columns count, outside the columns of the source.
     """
-    beside = np.abs(dx)[None, :] > np.abs(dy)[:, None]
+    lateral = np.abs(dx)[None, :] > np.abs(dy)[:, None]
     reach = int(radius.max()) + 2
     means, sds, counts = [], [], []
     for side in (-1, 1):
-        take = beside & (np.sign(dx) == side)[None, :]
+        take = lateral & (np.sign(dx) == side)[None, :]
         ring, value = np.rint(radius[take]).astype(int), image[take]
         count = np.bincount(ring, minlength=reach).astype(float)
         mean = np.bincount(ring, value, minlength=reach) / np.maximum(count, 1)
@@ -286,10 +286,10 @@ def grain_of(image: Array, col: float, dark_dn: float) -> MeanFrameNoise:
     floor = max(single, 0.1 * (1.0 / 12.0))
     background = float(np.median(patches[:, far])) - dark_dn
     # Below 0.5 DN the noise is not photon noise.
-    told = background > 0.5
+    measurable = background > 0.5
     return MeanFrameNoise(
         floor_variance=floor,
-        per_light=floor / background if told else 0.0,
+        per_light=floor / background if measurable else 0.0,
         neighbours=float(np.clip(PATCH_PX**2 * patch / floor, 1.0, 12.0)),
         background_dn=max(background, 0.0),
     )
@@ -413,7 +413,9 @@ def streak_measurements(spot: PointStack, context: Context, **fields: Any) -> li
     level = spot.dark_dn + 0.5 * (spot.full_scale_dn - spot.dark_dn)
     common = {"stack": spot.label, **fields}
     if spot.significance < DETECTED:
-        reason = f"no point source: the brightest spot stands {spot.significance:.1f} standard deviations out, not 8"
+        reason = (
+            f"no point source: the brightest spot has {spot.significance:.1f} standard deviations, at least 8 needed"
+        )
         names = (("streak_length", "px"), ("streak_level", "DN"))
         return [make_refusal(name, unit, reason, **common) for name, unit in names]
     streak = streak_of(spot, context)
@@ -436,13 +438,13 @@ def _lower_rows(spot: PointStack) -> float:
 
 def _level(streak: Streak, flags: tuple[str, ...], **common: Any) -> Measurement:
     if not streak.overflows:
-        reason = "no wells overflow: above and below the source it is no brighter than beside it"
+        reason = "no wells overflow: the column is no brighter than the same distance left and right"
         return make_refusal("streak_level", "DN", reason, **common)
     if streak.clipped and streak.meets_border:
-        reason = "the column is at the highest code up to the frame's border: a streak and smear look alike there"
+        reason = "the column is at full scale up to the frame's border: a streak and smear look alike there"
         return make_refusal("streak_level", "DN", reason, **common)
     if streak.clipped:
         flags += ("clipped",)
-        note = "the wells hold at least so much: the streak is at the highest code"
+        note = "lower limit of the full well: the streak is at full scale"
         common["notes"] = (*common.get("notes", ()), note)
     return measurement_from_sd("streak_level", "DN", streak.level_dn, streak.level_sd_dn, flags=flags, **common)

@@ -113,8 +113,8 @@ def fit_contour(
     # Noise correlated over an area is correlated along a line by its square root; scatter gives a second estimate.
     noisy = np.sqrt(noise.tied) * normal @ (basis * own[:, None]).T @ basis @ normal
     # Up to a radius of 2 px the contour is so short that its noise is that of an area.
-    told = noise.tied * normal if radius <= 2.0 else noisy
-    covariance = 0.5 * (normal @ _scatter(scores, noise.tied) @ normal + told)
+    analytic = noise.tied * normal if radius <= 2.0 else noisy
+    covariance = 0.5 * (normal @ _scatter(scores, noise.tied) @ normal + analytic)
     return _solve_contour(beta, covariance, radius, terms)
 
 

@@ -98,9 +98,9 @@ def lone_pixels(image: Array) -> Mask:
     padded = np.pad(excess, 1)
     for row, col in np.argwhere(np.abs(excess) > max(DEFECT_SD * sd, LEAST_DEFECT_DN)):
         own = abs(excess[row, col])
-        beside = np.sort(np.abs(np.delete(padded[row : row + 3, col : col + 3], 4)))
+        adjacent = np.sort(np.abs(np.delete(padded[row : row + 3, col : col + 3], 4)))
         # Two defects may touch.
-        lit = beside[:-1].sum()
+        lit = adjacent[:-1].sum()
         near = excess[max(0, row - 3) : row + 4, max(0, col - 3) : col + 4]
         local = 1.4826 * float(np.median(np.abs(near)))
         out[row, col] = own > DEFECT_SD * local and lit < LIT_NEIGHBOURS * own + NEIGHBOUR_SD * local

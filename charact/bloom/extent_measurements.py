@@ -71,11 +71,11 @@ def _around(oval: float, sd: float) -> tuple[float, Interval, Interval]:
     return ratio(oval), low, high
 
 
-NO_DARKS = "the level without light is unknown, between 0 DN and the frame's median: a dark stack narrows the interval"
+NO_DARKS = "the black level is unknown, between 0 DN and the frame's median: a dark stack narrows the interval"
 LEVELS = {
     "bloom_diameter": "half of full scale",
-    "bloom_diameter_background": "twice the background over dark",
-    "bloom_diameter_clip": "the highest code",
+    "bloom_diameter_background": "twice the background above dark",
+    "bloom_diameter_clip": "full scale",
 }
 
 
@@ -92,12 +92,12 @@ def bloom_measurements(spots: tuple[PointStack, ...], *, square: bool, sensor: S
     sensor
         Sensor description, if known: areas are also given at the photocathode and in the field of view.
     """
-    notes = ("the row pitch is unknown: pixels are taken as square",) if square else ()
+    notes = ("the row pitch is unknown: pixels are assumed square",) if square else ()
     notes += () if all(spot.dark_known for spot in spots) else (NO_DARKS,)
     # Where blooms have merged, only fainter stacks show that there are two sources.
-    beside = tuple(place for spot in spots for place in spot.others)
+    sources = tuple(place for spot in spots for place in spot.others)
     out: list[Measurement] = []
-    for spot in (replace(spot, others=beside) for spot in spots):
+    for spot in (replace(spot, others=sources) for spot in spots):
         common = {"stack": spot.label, "notes": notes, **fields}
         found = {"bloom_diameter": spot.half, "bloom_diameter_background": spot.background,
                  "bloom_diameter_clip": spot.clip}  # fmt: skip
@@ -130,16 +130,16 @@ def quantisation_flags(spot: PointStack) -> tuple[str, ...]:
 def _reason(spot: PointStack, name: str) -> str:
     """Refusal reason of a stack without a region at a threshold."""
     if spot.significance < DETECTED:
-        return f"no point source: the brightest spot stands {spot.significance:.1f} standard deviations out of 8 needed"
+        return f"no point source: the brightest spot has {spot.significance:.1f} standard deviations, at least 8 needed"
     level = {"bloom_diameter": spot.half_dn, "bloom_diameter_clip": spot.full_scale_dn}.get(name)
     if level is not None:
         return f"the source stays below {LEVELS[name]}, {level:.4g} DN"
     if not spot.dark_known:
-        return "the dark level is unknown, and so is the background over it: a dark frame tells it"
+        return "the dark level and the background above it are unknown: a dark frame is needed"
     if not spot.light.even:
-        return "the light still falls at the border of the frame: the background behind the source is not seen"
+        return "the signal still falls at the border of the frame: the background is not visible"
     if not spot.light.is_illuminated:
-        return f"there is no background to take twice: {spot.light.level_dn:.2g} DN over dark"
+        return f"no measurable background: {spot.light.level_dn:.2g} DN above dark"
     return f"the source stays below {LEVELS[name]}, {spot.dark_dn + 2 * spot.light.level_dn:.4g} DN"
 
 
@@ -147,7 +147,7 @@ def _diameter(name: str, spot: PointStack, extent: Extent | None, **common: Any)
     if extent is None:
         return make_refusal(name, "px", _reason(spot, name), **common)
     if extent.region.all():
-        return make_refusal(name, "px", f"the whole frame is at or above {LEVELS[name]}", **common)
+        return make_refusal(name, "px", f"the complete frame is at or above {LEVELS[name]}", **common)
     return _measurement_from_draws(name, "px", extent.diameter_px, extent.draws, flags=flags_of(spot, extent), **common)
 
 
@@ -165,10 +165,10 @@ def _ellipticity(spot: PointStack, **common: Any) -> Measurement:
     if spot.half is None:
         return make_refusal("bloom_ellipticity", "1", _reason(spot, "bloom_diameter"), **common)
     if not spot.half.has_contour and not spot.half.pulled:
-        return make_refusal("bloom_ellipticity", "1", "the noise leaves open where the region ends", **common)
+        return make_refusal("bloom_ellipticity", "1", "the noise prevents a contour of the region", **common)
     found = ellipticity(spot.half, row_pitch=spot.row_pitch)
     if found is None:
-        return make_refusal("bloom_ellipticity", "1", "a region of so few pixels has no shape", **common)
+        return make_refusal("bloom_ellipticity", "1", "the region has fewer than 12 pixels", **common)
     return make_measurement("bloom_ellipticity", "1", *found, flags=flags_of(spot, spot.half), **common)
 
 
@@ -272,11 +272,11 @@ def add_common_measurements(
     smear, of_smear = smear_measurement(spots, context, **fields)
     extents = bloom_measurements(spots, square=context.sensor is None, sensor=context.sensor, **fields)
     said = [*of_series, smear, *extents]
-    told = [_add_flags(one, steady.flags.get(one.stack or "", steady.halo_flags)) for one in said]
+    flagged = [_add_flags(one, steady.flags.get(one.stack or "", steady.halo_flags)) for one in said]
     own = evidence.get("halo-constancy")
     halos = dict(zip(own["label"], own["halo_diameter_px"], strict=True)) if own else {}
     drawn = {"bloom-series": series_evidence(spots, halos)} | evidence | of_smear | steady.evidence
-    return Result(measurements=(*told, *steady.measurements), evidence=drawn)
+    return Result(measurements=(*flagged, *steady.measurements), evidence=drawn)
 
 
 def _add_flags(measurement: Measurement, flags: tuple[str, ...]) -> Measurement:
@@ -285,20 +285,20 @@ def _add_flags(measurement: Measurement, flags: tuple[str, ...]) -> Measurement:
 
 # Remedy of each flag of this package.
 REMEDIES = {
-    "model-misfit": "a frame with one round source alone in it, and a level between those that differ",
-    "prior-bound": "a level whose core is not cut at full scale",
-    "window-too-small": "a larger frame, or the source nearer to its middle",
-    "several-targets": "one source in the frame, or --roi about one of them",
-    "quantised": "a higher camera gain or more bits, so that noise exceeds a code",
+    "model-misfit": "a frame with a single round source, and a stack between those that differ",
+    "prior-bound": "a stack with an unclipped core",
+    "window-too-small": "a larger frame, or the source closer to its centre",
+    "several-targets": "one source in the frame, or --roi around one of them",
+    "quantised": "a higher camera gain or more bits, so that noise exceeds 1 DN",
     "low-signal": "more frames, or more light",
     "unlike-conditions": "darks and point stacks taken at the same gain, gate and exposure",
     "agc": "automatic gain and brightness control switched off",
-    "drift": "a source and a lamp at rest, or fewer frames a stack",
-    "lag": "a pause after the source goes out, and stacks of a source that stays on",
+    "drift": "a stationary source and a stable lamp, or fewer frames per stack",
+    "lag": "a pause after switch-off, and stacks of a constant source",
     "dark-mismatch": "dark frames taken with the point stacks, at the same gain, gate and exposure",
-    "clipped": "a level whose streak stays below full scale",
-    "extrapolated": "a second level that shows smear",
-    "nonlinear": "stated light that follows the lamp",
+    "clipped": "a stack whose streak stays below full scale",
+    "extrapolated": "a second stack with smear",
+    "nonlinear": "stated illuminance proportional to the lamp's",
     "gradient": "a mask without leaks, or a frame of the mask with its pinhole closed",
     "not-converged": "another --seed, or more frames",
 }
@@ -328,4 +328,4 @@ def _beyond_interval(measurement: Measurement) -> str:
     low, high = measurement.interval95 or (measurement.value, measurement.value)
     assert low is not None and high is not None
     unit = "" if measurement.unit == "1" else f" {measurement.unit}"
-    return f"{measurement.quantity} may be off by more than its half interval of {0.5 * (high - low):.3g}{unit}"
+    return f"{measurement.quantity} may be wrong by more than its half interval of {0.5 * (high - low):.3g}{unit}"

@@ -1,4 +1,4 @@
-"""Halo beside an illuminated edge, fitted to the strips of all source levels."""
+"""Halo at an illuminated edge, fitted to the strips of all stacks."""
 
 from dataclasses import dataclass, replace
 from functools import cache
@@ -258,8 +258,8 @@ LEAST_STRIPS = 24
     "lit-edge",
     METHOD,
     quantities=("halo_diameter", "halo_fraction"),
-    scope="A straight edge of a bright area, four times as long as the halo reaches, with dark room beside it; better "
-    "with one level that is not cut.",
+    scope="A straight edge of a bright area, four times as long as the halo radius, next to a dark area; "
+    "preferably with one unclipped stack.",
 )
 def measure_lit_edge(session: Session, *, context: Context) -> Result:
     """Measure diameter and fraction of the halo from the edges of a session.
@@ -289,30 +289,31 @@ def _measure(
         return _refuse_all(levels, fields), {}
     line, strips = levels
     if min(int(one.used.sum()) for one in strips) < LEAST_STRIPS:
-        return _refuse_all(f"fewer than {LEAST_STRIPS} px beside the edge are not cut", fields), {}
+        return _refuse_all(f"fewer than {LEAST_STRIPS} px next to the edge are unclipped", fields), {}
     found = _select_model(strips, line)
     evidence = {"lit-edge": _evidence(found, strips)}
     reason = _refusal_reason(found, line)
     if reason:
         return _refuse_all(reason, fields), evidence
-    context.progress("posterior of the halo beside an edge", 0.7)
+    context.progress("posterior of the halo next to an edge", 0.7)
     posterior = _posterior(found.problem, found.peak, context)
     diameter, fraction = _average_models(found, posterior, context)
     if diameter.std() > 0.1 * float(np.median(diameter)):
         return _refuse_all(
-            "the edge tells the halo's diameter to no better than a tenth: a fainter level, not cut, says "
-            "where the edge is",
+            "the halo diameter is uncertain by more than 10 %: a fainter, unclipped stack would locate the edge",
             fields,
         ), evidence
     flags = tuple(flag for flag in posterior.flags if flag != "prior-bound") + _misfit(found)
     flags += ("window-too-small",) if float(np.median(diameter)) > 2 * WHOLE * _room(line) else ()
-    notes = ("the row pitch is unknown: pixels are taken as square",) if context.sensor is None else ()
-    notes += () if session.of_kind("dark") else ("the level without light is taken from the darkest pixels",)
+    notes = ("the row pitch is unknown: pixels are assumed square",) if context.sensor is None else ()
+    notes += () if session.of_kind("dark") else ("the black level is estimated from the darkest pixels",)
     common = {"flags": flags, "notes": notes, "posterior": posterior, **fields}
     out = [measurement_from_draws("halo_diameter", "px", diameter, **common)]
     if all(one.cut for one in strips):
         out.append(
-            make_refusal("halo_fraction", "1", "every level is cut: nothing says how bright the lit side is", **fields)
+            make_refusal(
+                "halo_fraction", "1", "every stack is clipped: the signal of the bright side is unknown", **fields
+            )
         )
     else:
         out.append(measurement_from_draws("halo_fraction", "1", fraction, **common))
@@ -334,13 +335,13 @@ def _levels(session: Session, context: Context) -> tuple[LitEdgeLine, tuple[Stri
     """The edge, located in the best stack, and the strips of every stack."""
     entries = session.of_kind("edge")
     if not entries:
-        raise BadInput("blooming beside an edge needs stacks of kind edge")
+        raise BadInput("the halo of an edge needs stacks of kind edge")
     order = sorted(entries, key=lambda entry: entry.conditions.illuminance_lux or 0.0)
     first = order[-1].target.region
     frames = [_frame(entry, session, context) for entry in order if entry.target.region == first]
     kept = [one for one in frames if np.percentile(one[0], 99.0) - one[2] > 0.03 * (one[3] - one[2])]
     if not kept:
-        return "no level rises above its dark frames by 3 % of full scale"
+        return "no stack exceeds its dark frames by 3 % of full scale"
     # The brightest unclipped stack locates the edge best, else the faintest one.
     whole = [one for one in kept if np.percentile(one[0], 99.0) < one[2] + 0.75 * (one[3] - one[2])]
     image, _, dark, full = whole[-1] if whole else kept[0]
@@ -402,20 +403,18 @@ def _room(line: LitEdgeLine) -> float:
 def _refusal_reason(found: _Found, line: LitEdgeLine) -> str:
     """Refusal reason, or an empty string."""
     if found.gain < 20.0:
-        return "the light beside the edge falls as a core's alone: no halo is visible"
+        return "the profile next to the edge is that of a core alone: no halo is visible"
     problem, diameter = found.problem, found.peak.point[0]
     for factor in (0.75, 1.3):
         off = float(np.clip(factor * diameter, *problem.bounds[0]))
         if off in problem.bounds[0]:
             continue
         if found.peak.log_probability - optimise_edge_halo(problem, diameter_px=off).log_probability < 6.0:
-            return "the light beside the edge fades out without a kink: its width is no halo's"
+            return "the profile next to the edge falls off smoothly, without the end of a halo"
     if diameter > 2 * _room(line):
-        return f"the halo reaches the border of the frame, {_room(line):.0f} px from the edge"
+        return f"the halo extends to the border of the frame, {_room(line):.0f} px from the edge"
     if 0.5 * diameter > line.ends_px:
-        return (
-            f"the edge is too short: its ends are {line.ends_px:.0f} px from what is measured, the halo reaches farther"
-        )
+        return f"the edge is too short: its ends are {line.ends_px:.0f} px from the measured part, the halo is wider"
     return ""
 
 

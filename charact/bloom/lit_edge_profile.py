@@ -113,7 +113,7 @@ def edge_line(image: NDArray, level_dn: float, pitch_ratio: float) -> LitEdgeLin
 
     labels = np.asarray(ndimage.label(image >= level_dn)[0])  # pyright: ignore[reportIndexIssue]
     if not labels.any():
-        return "nothing in the frame is lit"
+        return "no area of the frame is illuminated"
     lit = labels == np.bincount(labels[labels > 0]).argmax()
     found = [
         _side(frame, mask, level_dn, upright=upright, side=side, pitch_ratio=pitch_ratio)
@@ -122,7 +122,7 @@ def edge_line(image: NDArray, level_dn: float, pitch_ratio: float) -> LitEdgeLin
     ]
     straight = [line for line in found if line is not None]
     if not straight:
-        return f"the lit area has no straight edge of {LEAST_ROWS} px or more"
+        return f"the illuminated area has no straight edge of {LEAST_ROWS} px or more"
     return max(straight, key=lambda line: min(line.room_px, line.ends_px, 1.0 * (line.last - line.first)))
 
 

@@ -114,8 +114,8 @@ def _tiles(image: NDArray) -> Array:
 def _far_tiles(mean: Array, radius: Array, along: Array) -> Mask:
     """Tiles far from the source and its columns that contain only background."""
     far, level = _tiles(radius), _tiles(mean)
-    beside = _tiles(along) > 16
-    take = beside & (far >= np.quantile(far[beside] if beside.any() else far, 1.0 - 0.4))
+    off_column = _tiles(along) > 16
+    take = off_column & (far >= np.quantile(far[off_column] if off_column.any() else far, 1.0 - 0.4))
     take = take if take.any() else far >= np.median(far)
     middle = np.median(level[take])
     spread = 1.4826 * np.median(np.abs(level[take] - middle))
@@ -263,7 +263,7 @@ def recoveries(watched: tuple[FrameSeries, ...], seed: int, **fields: Any) -> li
     """
     found = [(one, count) for one in watched if (count := frames_before_switch_off(one)) is not None]
     if not found:
-        reason = "no stack shows the source going out: it must be lit in two frames at least and out in all that follow"
+        reason = "no stack shows a switch-off: the source must be on in at least two frames and off in all later ones"
         return [make_refusal(name, "s", reason, **fields) for name in SHARES]
     return [_time(one, count, name, seed, **fields) for one, count in found for name in SHARES]
 
@@ -275,7 +275,7 @@ def _time(watched: FrameSeries, count: int, name: str, seed: int, **fields: Any)
     share, lit = SHARES[name], float(watched.light_by_frame[:count].mean())
     noise = watched.light_noise / lit
     if noise > 0.35 * share:
-        reason = f"noise is {100 * noise:.2g} % of the source's light: {100 * share:g} % cannot be told from none"
+        reason = f"noise is {100 * noise:.2g} % of the source's light: {100 * share:g} % is below it"
         return make_refusal(name, "s", reason, **common)
     left = watched.light_by_frame[count:] / lit
     if left[-1] > share - 2.0 * noise:

@@ -322,8 +322,8 @@ def common_position(own: SourcePosition, places: list[SourcePosition], image: Ar
 
 def full_scale_of(stack: FrameStack, context: Context) -> float:
     """Return full scale: as configured, as recorded, else the largest value in the stack, DN."""
-    told = context.full_scale_dn if context.full_scale_dn is not None else stack.full_scale_dn
-    return told if told is not None else float(stack.data.max())
+    stated = context.full_scale_dn if context.full_scale_dn is not None else stack.full_scale_dn
+    return stated if stated is not None else float(stack.data.max())
 
 
 def _dark_or_black_level(stack: FrameStack, dark: float | None) -> float | None:

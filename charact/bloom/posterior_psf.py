@@ -191,13 +191,13 @@ def spread_of(posterior: Posterior, *, pitch_ratio: float = 1.0, **known: ArrayL
     if "even_share" in posterior.names:
         found["flat_share"] = 1.0 - np.sum([posterior[name] for name in transfer.PROFILE], axis=0)
     if "halo_sd" in posterior.names:
-        raise BadInput("a spread needs a halo with an edge; the one that was fitted fades out like a Gaussian")
+        raise BadInput("the PSF needs a halo with an edge; the fitted halo is Gaussian")
     tube = "core_frequency" in posterior.names
     given = {**({} if tube else GAUSSIAN), **known, **found}
     if not {"halo_diameter_px", "halo_fraction"} & given.keys():
         given = {**given, **NO_HALO}
     if needed := [name for name in list(NAMES.values())[:6] if name not in given]:
-        raise BadInput(f"a spread needs {', '.join(needed)}; the posterior has only {', '.join(posterior.names)}")
+        raise BadInput(f"the PSF needs {', '.join(needed)}; the posterior has only {', '.join(posterior.names)}")
     shares = {name: np.clip(given[name], 0.0, 1.0) for name in SHARES if name in given}
     return PosteriorPsf(**{**given, **shares})  # pyright: ignore[reportArgumentType]
 

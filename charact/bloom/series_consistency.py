@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 # Standard errors at which a fall of the background, or a dark mismatch, is significant.
 SEEN = 4.0
 SETTINGS = ("mcp_v", "camera_gain_db", "gate_ns", "exposure_s", "em_gain", "gain_control")
-BOUND = "glare of the source raises the background: the gain fell by at least so much"
+BOUND = "glare of the source raises the background: the gain fell by at least this value"
 DECIBEL = 20.0 / np.log(10.0)
 
 
@@ -68,19 +68,19 @@ def depressions(
         parts = [each.background_sd_dn / each.background_dn for each in (reference, one)]
         sd = DECIBEL * float(np.hypot(parts[0], parts[1]))
         # This quantity measures the fall itself, which is no reason to flag it.
-        told = tuple(flag for flag in flags.get(one.label, ()) if flag != "agc")
-        told += () if one.dark_known else ("no-darks",)
+        own_flags = tuple(flag for flag in flags.get(one.label, ()) if flag != "agc")
+        own_flags += () if one.dark_known else ("no-darks",)
         common["notes"] = (*common.get("notes", ()), BOUND)
-        out.append(measurement_from_sd("background_depression", "dB", value, sd, flags=told, **common))
+        out.append(measurement_from_sd("background_depression", "dB", value, sd, flags=own_flags, **common))
     return out
 
 
 def _reason(reference: FrameSeries, stack: FrameSeries) -> str | None:
     for one in (reference, stack):
         if one.background_dn < max(10.0 * one.background_sd_dn, 0.2):
-            return f"the background of {one.label} is {one.background_dn:.3g} DN over dark: too faint to see it fall"
+            return f"the background of {one.label} is {one.background_dn:.3g} DN above dark: too faint to detect a fall"
     if has_background_fallen(stack, reference):
-        return "the background is brighter than that of the faintest stack: the source's own light lies on it"
+        return "the background is brighter than that of the faintest stack: it contains the source's own light"
     return None
 
 
@@ -186,8 +186,8 @@ def check_consistency(
     watched = tuple(frame_series(spot, session.stack(spot.label).read(), ratio) for spot in shown)
     flags: dict[str, tuple[str, ...]] = {spot.label: () for spot in spots}
     flags |= {one.label: _in_time(one) for one in watched}
-    for label, told in _between(watched, flags, _dark_variance(session)).items():
-        flags[label] += told
+    for label, own_flags in _between(watched, flags, _dark_variance(session)).items():
+        flags[label] += own_flags
     # A source that moves away has not been switched off.
     still = tuple(one for one in watched if "lag" in flags[one.label])
     out = [*depressions(watched, flags, **fields), *recoveries(still, context.seed, **fields)]
@@ -211,7 +211,7 @@ def _between(
     """Flags of each stack by comparison with the others."""
     out: dict[str, tuple[str, ...]] = {}
     # Motion in one stack may occur less clearly in others, and varies like noise.
-    rest = not any("drift" in told for told in flags.values())
+    rest = not any("drift" in own_flags for own_flags in flags.values())
     for one in watched:
         fallen = has_background_fallen(faintest(watched, one), one)
         # Stacks with the same dark level have the same error.

@@ -143,7 +143,7 @@ EXTENTS = ("bloom_diameter", "bloom_diameter_background", "bloom_diameter_clip")
     "bloom",
     METHOD,
     quantities=("halo_diameter", "halo_fraction", "bloom_diameter", "streak_length"),
-    scope="A round source whose halo has an edge that rises above the noise in one level at least; at any saturation.",
+    scope="A round source with a halo edge above the noise in at least one stack, at any saturation.",
 )
 def series_forward(session: Session, *, context: Context) -> Result:
     """Measure halo, encircled energy, glare, bloom diameters and streaks of a point series.
@@ -164,9 +164,11 @@ def series_forward(session: Session, *, context: Context) -> Result:
     """
     spots = read_point_stacks(session, context=context)
     fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
-    told = _analyse_series(session, spots, context, fields)
-    result = add_common_measurements(session, spots, told.measurements, told.evidence, context=context, **fields)
-    return result if told.best is None else _compare_extents(result, told.best, told.group)
+    analysis = _analyse_series(session, spots, context, fields)
+    result = add_common_measurements(
+        session, spots, analysis.measurements, analysis.evidence, context=context, **fields
+    )
+    return result if analysis.best is None else _compare_extents(result, analysis.best, analysis.group)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -184,11 +186,11 @@ def _compare_extents(result: Result, best: FittedHaloModel, group: tuple[PointSt
     if best.problem.misfit.share <= MISFIT_SHARE and not is_uneven(best.problem.series):
         return replace(result, measurements=compare_extents(best, group, result.measurements))
     labels = {one.label for one in group}
-    told = (
+    flagged = (
         one.with_(flags=MISFIT) if one.quantity in EXTENTS and one.stack in labels else one
         for one in result.measurements
     )
-    return replace(result, measurements=tuple(told))
+    return replace(result, measurements=tuple(flagged))
 
 
 def _analyse_series(
@@ -197,14 +199,12 @@ def _analyse_series(
     """Measurements and figure data of a series."""
     clear = tuple(spot for spot in spots if spot.significance > DETECTED)
     if not clear:
-        return _SeriesResult(
-            measurements=_refuse_halo("no point source stands out of its surroundings", fields), evidence={}
-        )
+        return _SeriesResult(measurements=_refuse_halo("no point source is detected", fields), evidence={})
     found = build_ring_series(session, clear, context=context)
     if isinstance(found, str):
         return _SeriesResult(measurements=_refuse_halo(found, fields), evidence={})
     series, group = found
-    context.progress("forms of the source's light", 0.9)
+    context.progress("blur models of the source", 0.9)
     has_tube = context.sensor is not None or any(one.conditions.mcp_v is not None for one in group)
     radius, seen = first_radius([profile_of(spot, reach_of(spot), context=context) for spot in group])
     forms = candidates(series, pitch_ratio=context.pitch_ratio, sensor=context.sensor, has_tube=has_tube,
@@ -279,9 +279,9 @@ def _flags(best: FittedHaloModel, posterior: Posterior, own: tuple[Array, Array,
 
 
 def _notes(context: Context, group: tuple[PointStack, ...], spots: tuple[PointStack, ...]) -> tuple[str, ...]:
-    notes = ("the row pitch is unknown: pixels are taken as square",) if context.sensor is None else ()
+    notes = ("the row pitch is unknown: pixels are assumed square",) if context.sensor is None else ()
     if np.isfinite(nearest_px(group)):
-        notes += (f"pixels nearer to another source, {nearest_px(group):.0f} px away or more, are left out",)
+        notes += (f"pixels nearer to another source, {nearest_px(group):.0f} px away or more, are excluded",)
     if len(group) < len(spots):
-        notes += (f"{len(group)} of {len(spots)} stacks show a source in one place, the others are left out",)
+        notes += (f"{len(group)} of {len(spots)} stacks show a source at one position, the others are excluded",)
     return notes

@@ -48,9 +48,9 @@ def ring_energy_radii(view: SourceView, background: Background, *, seed: int) ->
     """
     top = float((view.signal[view.polar.radius < view.rings.radius[-1]]).max())
     if top > 0.97 * view.top:
-        return "the source's core is cut at the highest code, so that its light is not known: a fainter level tells it"
+        return "the source's core is clipped, so that its total signal is unknown: a fainter stack is needed"
     if not background.even:
-        return "the light still falls at the border of the frame: a wider frame holds the source's light"
+        return "the signal still falls at the border of the frame: a larger frame is needed"
     border = (view.polar.radius[edge].min() for edge in (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1]))
     rings = max(int(min(*border, REACH_PX)), 1)
     rng = np.random.default_rng(seed)
@@ -65,9 +65,7 @@ def ring_energy_radii(view: SourceView, background: Background, *, seed: int) ->
     draws = held + np.array([np.interp(radius, np.arange(rings + 1.0), one) for one in off])
     whole = draws[:, -1]
     if np.std(whole) > 0.1 * np.mean(whole):
-        return (
-            f"the source's light is known to {np.std(whole) / abs(np.mean(whole)):.0%} only: more frames would tell it"
-        )
+        return f"the source's signal is uncertain by {np.std(whole) / abs(np.mean(whole)):.0%}: more frames are needed"
     return {share: np.array([_first(one / one[-1], radius, share) for one in draws]) for share in SHARES}
 
 
@@ -104,13 +102,17 @@ METHOD = "one-frame"
 BOX_PX = 12
 # Quantities that one frame cannot determine: name, unit and reason.
 BEYOND_ONE_FRAME = (
-    ("halo_fraction", "1", "the halo's share of the light needs levels at which core and halo are each not cut"),
-    ("halo_plateau", "1/px2", "the plateau over the source's light needs a fainter level of stated light"),
-    ("halo_rim", "1", "rim over plateau needs a fit of several levels"),
-    ("veiling_glare", "%", "glare is told from background by levels of different light"),
-    ("smear_fraction", "1", "smear is a share of light that only a fainter level, not cut, tells"),
-    ("background_depression", "dB", "a background that falls needs a fainter level beside this one"),
-    ("recovery_time_10", "s", "recovery needs a stack in which the source goes out"),
+    (
+        "halo_fraction",
+        "1",
+        "the fraction of light in the halo needs stacks with unclipped core and with unclipped halo",
+    ),
+    ("halo_plateau", "1/px2", "the plateau over the source's signal needs a fainter stack of stated illuminance"),
+    ("halo_rim", "1", "the ratio of rim to plateau needs a fit of several stacks"),
+    ("veiling_glare", "%", "glare needs stacks of different illuminance to separate it from background"),
+    ("smear_fraction", "1", "the smear fraction needs a fainter, unclipped stack"),
+    ("background_depression", "dB", "a fall of the background needs a fainter stack for comparison"),
+    ("recovery_time_10", "s", "recovery needs a stack in which the source is switched off"),
 )
 
 
@@ -150,8 +152,8 @@ def measure_frame(session: Session, *, context: Context) -> Result:
     if spot.others:
         out = [m.with_(region=_box(spot)) for m in out]
     for other in spot.others[:8]:
-        beside = replace(spot_of(entry, stack, _dark_of(spot), other, context, []), others=(_place(spot),))
-        out += [m.with_(region=_box(beside)) for m in _extents(beside, context, fields)]
+        second = replace(spot_of(entry, stack, _dark_of(spot), other, context, []), others=(_place(spot),))
+        out += [m.with_(region=_box(second)) for m in _extents(second, context, fields)]
     return Result(
         measurements=tuple(add_findings(one) for one in out), evidence={"bloom-series": series_evidence((spot,))}
     )
@@ -184,7 +186,7 @@ def _energy_radii(spot: PointStack, stack: FrameStack, context: Context, fields:
     names = [f"encircled_radius_{100 * share:.0f}" for share in SHARES]
     common = {"stack": spot.label, **fields}
     if spot.significance < DETECTED:
-        return [make_refusal(name, "px", "no point source stands out of its surroundings", **common) for name in names]
+        return [make_refusal(name, "px", "no point source is detected", **common) for name in names]
     view = view_of(stack.data, spot.dark_dn, spot.full_scale_dn, spot.row, spot.col, context.pitch_ratio)
     found = ring_energy_radii(view, spot.light, seed=context.seed)
     if isinstance(found, str):
@@ -194,7 +196,7 @@ def _energy_radii(spot: PointStack, stack: FrameStack, context: Context, fields:
     reach = min(
         REACH_PX, *(m * context.pitch_ratio for m in (spot.row, rows - 1 - spot.row)), spot.col, cols - 1 - spot.col
     )
-    notes = (f"the whole light is what lies within {reach:.0f} px of the source",)
+    notes = (f"the total signal is that within {reach:.0f} px of the source",)
     return [
         measurement_from_draws(name, "px", found[share], flags=flags, notes=notes, **common)
         for name, share in zip(names, SHARES, strict=True)
@@ -205,13 +207,13 @@ def _halo(spot: PointStack, context: Context, fields: dict[str, Any]) -> Measure
     """Diameter of the halo where the ring profile has a clear step."""
     common = {"stack": spot.label, **fields}
     if spot.significance < DETECTED:
-        return make_refusal("halo_diameter", "px", "no point source stands out of its surroundings", **common)
+        return make_refusal("halo_diameter", "px", "no point source is detected", **common)
     radius, seen = edge_radius(profile_of(spot, reach_of(spot), context=context))
     if seen < STEP_SEEN and spot.clip is not None and spot.clip.diameter_px > 16.0:
-        reason = "the frame is cut to beyond any step of the rings: a fainter level would show the halo's edge"
+        reason = "the frame is clipped beyond any step of the rings: a fainter stack would show the halo's edge"
         return make_refusal("halo_diameter", "px", reason, **common)
     if seen < STEP_SEEN:
-        reason = "the rings show no step: a brighter level, whose halo rises above the noise, would show one"
+        reason = "the rings show no step: a brighter stack, with its halo above the noise, would show one"
         return make_refusal("halo_diameter", "px", reason, **common)
-    notes = ("the steepest step of the rings; a series of levels tells it from other steps",)
+    notes = ("the steepest step of the rings; only a series of stacks distinguishes it from other steps",)
     return measurement_from_sd("halo_diameter", "px", 2 * radius, 2 * 0.7, notes=notes, **common)

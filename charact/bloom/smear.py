@@ -30,7 +30,7 @@ APART = 5.0
 LIGHT_SD = 0.03
 # Minimum ratio of the light of two stacks with smear for a test of proportionality.
 LEAST_RATIO = 2.5
-NARROW = "the frame is too narrow: there are no columns far from the source to hold those of its core against"
+NARROW = "the frame is too narrow: there are no columns far from the source for comparison"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,12 +129,12 @@ def _linear(spot: PointStack) -> bool:
 def core_of(spots: tuple[PointStack, ...], context: Context) -> Core | str:
     """Sum the signal of each column of the brightest unsaturated stack; or return a refusal reason."""
     if not spots:
-        return "no point source stands out of its surroundings"
+        return "no point source is detected"
     if any(_light(spot) is None for spot in spots):
-        return "the light of the stacks is unknown: what smears cannot be held against it"
+        return "the illuminance of the stacks is unknown: smear has no reference"
     linear = [spot for spot in spots if _linear(spot) and _light(spot)]
     if not linear:
-        return "every level saturates the core: the light that its columns gather is unknown"
+        return "every stack saturates the core: the signal of its columns is unknown"
     spot = max(linear, key=lambda one: _light(one) or 0.0)
     near = np.abs(np.arange(spot.image.shape[0]) - spot.row) * context.pitch_ratio <= 24
     sums = spot.image[near].sum(axis=0)
@@ -149,7 +149,7 @@ def core_of(spots: tuple[PointStack, ...], context: Context) -> Core | str:
     if np.isinf(noise):
         return NARROW
     if not value > 0 or noise > 0.25 * value:
-        return "the light that the core's columns gather is known too badly: the unsaturated stacks are too faint"
+        return "the signal of the core's columns is too uncertain: the unsaturated stacks are too faint"
     return Core(half_width_px=half, light_dn=value / light, light_sd_dn=float(noise) / light, stack=spot.label)
 
 
@@ -183,11 +183,11 @@ def _smear_of(spot: PointStack, core: Core, context: Context) -> Smear | str:
     far = _far_rows(found, middle, grain_of(spot.image, spot.col, spot.dark_dn))
     above, below = far & (found.row_offset < 0), far & (found.row_offset > 0)
     if far.sum() < 16:
-        return "the source's streak or its halo reaches the frame's top and bottom: smear cannot be told from them"
+        return "the source's streak or halo extends to the frame's top and bottom: smear is not separable from them"
     # One full column is sufficient, since a streak's columns differ in length.
     even = float(np.median(spot.image[far, middle], axis=0).max()) - spot.dark_dn
     if even > FULL_SHARE * (spot.full_scale_dn - spot.dark_dn):
-        return "the columns are bright from top to bottom: smear cannot be told from a streak"
+        return "the columns are bright from top to bottom: smear is not separable from a streak"
     level, sd = _contrast(found.excess_dn, far, half, col)
     if np.isinf(sd):
         return NARROW
@@ -236,7 +236,7 @@ def _fraction(found: list[Smear], core: Core, rows: int, **fields: Any) -> Measu
     total = float(np.sqrt(weight**2 @ (sd**2 + between**2) + known**2))
     if not seen.any():
         most = max(mean, 0.0) + 2.0 * total
-        reason = f"no stack shows smear: it is at most {most:.2g} of a column's light, if the light rose as stated"
+        reason = f"no stack shows smear: it is at most {most:.2g} of a column's signal, if the light is as stated"
         return make_refusal("smear_fraction", "1", reason, **fields)
     flags = ()
     if light[seen].max() < LEAST_RATIO * light[seen].min():

@@ -83,8 +83,8 @@ def _angle_deg(name: str, line: Curve, session: Session, result: Result) -> floa
         return 0.0
     if entry is not None and entry.target.angle_deg is not None:
         return entry.target.angle_deg
-    told = [m.orientation_deg for m in result.find("mtf50") if m.orientation_deg is not None and m.stack == stack]
-    return told[0] if told else 0.0
+    angles = [m.orientation_deg for m in result.find("mtf50") if m.orientation_deg is not None and m.stack == stack]
+    return angles[0] if angles else 0.0
 
 
 def _components(frequency: Array, angle_deg: float, sensor: Sensor) -> tuple[Array, Array]:
@@ -96,8 +96,8 @@ def _components(frequency: Array, angle_deg: float, sensor: Sensor) -> tuple[Arr
 
 def _bars(m: Measurement, session: Session, sensor: Sensor) -> Observation:
     entry = next((entry for entry in session.stacks if entry.label == m.stack), None)
-    told = m.orientation_deg if m.orientation_deg is not None else entry and entry.target.angle_deg
-    fx, fy = _components(np.array([m.frequency_cy_per_px or 0.0]), told or 0.0, sensor)
+    angle_deg = m.orientation_deg if m.orientation_deg is not None else entry and entry.target.angle_deg
+    fx, fy = _components(np.array([m.frequency_cy_per_px or 0.0]), angle_deg or 0.0, sensor)
     sd = float(np.hypot(sd_of(m), MTF_MODEL_SD))
     return one(
         f"mtf of {m.stack}", m.value or 0.0, sd, lambda values: predicted_quantities.mtf(values, fx, fy)[:, 0], SPREAD
@@ -165,11 +165,16 @@ def noise_observations(
 
 def _neighbours(result: Result, volts: float) -> list[_Noise]:
     """Observe the horizontal neighbour correlation of the brightest flat that is neither clipped nor saturated."""
-    told = result.evidence.get("autocorrelation", {})
+    measured = result.evidence.get("autocorrelation", {})
     transfer = result.evidence.get("photon-transfer", {})
     mean = dict(zip(transfer.get("label", ()), transfer.get("signal_dn", ()), strict=True))
     fitted = dict(zip(transfer.get("label", ()), transfer.get("fitted", ()), strict=True))
-    rows = zip(told.get("label", ()), told.get("neighbour_correlation", ()), told.get("neighbour_sd", ()), strict=True)
+    rows = zip(
+        measured.get("label", ()),
+        measured.get("neighbour_correlation", ()),
+        measured.get("neighbour_sd", ()),
+        strict=True,
+    )
     usable = [(mean[label], value, sd) for label, value, sd in rows if fitted.get(label)]
     return [
         _Noise(

@@ -127,7 +127,7 @@ def inflate_errors(model: Model) -> tuple[Model, str | None]:
     worst = max(parts, key=lambda name: parts[name])
     said = (
         f"model-misfit: chi-squared {total:.0f} for {numbers} numbers, {parts[worst]:.0f} of it from {worst}; "
-        f"all errors were taken {factor:.1f} times as large"
+        f"all errors were multiplied by {factor:.1f}"
     )
     return replace(model, observed=tuple(one.scale_errors(factor) for one in model.observed)), said
 
@@ -237,7 +237,7 @@ def fit_sensor(
     model, doubt = inflate_errors(model_of(session.sensor, observed))
     progress("posterior of the sensor", 0.2)
     posterior = posterior_of(model, seed=seed)
-    progress("choosing what the data identify", 0.9)
+    progress("identifying parameters", 0.9)
     fitted = description_from_posterior(
         model,
         posterior,
@@ -327,21 +327,21 @@ def _consistent(model: Model, posterior: Posterior, left: dict[str, float]) -> t
 def _parameter(before: Parameter, value: float | None, draws: Array, left: float, carrier: bool) -> Parameter:
     """Return one parameter of the fitted description; `left` is the remaining fraction of its prior's width."""
     if value is None:
-        said = "asked of the session's data, which know only its product with others"
+        said = "requested, but the session's data determine only its product with others"
         return replace(before, standing="prior", source=f"{said}; prior: {before.source}")
     if left >= IDENTIFIED_SHARE and not carrier:
-        said = f"asked of the session's data and not identified: {left:.0%} of the prior's width is left"
+        said = f"requested, but not identified by the session's data: {left:.0%} of the prior's width remains"
         return replace(before, standing="prior", source=f"{said}; prior: {before.source}")
     low, high = (float(q) for q in np.quantile(draws, (0.025, 0.975)))
-    how = "carries a combination that the session's data know" if carrier else "fitted to the session's data"
-    source = f"{how}; value for the unidentified parameters at theirs; {left:.0%} of the prior's width is left"
+    how = "represents a combination that the session's data determine" if carrier else "fitted to the session's data"
+    source = f"{how}; value with the unidentified parameters at theirs; {left:.0%} of the prior's width remains"
     return Parameter(value=value, low=min(low, value), high=max(high, value), standing="fitted", source=source)
 
 
 def _full_well_parameter(before: Parameter, draws: Array) -> Parameter:
     """Return the full well of a camera whose frames reach full scale."""
     low, value, high = (float(q) for q in np.quantile(draws, (0.025, 0.5, 0.975)))
-    source = f"the prior, cut off below what fills the scale, which frames reach; prior: {before.source}"
+    source = f"the prior, truncated below the charge at full scale, which frames reach; prior: {before.source}"
     return Parameter(value=value, low=low, high=high, standing="prior", source=source)
 
 
@@ -349,7 +349,7 @@ def _how(model: Model, posterior: Posterior, point: Array) -> str:
     """Return the note that summarises the fit."""
     numbers = sum(observed.value.size for observed in model.observed)
     chi_squared = float(model.misfit(point[None])[0])
-    flags = f"; distrust: {', '.join(posterior.flags)}" if posterior.flags else ""
+    flags = f"; flags: {', '.join(posterior.flags)}" if posterior.flags else ""
     return (
         f"Fitted with {len(posterior.names)} parameters to {numbers} measured numbers, chi-squared {chi_squared:.1f}, "
         f"{posterior.sampler}, seed {posterior.seed}{flags}."

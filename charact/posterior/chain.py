@@ -281,7 +281,7 @@ def _peaks(
 
 
 def _far_around(place: NDArray, covariance: NDArray, walls: NDArray, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return where to climb from: anywhere between bounds, or `FAR_AROUND_SD` about the start where there are none."""
+    """Return start points: anywhere between bounds, or within `FAR_AROUND_SD` of the start without bounds."""
     reach = FAR_AROUND_SD * np.sqrt(np.diag(covariance))
     low = np.where(np.isfinite(walls[:, 0]), walls[:, 0], place - reach)
     high = np.where(np.isfinite(walls[:, 1]), walls[:, 1], place + reach)

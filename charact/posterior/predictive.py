@@ -174,7 +174,7 @@ def _few_runs(residual: Array) -> Array:
 
 
 def _neighbours(residual: Array) -> Array:
-    """Sum of the autocorrelations up to a lag of the root of the number of data, each weighed by 1 - lag/(last + 1)."""
+    """Sum of the autocorrelations up to the root of the number of data, weighted by 1 - lag/(last + 1)."""
     count = residual.shape[1]
     last = max(1, round(np.sqrt(count)))
     products = [np.einsum("rn,rn->r", residual[:, lag:], residual[:, :-lag]) for lag in range(1, last + 1)]

@@ -181,7 +181,7 @@ def _flats(session: Session, measured: dict[str, NDArray]) -> tuple[list[Matched
         frames = _cut(shot, entry.read())
         clipped = float(np.mean((frames >= full) | (frames <= 0)))
         if frames.mean() > 0.8 * full or clipped > 1e-3:
-            notes.append(f"{shot.label} is beyond the straight part of the range")
+            notes.append(f"{shot.label} is outside the linear range")
             continue
         usable.append((float(frames.mean()), shot, frames))
     if not usable:

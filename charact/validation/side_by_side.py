@@ -113,7 +113,7 @@ Progress = Callable[[str, float], None]
 
 DRAWS = 12
 NULL = "Frames of one more posterior draw in place of the measured ones: must pass"
-NEGATIVE = "Frames of the sensor with the blur behind the gain moved before it: must fail"
+NEGATIVE = "Frames of the sensor with the blur after the gain moved before it: must fail"
 NO_DRAWS = "the sensor has no posterior draws: simulated at its values"
 
 

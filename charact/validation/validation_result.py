@@ -192,20 +192,20 @@ def load(folder: str | Path) -> Validation | None:
     if not (folder / NUMBERS).is_file():
         return None
     try:
-        told = json.loads((folder / NUMBERS).read_text())
+        stored = json.loads((folder / NUMBERS).read_text())
         with np.load(folder / PICTURES) as arrays:
             pairs = tuple(
                 FramePair(**pair, measured=arrays[f"measured-{i}"], simulated=arrays[f"simulated-{i}"])
-                for i, pair in enumerate(told["pairs"])
+                for i, pair in enumerate(stored["pairs"])
             )
         return Validation(
-            session=told["session"], sensor=told["sensor"], seed=told["seed"], draws=told["draws"],
-            seconds=told["seconds"], statistics=_statistics(told["statistics"]),
+            session=stored["session"], sensor=stored["sensor"], seed=stored["seed"], draws=stored["draws"],
+            seconds=stored["seconds"], statistics=_statistics(stored["statistics"]),
             controls=tuple(
                 ValidationControl(name=c["name"], title=c["title"], statistics=_statistics(c["statistics"]))
-                for c in told["controls"]
+                for c in stored["controls"]
             ),
-            overlays=told["overlays"], pairs=pairs, notes=tuple(told["notes"]),
+            overlays=stored["overlays"], pairs=pairs, notes=tuple(stored["notes"]),
         )  # fmt: skip
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise BadInput(f"{folder / NUMBERS} must be a validation kept by charact, got {error}") from error
@@ -215,10 +215,10 @@ def _statistic(one: Statistic) -> dict[str, Any]:
     return {**asdict(one), "passed": one.passed}
 
 
-def _statistics(told: list[dict[str, Any]]) -> tuple[Statistic, ...]:
+def _statistics(stored: list[dict[str, Any]]) -> tuple[Statistic, ...]:
     lists = {"labels", "measured", "low95", "high95"}
     out = []
-    for one in told:
+    for one in stored:
         fields: dict[str, Any] = {key: tuple(value) if key in lists else value for key, value in one.items()}
         fields.pop("passed")
         out.append(Statistic(**fields))

@@ -94,8 +94,8 @@ class SaturatingSeriesLikelihood(SeriesLikelihood):
 
     def lost(self, parts: ModelParts, amplitudes: Array) -> Array:
         """Clipped signal and its derivatives, shape (level, node, 1 + amplitude, point)."""
-        straight, (tired, follows) = super().light(parts, amplitudes), self._light_loss(parts, amplitudes)
-        read, slope = self.read(straight - tired, self.series.node_sd)
+        straight, (loss, follows) = super().light(parts, amplitudes), self._light_loss(parts, amplitudes)
+        read, slope = self.read(straight - loss, self.series.node_sd)
         return np.stack([straight - read, parts.straight - slope * (parts.straight - follows), 1.0 - slope], axis=2)
 
     def _light_loss(self, parts: ModelParts, amplitudes: Array) -> tuple[Array, Array]:

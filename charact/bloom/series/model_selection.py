@@ -53,7 +53,7 @@ class FittedHaloModel:
         """Name in reports."""
         halo = {"none": "no halo", "disc": "disc", "gaussian": "Gaussian halo"}[self.form.halo]
         return f"{self.form.core} core, {halo}" + (
-            ", plate that tires" if isinstance(self.form, SaturatingHaloModel) else ""
+            ", saturating MCP" if isinstance(self.form, SaturatingHaloModel) else ""
         )
 
 
@@ -190,11 +190,11 @@ def halo_refusal_reason(found: list[FittedHaloModel]) -> str | None:
     """Refusal reason of the halo; None where it is accepted."""
     best = found[0]
     if best.form.halo != "disc":
-        return f"the data bear a {best.name} best: no halo with an edge is visible"
+        return f"the data favour a {best.name}: no halo with an edge is visible"
     rival = min((one for one in found if one.form.halo != "disc"), key=lambda one: one.bic)
     if rival.bic - best.bic < 15.0:
-        return f"the data bear a {rival.name} nearly as well as a halo with an edge"
-    return None if edge_is_tied(best) else "the light falls off smoothly: discs of quite other diameters fit as well"
+        return f"the data fit a {rival.name} nearly as well as a halo with an edge: no halo is reported"
+    return None if edge_is_tied(best) else "no halo edge: discs of clearly different diameters fit equally well"
 
 
 def edge_is_tied(best: FittedHaloModel) -> bool:

@@ -23,7 +23,7 @@ REMEDY = "a target that is opaque around its pinhole, or a series with the pinho
 
 
 def find_leak(
-    group: tuple[PointStack, ...], light: Array, reach_px: float, area_px2: float, beside: tuple[float, float]
+    group: tuple[PointStack, ...], light: Array, reach_px: float, area_px2: float, near: tuple[float, float]
 ) -> list[Finding]:
     """Return a finding where the background near the source rises faster with its signal than far from it.
 
@@ -37,7 +37,7 @@ def find_leak(
         Radius of the fitted background around the source, column pitches.
     area_px2
         Area of the frame, column pitches squared.
-    beside
+    near
         Uniformly spread light over the source signal from that background, and its standard error.
     """
     seen = [_far(one, reach_px) for one in group]
@@ -45,11 +45,11 @@ def find_leak(
         return []
     level, sd = np.array(seen, float).T
     far = glare(light, level, sd, area_px2)
-    if far is None or abs(beside[0] - far[0]) < 4.0 * float(np.hypot(beside[1], far[1])):
+    if far is None or abs(near[0] - far[0]) < 4.0 * float(np.hypot(near[1], far[1])):
         return []
-    if abs(beside[0] - far[0]) < 0.3 * max(beside[0], far[0]):
+    if abs(near[0] - far[0]) < 0.3 * max(near[0], far[0]):
         return []
-    near_percent, far_percent = (100.0 * ratio / (1.0 + max(ratio, 0.0)) for ratio in (beside[0], far[0]))
+    near_percent, far_percent = (100.0 * ratio / (1.0 + max(ratio, 0.0)) for ratio in (near[0], far[0]))
     effect = (
         f"veiling_glare is {near_percent:.2g} % by the background within {reach_px:.0f} px of the source, "
         f"{far_percent:.2g} % by that beyond"
@@ -168,7 +168,7 @@ LEFT_OUT = {
     "veiling_glare": (0.05, 3.0, 0.7),
     "plate_saturation_density": (0.03, 6.0, 0.7),
 }
-LEAKS = "light that leaks through the target beside its pinhole counts as glare"
+LEAKS = "light that leaks through the target around its pinhole counts as glare"
 # Draws of derived quantities.
 DERIVED = 400
 
@@ -214,7 +214,7 @@ def halo_measurements(
 
     Light of another source contaminates the rings, but not the position of the edge.
     """
-    beside = several_flag(group)
+    several = several_flag(group)
     middle = float(np.median(posterior["halo_diameter"]))
     apart, freedom = levels_apart(own)
     wider = np.sqrt(max(1.0, apart / freedom)) if freedom else 1.0
@@ -230,9 +230,9 @@ def halo_measurements(
     blind = () if shows_core(best, posterior) else ("prior-bound",)
     flags_of = {
         "halo_diameter": flags,
-        "halo_fraction": flags + beside + blind,
-        "halo_plateau": flags + beside + blind,
-        "halo_rim": flags + beside,
+        "halo_fraction": flags + several + blind,
+        "halo_plateau": flags + several + blind,
+        "halo_rim": flags + several,
     }
     return [
         measurement_from_draws(
@@ -285,7 +285,7 @@ def energy_radius_measurements(
     out = []
     for quantity, draws in zip(("encircled_radius_50", "encircled_radius_90"), radii.T, strict=True):
         if np.isnan(draws).any():
-            reason = f"some of this light lies beyond the {reach:.0f} px about the source that were looked at"
+            reason = f"part of this light lies beyond the {reach:.0f} px analysed around the source"
             out.append(make_refusal(quantity, "px", reason, **fields))
         else:
             draws = draws * _model_error_factors(best, quantity, len(draws), posterior)
@@ -304,7 +304,7 @@ def glare_measurements(
     """Return the veiling glare, from the backgrounds of all stacks."""
     settings = {(one.conditions.mcp_v, one.conditions.camera_gain_db, one.conditions.gain_control) for one in group}
     if len(settings) > 1:
-        return [make_refusal("veiling_glare", "%", "the levels were taken at different gains", **fields)]
+        return [make_refusal("veiling_glare", "%", "the stacks were taken at different gains", **fields)]
     solved = best.problem.solve_amplitudes(posterior.draws[:200])
     rows, cols = group[0].image.shape
     area = rows * cols * best.form.pitch_ratio
@@ -313,16 +313,16 @@ def glare_measurements(
         glare(light, background, error, area)
         for light, background, error in zip(solved.amplitudes[:, 0].T, solved.amplitudes[:, 1].T, sd.T, strict=True)
     ]
-    told = np.array([one for one in found if one is not None])
-    if not len(told):
-        return [make_refusal("veiling_glare", "%", "the backgrounds of three levels at least would tell it", **fields)]
+    known = np.array([one for one in found if one is not None])
+    if not len(known):
+        return [make_refusal("veiling_glare", "%", "the backgrounds of at least three stacks are needed", **fields)]
     rng = np.random.default_rng([posterior.seed, 1])
-    beside = told[:, 0] + told[:, 1] * rng.standard_normal(len(told))
-    beside = beside * _model_error_factors(best, "veiling_glare", len(beside), posterior)
-    draws = 100.0 * beside / (1.0 + np.maximum(beside, 0.0))
+    ratio = known[:, 0] + known[:, 1] * rng.standard_normal(len(known))
+    ratio = ratio * _model_error_factors(best, "veiling_glare", len(ratio), posterior)
+    draws = 100.0 * ratio / (1.0 + np.maximum(ratio, 0.0))
     reach = float(best.problem.series.radius_px[-1])
     light = np.median(solved.amplitudes[:, 0], axis=1)
-    near = (float(np.median(beside)), float(np.hypot(beside.std(), np.median(told[:, 1]))))
+    near = (float(np.median(ratio)), float(np.hypot(ratio.std(), np.median(known[:, 1]))))
     number = measurement_from_draws("veiling_glare", "%", draws, flags=flags, notes=(*notes, LEAKS), **fields)
     return [number.with_(findings=find_leak(group, light, reach, area, near))]
 
@@ -340,13 +340,11 @@ def mcp_saturation_measurements(
     """
     best = forms[0]
     if not isinstance(best.problem, SaturatingSeriesLikelihood):
-        reason = "cores keep their share of the light at all levels: a plate at rest says all they show"
+        reason = "the cores are linear in all stacks: no MCP saturation is visible"
         return [make_refusal("plate_saturation_density", "DN", reason, **fields)]
     unlike = _unlike_cores(forms)
     if unlike > float(np.log(4.0)):
-        reason = (
-            f"forms of the core ask for densities that differ by a factor of {np.exp(unlike):.2g}: describe the camera"
-        )
+        reason = f"core models give densities that differ by a factor of {np.exp(unlike):.2g}: describe the camera"
         return [make_refusal("plate_saturation_density", "DN", reason, **fields)]
     load = best.form.names.index("plate_load")
     if crowds_at_bound(posterior.draws[:, [load]], best.form.bounds[[load]]).any():
