@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from charact.bloom.clipped_sources import ClippedSource, find_clipped_sources
-from charact.bloom.posterior_psf import FrameGrid, PosteriorPsf, nodes, profiles, radial, spread_of
+from charact.bloom.point_stack import full_scale_of
+from charact.bloom.posterior_psf import FrameGrid, PosteriorPsf, density_matrix, nodes, profiles, radial, spread_of
 from charact.method import Context
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
@@ -266,10 +267,8 @@ def _near_transform(frequency: Array, near_px: float) -> Array:
 
     steps = 48
     radius = (np.arange(steps) + 0.5) * near_px / steps
-    node, weight = nodes()
-    to_density = (2.0 * np.pi * weight * node)[:, None] * j0(2.0 * np.pi * np.outer(node, radius))
     ring = 2.0 * np.pi * radius * near_px / steps
-    return to_density @ (ring[:, None] * j0(2.0 * np.pi * np.outer(radius, frequency)))
+    return density_matrix(radius) @ (ring[:, None] * j0(2.0 * np.pi * np.outer(radius, frequency)))
 
 
 def _contaminated_pixels(
@@ -373,7 +372,7 @@ def map_of(session: Session, result: Result, *, label: str | None = None, contex
     """
     entry = _entry(session, label)
     stack = entry.read()
-    full = _full_scale(stack, context)
+    full = full_scale_of(stack, context)
     dark = _dark_dn(session, entry, stack)
     rng = np.random.default_rng(context.seed)
     signal = stack.data.mean(axis=0, dtype=np.float64) - dark
@@ -397,11 +396,6 @@ def _entry(session: Session, label: str | None) -> StackEntry:
     if not found:
         raise BadInput("a bloom map needs a stack of kind scene or point")
     return max(found, key=lambda entry: (entry.conditions.illuminance_lux or 0.0) * (entry.conditions.gate_ns or 1.0))
-
-
-def _full_scale(stack: FrameStack, context: Context) -> float:
-    stated = context.full_scale_dn if context.full_scale_dn is not None else stack.full_scale_dn
-    return float(stated if stated is not None else stack.data.max())
 
 
 def _dark_dn(session: Session, entry: StackEntry, stack: FrameStack) -> float:

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from charact import robust
 from charact.bloom.point_stack import DETECTED, PointStack
 from charact.method import Context
 from labdata.measurement import Measurement, make_refusal, measurement_from_sd
@@ -356,7 +357,7 @@ def streak_of(spot: PointStack, context: Context) -> Streak:
     meets = bool(len(full)) and bool(full.min() == 0 or full.max() == rows - 1)
     level = spot.image[full, round(spot.col)] - spot.dark_dn if len(full) else np.full(1, np.nan)
     value = float(np.median(level))
-    spread = 1.4826 * float(np.median(np.abs(level - value)))
+    spread = robust.robust_sd(level)
     error = 1.25 * max(spread, 1.0 / np.sqrt(12.0 * spot.frames)) / np.sqrt(len(level))
     ends = [float(np.abs(found.row_offset[side]).max()) if len(side) else 0.0 for side in (above, below)]
     return Streak(

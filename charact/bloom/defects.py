@@ -5,6 +5,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from charact import robust
 from charact.bloom.thresholds import (
     DARK_DEFECT_SD,
     DEFECT_SD,
@@ -113,7 +114,7 @@ def _excess(image: Array) -> tuple[Array, float]:
     import cv2
 
     excess = image - cv2.medianBlur(image.astype(np.float32), 5).astype(np.float64)
-    return excess, 1.4826 * float(np.median(np.abs(excess - np.median(excess))))
+    return excess, robust.robust_sd(excess)
 
 
 def replace_bad_pixels(data: NDArray, bad: Mask) -> NDArray:

@@ -206,7 +206,7 @@ def provenance(context, **settings: Any) -> Provenance:
 
 def overload_of_stacks(spots: tuple[PointStack, ...]) -> list[float | None]:
     """Overload of each source: its signal over the signal that reaches full scale; None where unknown."""
-    light = [_light(spot) for spot in spots]
+    light = [spot.exposure_lux_ns for spot in spots]
     clear = [
         (value, spot)
         for value, spot in zip(light, spots, strict=True)
@@ -218,12 +218,6 @@ def overload_of_stacks(spots: tuple[PointStack, ...]) -> list[float | None]:
     peak = float(spot.image[round(spot.row) - 3 : round(spot.row) + 4, round(spot.col) - 3 : round(spot.col) + 4].max())
     share = (peak - spot.dark_dn) / (spot.full_scale_dn - spot.dark_dn)
     return [None if one is None else one / value * share for one in light]
-
-
-def _light(spot: PointStack) -> float | None:
-    if spot.conditions.illuminance_lux is None:
-        return None
-    return spot.conditions.illuminance_lux * (spot.conditions.gate_ns or 1.0)
 
 
 def series_evidence(spots: tuple[PointStack, ...], halos: dict[str, float] | None = None) -> dict[str, Any]:

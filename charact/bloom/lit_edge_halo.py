@@ -1,18 +1,18 @@
 """Halo at an illuminated edge, fitted to the strips of all stacks."""
 
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from charact.bloom import transfer
+from charact.bloom.extent_measurements import provenance
 from charact.bloom.lit_edge_profile import DARK_PX, LitEdgeLine, Strips, edge_line, strips_of
 from charact.method import Context, register
 from charact.posterior import importance_sample, laplace
 from labdata.errors import BadInput
-from labdata.measurement import Measurement, Posterior, Provenance, Result, make_refusal, measurement_from_draws
+from labdata.measurement import Measurement, Posterior, Result, make_refusal, measurement_from_draws
 from labdata.session import Session, StackEntry
 
 Array = NDArray[np.float64]
@@ -23,8 +23,6 @@ LEAST_DIAMETER_PX = 12.0
 # Slightly beyond 0..1, since a bound at 0 would bias the diameter of a halo without rim.
 ELASTIC_SHARE = (-0.15, 1.15)
 SPREAD_PX2 = (0.05, 25.0)
-# Maximum frequency, sufficient for 160 px from the edge.
-HIGHEST_CY_PER_PX, NODES = 0.75, 280
 Core = Literal["gaussian", "tube", "moffat"]
 # Core parameters besides the Gaussian: name, unit, bounds, start, and mean and standard deviation of a prior (image
 # tubes in general; a Moffat wing (1 + r^2/a^2)^-b).
@@ -42,11 +40,9 @@ BESIDES: dict[Core, tuple[tuple[str, str, tuple[float, float], float, tuple[floa
 }
 
 
-@cache
 def nodes() -> tuple[Array, Array]:
-    """Frequencies, cy/px, and weights of the integral over a transfer function (Gauss-Legendre)."""
-    node, weight = np.polynomial.legendre.leggauss(NODES)
-    return 0.5 * HIGHEST_CY_PER_PX * (node + 1.0), 0.5 * HIGHEST_CY_PER_PX * weight
+    """Frequencies, cy/px, and weights of the profile integrals, valid to 160 px from the edge."""
+    return transfer.quadrature(0.75, 280)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -276,7 +272,7 @@ def measure_lit_edge(session: Session, *, context: Context) -> Result:
     An unclipped stack locates the edge and gives the signal of the illuminated side; brighter ones show the halo. With
     clipped stacks alone the edge position is free in the fit, the diameter less certain, and the halo fraction unknown.
     """
-    fields: dict[str, Any] = {"method": METHOD, "provenance": _provenance(context)}
+    fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
     measurements, evidence = _measure(session, context, fields)
     return Result(measurements=tuple(measurements), evidence=evidence)
 
@@ -322,13 +318,6 @@ def _measure(
 
 def _refuse_all(reason: str, fields: dict[str, Any]) -> list[Measurement]:
     return [make_refusal(quantity, unit, reason, **fields) for quantity, unit in QUANTITIES]
-
-
-def _provenance(context: Context) -> Provenance:
-    from charact import __version__
-
-    settings = {"pitch_ratio": context.pitch_ratio, "quick": context.quick}
-    return Provenance(version=__version__, seed=context.seed, settings=settings)
 
 
 def _levels(session: Session, context: Context) -> tuple[LitEdgeLine, tuple[Strips, ...]] | str:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from charact import robust
 from charact.bloom.point_stack import PointStack
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
@@ -118,7 +119,7 @@ def _far_tiles(mean: Array, radius: Array, along: Array) -> Mask:
     take = off_column & (far >= np.quantile(far[off_column] if off_column.any() else far, 1.0 - 0.4))
     take = take if take.any() else far >= np.median(far)
     middle = np.median(level[take])
-    spread = 1.4826 * np.median(np.abs(level[take] - middle))
+    spread = robust.robust_sd(level[take])
     return take & (np.abs(level - middle) <= 4.0 * max(spread, 1e-3))
 
 
@@ -155,7 +156,7 @@ def _light(
     over = mean - floor
     cut = (data >= spot.dark_dn + CUT_SHARE * (spot.full_scale_dn - spot.dark_dn)).any(axis=0)
     near = radius < max(12.0, spot.bloom_px)
-    quiet = 1.4826 * float(np.median(np.abs(over[~near] - np.median(over[~near])))) if (~near).any() else 1.0
+    quiet = robust.robust_sd(over[~near]) if (~near).any() else 1.0
     lit = near & ~cut & (over > max(5.0 * quiet, 1.0))
     if lit.sum() < 4:
         return np.full(len(data), np.nan), float("nan")

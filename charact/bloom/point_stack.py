@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from charact import robust
 from charact.bloom.extent import Extent, contour_at, extent_at
 from charact.bloom.source_view import Background, SourceView, background_of, view_of
 from charact.method import Context
@@ -66,7 +67,7 @@ def contrast_of(image: Array) -> Contrast:
     smooth = np.asarray(ndimage.gaussian_filter(image, SMOOTHING_PX))
     difference = smooth - np.asarray(ndimage.gaussian_filter(image, 3.0 * SMOOTHING_PX))
     some = difference[::THIN, ::THIN]
-    spread = 1.4826 * float(np.median(np.abs(some - np.median(some))))
+    spread = robust.robust_sd(some)
     # Quantisation may leave a background without noise.
     return Contrast(smooth=smooth, difference=difference, spread=max(spread, 0.05))
 
@@ -244,6 +245,12 @@ class PointStack:
         return float((self.image[:, col] >= self.half_dn).sum())
 
     @property
+    def exposure_lux_ns(self) -> float | None:
+        """Illuminance times gate, lx ns (times 1 without a gate); None if the illuminance is unknown."""
+        lux = self.conditions.illuminance_lux
+        return None if lux is None else lux * (self.conditions.gate_ns or 1.0)
+
+    @property
     def touches_border(self) -> bool:
         """Whether the bloom extends to the border of the frame."""
         return self.half is not None and self.half.touches_border
@@ -356,7 +363,7 @@ def spot_of(entry: StackEntry, stack: FrameStack, dark: float | None, place: Sou
     full, level = full_scale_of(stack, context), _level(stack, dark)
     view = view_of(stack.data, level, full, place.row, place.col, context.pitch_ratio)
     own = background_of(view)
-    alike = [light for conditions, light in behind if _alike(conditions, entry.conditions) and light.even]
+    alike = [light for conditions, light in behind if has_same_settings(conditions, entry.conditions) and light.even]
     light = alike[0] if alike else own
     half = level + 0.5 * (full - level)
     found: dict[str, Extent | None] = {"half": None, "background": None, "clip": None}
@@ -396,7 +403,7 @@ def spot_of(entry: StackEntry, stack: FrameStack, dark: float | None, place: Sou
     )
 
 
-def _alike(one: Conditions, other: Conditions) -> bool:
-    """Whether two stacks were taken at the same gain and gate."""
+def has_same_settings(one: Conditions, other: Conditions) -> bool:
+    """Whether two stacks were taken at the same gain, gate and exposure."""
     names = ("mcp_v", "camera_gain_db", "gate_ns", "exposure_s", "gain_control", "em_gain")
     return all(getattr(one, name) == getattr(other, name) for name in names)

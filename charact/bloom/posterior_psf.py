@@ -87,9 +87,8 @@ class PosteriorPsf:
     glare_area_px: float | None = None
 
     def __post_init__(self) -> None:
-        names = [field.name for field in fields(self) if field.name != "glare_area_px"]
-        arrays = np.broadcast_arrays(*(np.atleast_1d(np.asarray(getattr(self, name), float)) for name in names))
-        for name, array in zip(names, arrays, strict=True):
+        arrays = np.broadcast_arrays(*(np.atleast_1d(np.asarray(getattr(self, name), float)) for name in _per_draw()))
+        for name, array in zip(_per_draw(), arrays, strict=True):
             if name in SHARES and not ((array >= 0) & (array <= 1)).all():
                 raise BadInput(f"{name} must lie in 0 to 1, got {array.min():g} to {array.max():g}")
             if name in POSITIVE and not (array > 0).all():
@@ -103,8 +102,7 @@ class PosteriorPsf:
     def select(self, draws: ArrayLike) -> "PosteriorPsf":
         """Return the spread of some draws, by their numbers."""
         index = np.asarray(draws, int)
-        names = [field.name for field in fields(self) if field.name != "glare_area_px"]
-        return replace(self, **{name: getattr(self, name)[index] for name in names})
+        return replace(self, **{name: getattr(self, name)[index] for name in _per_draw()})
 
     def subsample(self, most: int = 30) -> "PosteriorPsf":
         """Return the spread of at most so many draws, evenly taken."""
@@ -112,8 +110,7 @@ class PosteriorPsf:
 
     def centre(self) -> "PosteriorPsf":
         """Return one draw: the median of every parameter."""
-        names = [field.name for field in fields(self) if field.name != "glare_area_px"]
-        return replace(self, **{name: np.median(getattr(self, name), keepdims=True) for name in names})
+        return replace(self, **{name: np.median(getattr(self, name), keepdims=True) for name in _per_draw()})
 
     def transfer(self, frequency_cy_per_px: ArrayLike) -> Array:
         """Return the transfer function without the veiling glare, 1 at frequency 0, shape (draw, frequency)."""
@@ -149,21 +146,27 @@ class PosteriorPsf:
         radius_px
             Distances, column pitches, shape (radius,); valid to about 150 px.
         """
-        from scipy.special import j0
-
-        frequency, weight = nodes()
-        kernel = (2.0 * np.pi * weight * frequency)[:, None] * j0(
-            2.0 * np.pi * np.outer(frequency, np.asarray(radius_px, float))
-        )
-        return np.maximum(self.transfer(frequency) @ kernel, 0.0)
+        return np.maximum(self.transfer(nodes()[0]) @ density_matrix(radius_px), 0.0)
 
 
 @cache
+def _per_draw() -> tuple[str, ...]:
+    """Names of the fields with one number per draw."""
+    return tuple(field.name for field in fields(PosteriorPsf) if field.name != "glare_area_px")
+
+
 def nodes() -> tuple[Array, Array]:
-    """Frequencies, cy/px, and weights of the integral over a transfer function (Gauss-Legendre)."""
-    node, weight = np.polynomial.legendre.leggauss(512)
-    half = 0.5 * 0.8
-    return half * (node + 1.0), half * weight
+    """Frequencies, cy/px, and weights of PSF integrals, valid to 150 px from the source."""
+    return transfer.quadrature(0.8, 512)
+
+
+def density_matrix(radius_px: ArrayLike) -> Array:
+    """Matrix from a transfer function on `nodes` to the PSF at some radii, shape (node, radius)."""
+    from scipy.special import j0
+
+    frequency, weight = nodes()
+    argument = 2.0 * np.pi * np.outer(frequency, np.asarray(radius_px, float))
+    return (2.0 * np.pi * weight * frequency)[:, None] * j0(argument)
 
 
 def spread_of(posterior: Posterior, *, pitch_ratio: float = 1.0, **known: ArrayLike) -> PosteriorPsf:
@@ -310,11 +313,7 @@ def profiles(spread: PosteriorPsf) -> Array:
 @cache
 def kernel() -> Array:
     """Matrix from a transfer function on `nodes` to the PSF at multiples of `RADIUS_STEP_PX`, shape (node, radius)."""
-    from scipy.special import j0
-
-    frequency, weight = nodes()
-    radius = RADIUS_STEP_PX * np.arange(int(REACH_PX / RADIUS_STEP_PX) + 1)
-    return (2.0 * np.pi * weight * frequency)[:, None] * j0(2.0 * np.pi * np.outer(frequency, radius))
+    return density_matrix(RADIUS_STEP_PX * np.arange(int(REACH_PX / RADIUS_STEP_PX) + 1))
 
 
 def radial(radius_px: ArrayLike, profile: Array) -> Array:

@@ -14,7 +14,7 @@ from charact.bloom.over_time import (
     relative_drift,
     travel_px,
 )
-from charact.bloom.point_stack import DETECTED, PointStack
+from charact.bloom.point_stack import DETECTED, PointStack, has_same_settings
 from charact.method import Context
 from labdata.measurement import Measurement, make_refusal, measurement_from_sd
 from labdata.session import Session
@@ -23,19 +23,16 @@ Array = NDArray[np.float64]
 
 # Standard errors at which a fall of the background, or a dark mismatch, is significant.
 SEEN = 4.0
-SETTINGS = ("mcp_v", "camera_gain_db", "gate_ns", "exposure_s", "em_gain", "gain_control")
 BOUND = "glare of the source raises the background: the gain fell by at least this value"
 DECIBEL = 20.0 / np.log(10.0)
 
 
-def alike(one: FrameSeries, other: FrameSeries) -> bool:
-    """Whether two stacks were taken at the same settings."""
-    return all(getattr(one.conditions, name) == getattr(other.conditions, name) for name in SETTINGS)
-
-
 def faintest(watched: tuple[FrameSeries, ...], stack: FrameSeries) -> FrameSeries:
     """The stack of least illuminance at the same settings."""
-    return min((one for one in watched if alike(one, stack)), key=lambda one: one.conditions.illuminance_lux or 0.0)
+    return min(
+        (one for one in watched if has_same_settings(one.conditions, stack.conditions)),
+        key=lambda one: one.conditions.illuminance_lux or 0.0,
+    )
 
 
 def has_background_fallen(reference: FrameSeries, stack: FrameSeries) -> bool:

@@ -100,7 +100,11 @@ def smear_measurement(
     core = core_of(clear, context)
     if isinstance(core, str):
         return make_refusal("smear_fraction", "1", core, **fields), {}
-    read = [_smear_of(spot, core, context) for spot in clear if (_light(spot) or 0.0) > LEAST_RATIO * core_light(clear)]
+    read = [
+        _smear_of(spot, core, context)
+        for spot in clear
+        if (spot.exposure_lux_ns or 0.0) > LEAST_RATIO * core_light(clear)
+    ]
     found = [one for one in read if isinstance(one, Smear)]
     rows = clear[0].image.shape[0]
     evidence = {"bloom-smear": _evidence(found, core, rows)} if found else {}
@@ -112,12 +116,7 @@ def smear_measurement(
 
 def core_light(spots: tuple[PointStack, ...]) -> float:
     """Stated light of the brightest unsaturated stack; 0 where there is none."""
-    return max((_light(spot) or 0.0 for spot in spots if _linear(spot)), default=0.0)
-
-
-def _light(spot: PointStack) -> float | None:
-    lux = spot.conditions.illuminance_lux
-    return None if lux is None else lux * (spot.conditions.gate_ns or 1.0)
+    return max((spot.exposure_lux_ns or 0.0 for spot in spots if _linear(spot)), default=0.0)
 
 
 def _linear(spot: PointStack) -> bool:
@@ -130,12 +129,12 @@ def core_of(spots: tuple[PointStack, ...], context: Context) -> Core | str:
     """Sum the signal of each column of the brightest unsaturated stack; or return a refusal reason."""
     if not spots:
         return "no point source is detected"
-    if any(_light(spot) is None for spot in spots):
+    if any(spot.exposure_lux_ns is None for spot in spots):
         return "the illuminance of the stacks is unknown: smear has no reference"
-    linear = [spot for spot in spots if _linear(spot) and _light(spot)]
+    linear = [spot for spot in spots if _linear(spot) and spot.exposure_lux_ns]
     if not linear:
         return "every stack saturates the core: the signal of its columns is unknown"
-    spot = max(linear, key=lambda one: _light(one) or 0.0)
+    spot = max(linear, key=lambda one: one.exposure_lux_ns or 0.0)
     near = np.abs(np.arange(spot.image.shape[0]) - spot.row) * context.pitch_ratio <= 24
     sums = spot.image[near].sum(axis=0)
     col = round(spot.col)
@@ -144,7 +143,7 @@ def core_of(spots: tuple[PointStack, ...], context: Context) -> Core | str:
     half = int(np.clip(np.abs(over - min(6, col)).max(), 1, 6))
     value, sd = _contrast(spot.image, near, half, col)
     grain = grain_of(spot.image, spot.col, spot.dark_dn)
-    light, value = _light(spot) or 1.0, value * near.sum()
+    light, value = spot.exposure_lux_ns or 1.0, value * near.sum()
     noise = np.hypot(sd * near.sum(), np.sqrt(grain.sum_variance((2 * half + 1) * value)) / (2 * half + 1))
     if np.isinf(noise):
         return NARROW
@@ -197,7 +196,9 @@ def _smear_of(spot: PointStack, core: Core, context: Context) -> Smear | str:
     if min(above.sum(), below.sum()) >= LEAST_SIDE:
         (up, up_sd), (down, down_sd) = (_contrast(found.excess_dn, rows, half, col) for rows in (above, below))
         uneven = abs(up - down) > APART * np.hypot(up_sd, down_sd)
-    return Smear(label=spot.label, light=_light(spot) or 0.0, level_dn=level, level_sd_dn=sd, uneven=bool(uneven))
+    return Smear(
+        label=spot.label, light=spot.exposure_lux_ns or 0.0, level_dn=level, level_sd_dn=sd, uneven=bool(uneven)
+    )
 
 
 def _far_rows(found: ColumnArtefacts, middle: slice, grain: MeanFrameNoise) -> Mask:

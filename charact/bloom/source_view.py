@@ -6,6 +6,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from charact import robust
+
 Array = NDArray[np.float64]
 
 # Sectors of the full circle.
@@ -295,5 +297,5 @@ def _level(view: SourceView, rings: slice) -> tuple[float, float]:
     total, count = view.rings.total[rings].sum(axis=0), view.rings.count[rings].sum(axis=0)
     means = total[count > 0] / count[count > 0]
     middle = float(np.median(means))
-    spread = 1.4826 * float(np.median(np.abs(means - middle)))
+    spread = robust.robust_sd(means)
     return middle, 1.25 * spread / np.sqrt(max(len(means), 1)) + 0.01 / np.sqrt(SECTORS)

@@ -1,6 +1,6 @@
 """Transfer functions of pixel, core, wing and halo, and radial profiles from them."""
 
-from functools import lru_cache
+from functools import cache, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,15 +115,16 @@ def _four(even: Array, value: Array) -> tuple[NDArray[np.intp], Array]:
     return first[..., None] + np.arange(4), weight
 
 
-# Sufficient for the sharpest core and the outermost ring.
-HIGHEST_CY_PER_PX = 1.25
-NODES = 300
+@cache
+def quadrature(highest_cy_per_px: float, count: int) -> tuple[Array, Array]:
+    """Return frequencies, cy/px, and weights of the integral over a transfer function (Gauss-Legendre)."""
+    node, weight = np.polynomial.legendre.leggauss(count)
+    return 0.5 * highest_cy_per_px * (node + 1.0), 0.5 * highest_cy_per_px * weight
 
 
-@lru_cache(maxsize=1)
 def _quadrature() -> tuple[Array, Array]:
-    at, weight = np.polynomial.legendre.leggauss(NODES)
-    return 0.5 * HIGHEST_CY_PER_PX * (at + 1.0), 0.5 * HIGHEST_CY_PER_PX * weight
+    """Quadrature for the sharpest core and the outermost ring of a series."""
+    return quadrature(1.25, 300)
 
 
 def frequencies() -> Array:

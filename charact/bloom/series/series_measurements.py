@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from charact import robust
 from charact.bloom import transfer
 from charact.bloom.point_stack import PointStack
 from charact.bloom.series.halo_models import HaloModel, pixel_of, profile_of
@@ -67,7 +68,7 @@ def _far(spot: PointStack, reach_px: float) -> tuple[float, float] | None:
     if values.size < 200:
         return None
     median = float(np.median(values))
-    spread = 1.4826 * float(np.median(np.abs(values - median)))
+    spread = robust.robust_sd(values)
     # Pulse noise is correlated: a quarter of the pixels counts. A median has 1.25 times the error of a mean.
     return median, max(1.2533 * 2.0 * spread / float(np.sqrt(values.size)), 1e-6)
 
