@@ -34,7 +34,7 @@ def write_bloom_map(session: Session, result: Result, context: Context, *, label
     """
     if path.suffix.lower() not in (".png", ".npz"):
         raise BadInput(f"--map must name a .png or .npz file, got {path.name!r}")
-    from charact.bloom.session_bloom_map import evidence_of, map_of
+    from charact.bloom.bloom_map import evidence_of, map_of
 
     found, signal = map_of(session, result, label=label, context=context)
     content = io.BytesIO()
