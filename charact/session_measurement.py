@@ -104,10 +104,9 @@ def _within(progress: Progress, done: int, tasks: int, sentence: str, share: flo
 def _combine_targets(session: Session, result: Result, context: Context) -> Result:
     """Return a session's result with what its targets tell of one MTF and its stages, and whether they agree."""
     from charact.mtf.bars.group_curve import session_curves
-    from charact.mtf.session.consistency import mtf_consistency
+    from charact.mtf.session.consistency import mtf_consistency, mtf_uniformity
     from charact.mtf.session.joint import fit_joint_mtf
     from charact.mtf.session.session_budget import add_mtf_budget
-    from charact.mtf.session.uniformity import mtf_uniformity
 
     targets = session.of_kind("edge", "bars", "point")
     kinds = {entry.label: entry.kind for entry in targets}

@@ -23,8 +23,8 @@ from charact.method.threads import with_single_blas_thread
 from charact.mtf.blur_models.one_dimensional import EXPONENT_PRIOR, HALF_FREQUENCY_PRIOR, BlurModel
 from charact.mtf.curve import FINE, crossing_frequency
 from charact.mtf.edge.fit.model_fit import BlurModelFitter
-from charact.mtf.edge.pixels.illumination_gradient import EVEN_PER_PX
 from charact.mtf.edge.pixels.prepare_edge import EdgeRefusal, prepare_edge
+from charact.mtf.edge.pixels.profile import EVEN_PER_PX
 from charact.mtf.known_transfer import known_transfer
 from charact.posterior import importance_sample, sample
 from charact.posterior.sampling import WANTED

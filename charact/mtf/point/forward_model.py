@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.blur_models.extended_component_tables import sine_integral
+from charact.mtf.blur_models.transfer import sine_integral
 from charact.mtf.point.forward_prior import PointPrior
 from charact.posterior.laplace import covariance_root
 from charact.video_filter import NODES_SD, VideoFilter, powers

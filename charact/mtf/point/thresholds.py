@@ -25,5 +25,5 @@ MAX_CORES = 4
 # misfit does not pass for noise (strangers' draws: a defocus of 0.46 waves taken for a tube).
 LOWER = (0.1, 1.0)
 # Half frequency in focus over that of the blur, and square of the defocus, waves^2, of a second start: half a wave
-# about halves MTF50 (`charact.mtf.blur_models.diffraction`).
+# about halves MTF50 (`charact.mtf.blur_models.pupil_table`).
 FAR_FROM_FOCUS = (2.0, 0.25)

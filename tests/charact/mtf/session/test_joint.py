@@ -12,12 +12,10 @@ from charact.fit.observations import mtf_observations
 from charact.method import Context
 from charact.mtf.bars.group_curve import session_curves
 from charact.mtf.curve import FINE, REPORTED, crossing_frequency, curve_of
-from charact.mtf.session.consistency import mtf_consistency
+from charact.mtf.session.consistency import mtf_consistency, mtf_uniformity
 from charact.mtf.session.constraints import constraints_from
-from charact.mtf.session.joint import fit_joint_mtf
-from charact.mtf.session.joint_fit import JointLikelihood
+from charact.mtf.session.joint import JointLikelihood, fit_joint_mtf
 from charact.mtf.session.joint_model import JointBlurModel, KnownCameraTransfer
-from charact.mtf.session.uniformity import mtf_uniformity
 from labdata.conditions import Conditions
 from labdata.measurement import Curve, Result, measurement_from_draws, measurement_from_sd
 from labdata.sensor import Sensor
