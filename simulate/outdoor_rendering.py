@@ -12,13 +12,13 @@ from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from simulate.cameras import Camera
 from simulate.iiccd.sensor_for_renderer import render_sensor_of
+from simulate.radiance.geometry.viewpoint import Viewpoint
+from simulate.radiance.integrator.integrator_settings import workers
+from simulate.radiance.integrator.render_sensor import KNOWN, RenderSensor
+from simulate.radiance.integrator.renderer import Rendering, render_scene
 from simulate.radiance.outdoor.built_scene import BuiltScene
-from simulate.radiance.outdoor.description.scene import OutdoorScene
 from simulate.radiance.outdoor.render_settings import RenderSettings, choose_render_settings, exact
-from simulate.radiance.outdoor.viewpoint import Viewpoint
-from simulate.radiance.transport.render_sensor import KNOWN, RenderSensor
-from simulate.radiance.transport.renderer import Rendering, render_scene
-from simulate.radiance.transport.workers import workers
+from simulate.radiance.outdoor.scene import OutdoorScene
 
 # Pixels on the longer side of a preview.
 PREVIEW_PX = 192

@@ -23,10 +23,9 @@ from benchmarks.radiance.errors import Reference, reference
 from benchmarks.radiance.export import export
 from benchmarks.radiance.path_tracer import PathTracer, Timed
 from benchmarks.radiance.scenes import Case, cases
-from simulate.radiance.transport.adaptive_sampling import SamplingSettings
-from simulate.radiance.transport.integrator_settings import IntegratorSettings
-from simulate.radiance.transport.renderer import render_scene
-from simulate.radiance.transport.workers import workers
+from simulate.radiance.integrator.adaptive_sampling import SamplingSettings
+from simulate.radiance.integrator.integrator_settings import IntegratorSettings, workers
+from simulate.radiance.integrator.renderer import render_scene
 
 KEPT = Path("study/radiance")
 RESULTS, CHART, PAGE = Path("docs/radiance/peers.json"), Path("docs/radiance/peers.png"), Path("docs/radiance.md")

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from benchmarks.radiance.path_tracer import PathTracer
 from benchmarks.radiance.scenes import Case
-from simulate.radiance.ray_tracer import NOTHING
-from simulate.radiance.transport.subpixel_sources import add_small_sources
+from simulate.radiance.geometry.ray_tracer import NOTHING
+from simulate.radiance.integrator.subpixel_sources import add_small_sources
 
 # Samples of one part of a reference; seeds of references begin here.
 PART, FIRST_SEED = 512, 100

@@ -7,9 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.radiance.scenes import Case
-from simulate.radiance.lamps import Cosine, Isotropic, Lamp, SpotBeam
-from simulate.radiance.lamps.distribution import Distribution
-from simulate.radiance.outdoor.description.lamp_placement import LampPlacement
+from simulate.radiance.lamps.distribution import Cosine, Distribution, Isotropic, Lamp, SpotBeam
+from simulate.radiance.outdoor.scene import LampPlacement
 
 # Rows and columns of the sky's table: finer than ours, so that the path tracer's own interpolation adds nothing.
 SKY_SHAPE = (2048, 720)

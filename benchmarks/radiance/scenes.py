@@ -8,21 +8,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.radiance.brdf.lambert import Lambert
-from simulate.radiance.materials.reflectance import grey
+from simulate.radiance.brdf.protocol import Lambert, grey
+from simulate.radiance.geometry.viewpoint import Viewpoint
+from simulate.radiance.integrator.environment_map import environment_map
+from simulate.radiance.integrator.light_sources import Lighting
+from simulate.radiance.integrator.shading_points import BsdfSet
+from simulate.radiance.integrator.spectral_scene import Air, SpectralScene
 from simulate.radiance.outdoor.built_scene import BuiltScene
-from simulate.radiance.outdoor.description.camera import SceneCamera
-from simulate.radiance.outdoor.description.lamp_placement import LampPlacement
-from simulate.radiance.outdoor.description.material import MaterialSpec
-from simulate.radiance.outdoor.description.objects import Object, Pose
-from simulate.radiance.outdoor.description.scene import OutdoorScene
-from simulate.radiance.outdoor.viewpoint import Viewpoint
+from simulate.radiance.outdoor.materials import MaterialSpec
+from simulate.radiance.outdoor.scene import LampPlacement, Object, OutdoorScene, Pose, SceneCamera
 from simulate.radiance.scene import load_scene
-from simulate.radiance.transport.air_path_table import Air
-from simulate.radiance.transport.environment_map import environment_map
-from simulate.radiance.transport.light_sources import Lighting
-from simulate.radiance.transport.shading_points import BsdfSet
-from simulate.radiance.transport.spectral_scene import SpectralScene
 
 # A third of the PULNiX frame each way, square pixels.
 SHAPE = (164, 256)

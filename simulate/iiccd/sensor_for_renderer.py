@@ -8,7 +8,7 @@ from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.chip import SCENE_MARGIN_PX
 from simulate.iiccd.effect_bounds.noise_budget import NoiseBudget
 from simulate.iiccd.solid_state import SiliconCamera
-from simulate.radiance.transport.render_sensor import RenderSensor
+from simulate.radiance.integrator.render_sensor import RenderSensor
 
 STEP_NM = 5.0
 

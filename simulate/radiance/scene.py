@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from labdata.errors import BadInput
-from simulate.radiance.materials.material import Material
+from simulate.radiance.materials import Material
 
 if TYPE_CHECKING:
-    from simulate.radiance.outdoor.description.scene import OutdoorScene
+    from simulate.radiance.outdoor.scene import OutdoorScene
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,7 +141,7 @@ def _read(path: Path) -> "LabScene | OutdoorScene":
     mapping = read_toml(path)
     if "camera" not in mapping:
         return from_mapping(mapping, LabScene, where=path.name)
-    from simulate.radiance.outdoor.description.scene import OutdoorScene
+    from simulate.radiance.outdoor.scene import OutdoorScene
 
     place = mapping.get("place")
     if isinstance(place, dict) and isinstance(place.get("time"), datetime):

@@ -8,13 +8,12 @@ from numpy.typing import NDArray
 
 from simulate.effect_selection import OptionalEffect
 from simulate.radiance.blackbody import STEFAN_BOLTZMANN
-from simulate.radiance.outdoor.description.objects import Object
-from simulate.radiance.outdoor.description.slab import Slab
-from simulate.radiance.outdoor.description.surroundings import Weather as State
+from simulate.radiance.outdoor.materials import Slab
+from simulate.radiance.outdoor.scene import Object
+from simulate.radiance.outdoor.surroundings import Weather as State
 from simulate.thermal.clear_day import sky_radiance
-from simulate.thermal.convection import ZERO_C, Exchange, vapour_pressure_pa
 from simulate.thermal.exposure import RING_SINE, Exposure, Facets
-from simulate.thermal.slab import Columns, Forcing, kernels, march, periodic_start
+from simulate.thermal.slab import ZERO_C, Columns, Exchange, Forcing, kernels, march, periodic_start, vapour_pressure_pa
 from simulate.thermal.weather import DAY_STEPS, Weather
 
 Array = NDArray[np.float64]

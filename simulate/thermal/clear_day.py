@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from simulate.radiance.blackbody import STEFAN_BOLTZMANN
 from simulate.radiance.sky.ephemeris import AU_KM, ObserverLocation, ephemeris
-from simulate.thermal.convection import ZERO_C, vapour_pressure_pa
+from simulate.thermal.slab import ZERO_C, vapour_pressure_pa
 
 Array = NDArray[np.float64]
 # That of the model's authors: with 1361 W/m2 all of it would be 0.4 % lower.

@@ -10,11 +10,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.radiance.embree import ROW
-from simulate.radiance.outdoor.surfaces import Surfaces
-from simulate.radiance.ray_tracer import NOTHING
-from simulate.radiance.transport.low_discrepancy import SequenceSlice
-from simulate.radiance.transport.shading_points import shading_frames
+from simulate.radiance.geometry.embree import ROW
+from simulate.radiance.geometry.ray_tracer import NOTHING
+from simulate.radiance.geometry.surfaces import Surfaces
+from simulate.radiance.integrator.low_discrepancy import SequenceSlice
+from simulate.radiance.integrator.shading_points import shading_frames
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -16,7 +16,7 @@ from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons
 from simulate.iiccd.solid_state import SiliconCamera
 from simulate.lab import LabBench
 from simulate.radiance.cube import RadianceCube
-from simulate.radiance.photometry import LUMENS_PER_WATT, luminous_efficiency, planck
+from simulate.radiance.spectrum import LUMENS_PER_WATT, luminous_efficiency, planck
 
 NM = np.arange(360.0, 1100.0, 10.0)
 IDEAL_LENS = {

@@ -28,7 +28,7 @@ from simulate.iiccd import sampler_choice
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.scene_to_photoelectrons import photoelectrons_from_radiance
 from simulate.outdoor_rendering import RenderedView
-from simulate.radiance.transport import render_sensor
+from simulate.radiance.integrator import render_sensor
 
 TABLE = Path(__file__).resolve().parents[1] / "tables" / "light_economy.json"
 # One of the sources whose change makes cases old.

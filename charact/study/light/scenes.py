@@ -13,18 +13,15 @@ from simulate.cameras import camera_from_description
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.sensor_for_renderer import render_sensor_of
 from simulate.outdoor_rendering import OutdoorRendering
-from simulate.radiance.lamps import KINDS
-from simulate.radiance.materials.library import material, material_names
-from simulate.radiance.outdoor.description.camera import SceneCamera
-from simulate.radiance.outdoor.description.lamp_placement import LampPlacement
-from simulate.radiance.outdoor.description.material import MaterialSpec
-from simulate.radiance.outdoor.description.objects import Object
-from simulate.radiance.outdoor.description.scene import OutdoorScene
-from simulate.radiance.outdoor.description.surroundings import Where
+from simulate.radiance.integrator.integrator_settings import IntegratorSettings
+from simulate.radiance.integrator.outgoing_radiance import radiance_along
+from simulate.radiance.lamps.spectra import KINDS
+from simulate.radiance.materials import material, material_names
+from simulate.radiance.outdoor.materials import MaterialSpec
+from simulate.radiance.outdoor.scene import LampPlacement, Object, OutdoorScene, SceneCamera
+from simulate.radiance.outdoor.surroundings import Where
 from simulate.radiance.sky.ephemeris import ObserverLocation
 from simulate.radiance.sky.night_sky import NightSky
-from simulate.radiance.transport.camera_ray_radiance import radiance_along
-from simulate.radiance.transport.integrator_settings import IntegratorSettings
 
 # Frames are small, so that the exact mode takes seconds; the lens is shorter, so that they show half the usual field.
 SHAPE, FIELD = (6, 8), 0.5

@@ -1,13 +1,15 @@
 """A measured BRDF as a table over both polar angles, the azimuth between them, and wavelength."""
 
 from dataclasses import dataclass, field
+from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from labdata.errors import BadInput
 from labdata.frames import read_only
-from simulate.radiance.brdf.directions import both_above, cosine_density, cosine_directions
+from simulate.radiance.brdf.protocol import both_above, cosine_density, cosine_directions
 
 # How far a table may be from f(i, o) = f(o, i), as a fraction of its largest value, before it is refused.
 ASYMMETRY = 0.05
@@ -172,3 +174,28 @@ def _azimuth_between_deg(incoming: NDArray[np.floating], outgoing: NDArray[np.fl
     across = incoming[:, 0] * outgoing[:, 1] - incoming[:, 1] * outgoing[:, 0]
     along = incoming[:, 0] * outgoing[:, 0] + incoming[:, 1] * outgoing[:, 1]
     return np.rad2deg(np.arctan2(np.abs(across), along))
+
+
+ARRAYS = ("wavelength_nm", "polar_deg", "azimuth_deg", "table")
+
+
+def read_measured(path: Path) -> MeasuredTable:
+    """Return the BRDF of an .npz file with the arrays of `simulate.radiance.brdf.measured.MeasuredTable`.
+
+    Raises
+    ------
+    BadInput
+        If the file cannot be read, lacks an array, or the table is no BRDF.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            found = {name: np.asarray(file[name], float) for name in ARRAYS if name in file}
+    except (OSError, ValueError, EOFError, AttributeError, BadZipFile):
+        raise BadInput(f"a measured BRDF must be a readable .npz file, got {path}") from None
+    missing = [name for name in ARRAYS if name not in found]
+    if missing:
+        raise BadInput(f"a measured BRDF must hold {', '.join(ARRAYS)}, got no {missing[0]} in {path.name}")
+    try:
+        return MeasuredTable(**found)
+    except BadInput as error:
+        raise BadInput(f"{error}, in {path.name}") from None

@@ -1,7 +1,14 @@
 """A rough face as many small mirrors: how they lean, which hide others, and a draw of those that the eye sees."""
 
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+
+from labdata.frames import read_only
+from simulate.radiance.brdf.protocol import cosine_directions, directions_at_cosine
 
 # The narrowest and widest spread of slopes.
 SMOOTHEST, ROUGHEST = 0.002, 1.0
@@ -78,3 +85,146 @@ def mirror_density(
     cos_out = np.maximum(outgoing[:, 2], 1e-12)
     density = normals_density(halfway(incoming, outgoing), roughness)
     return density / (4.0 * cos_out * (1.0 + smith_lambda(cos_out, roughness)))
+
+
+def dielectric(cosine: ArrayLike, refractive_index: float) -> NDArray[np.float64]:
+    """Return the reflectance of unpolarised light on glass, water, lacquer; cosine of the angle from the normal."""
+    parallel, perpendicular = dielectric_polarised(cosine, refractive_index)
+    return 0.5 * (parallel + perpendicular)
+
+
+def dielectric_polarised(cosine: ArrayLike, refractive_index: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the reflectances of light polarised parallel and perpendicular to the plane of incidence."""
+    cos_in = np.clip(np.asarray(cosine, float), 0.0, 1.0)
+    cos_on = np.sqrt(1.0 - (1.0 - cos_in**2) / refractive_index**2)
+    parallel = (refractive_index * cos_in - cos_on) / (refractive_index * cos_in + cos_on)
+    perpendicular = (cos_in - refractive_index * cos_on) / (cos_in + refractive_index * cos_on)
+    return parallel**2, perpendicular**2
+
+
+def conductor(cosine: ArrayLike, refractive_index: float, extinction: float) -> NDArray[np.float64]:
+    """Return the reflectance of unpolarised light on a metal of index n + i k, for cosines from the normal."""
+    cos_in = np.clip(np.asarray(cosine, float), 0.0, 1.0).astype(complex)
+    index = refractive_index + 1j * extinction
+    cos_on = np.sqrt(1.0 - (1.0 - cos_in**2) / index**2)
+    parallel = (index * cos_in - cos_on) / (index * cos_in + cos_on)
+    perpendicular = (cos_in - index * cos_on) / (cos_in + index * cos_on)
+    return 0.5 * (np.abs(parallel) ** 2 + np.abs(perpendicular) ** 2)
+
+
+def schlick_rise(cosine: ArrayLike) -> NDArray[np.float64]:
+    """Return (1 - cosine)^5: a metal of normal reflectance F0 has about F0 + (1 - F0) (1 - cosine)^5 (Schlick 1994)."""
+    return (1.0 - np.clip(np.asarray(cosine, float), 0.0, 1.0)) ** 5
+
+
+NODES, STRATA = 96, 64
+# Steep facets are rare and lose their light: quantiles crowd towards them by this power.
+TAIL_POWER = 4
+
+
+@dataclass(frozen=True, eq=False)
+class AlbedoTable:
+    """Directional albedo over the cosine of the eye's angle, linear between nodes.
+
+    Parameters
+    ----------
+    cosine, albedo
+        Nodes from 0 to 1, and values, both of shape (node,).
+    """
+
+    cosine: NDArray[np.float64]
+    albedo: NDArray[np.float64]
+
+    def at(self, outgoing: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Return the albedo towards directions (ray, 3), shape (ray,)."""
+        return np.interp(outgoing[:, 2], self.cosine, self.albedo)
+
+    @property
+    def mean(self) -> float:
+        """2 int E mu dmu of the broken line, exactly."""
+        low, high = self.cosine[:-1], self.cosine[1:]
+        first, last = self.albedo[:-1], self.albedo[1:]
+        piece = (high - low) / 6.0 * (first * (2.0 * low + high) + last * (low + 2.0 * high))
+        return float(2.0 * piece.sum())
+
+
+@lru_cache(maxsize=64)
+def specular_albedo(roughness: float) -> AlbedoTable:
+    """Return the albedo of a rough face whose facets reflect all: the rest is light that hits more than one facet."""
+    return _rough_albedo(roughness, np.ones_like)
+
+
+@lru_cache(maxsize=64)
+def schlick_albedo(roughness: float) -> AlbedoTable:
+    """Return the albedo of a rough face whose facets reflect (1 - cos)^5."""
+    return _rough_albedo(roughness, schlick_rise)
+
+
+@lru_cache(maxsize=64)
+def dielectric_albedo(roughness: float, refractive_index: float) -> AlbedoTable:
+    """Return the albedo of a rough face of glass, of light that hits one facet."""
+    return _rough_albedo(roughness, lambda cosine: dielectric(cosine, refractive_index))
+
+
+def _rough_albedo(roughness: float, reflectance: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> AlbedoTable:
+    """Integrate over the facets that the eye sees: each sends on its reflectance times the chance of a free way."""
+    # Nodes crowd at grazing angles, where the albedo changes most.
+    cosine = np.linspace(0.0, 1.0, NODES) ** 2
+    cosine[0] = 1e-5
+    middle, edge = (np.arange(STRATA) + 0.5) / STRATA, np.arange(STRATA + 1) / STRATA
+    quantile, weight = 1.0 - (1.0 - middle) ** TAIL_POWER, -np.diff((1.0 - edge) ** TAIL_POWER)
+    even = np.stack(np.meshgrid(middle, quantile, indexing="ij"), axis=-1).reshape(-1, 2)
+    weight = np.tile(weight, STRATA) / STRATA
+    albedo = [_one_albedo(float(mu), roughness, reflectance, even) @ weight for mu in cosine]
+    cosine[0] = 0.0
+    return AlbedoTable(read_only(cosine), read_only(np.array(albedo, float)))
+
+
+def _one_albedo(
+    cosine: float,
+    roughness: float,
+    reflectance: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    even: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Return the light that each draw of a facet sends on."""
+    outgoing = np.broadcast_to(directions_at_cosine(np.array([cosine])), (len(even), 3))
+    normal = sample_visible_normals(outgoing, roughness, even)
+    incoming = mirror_direction(outgoing, normal)
+    above = incoming[:, 2] > 0.0
+    behind_eye = smith_lambda(np.array([cosine]), roughness)
+    behind_light = smith_lambda(np.where(above, incoming[:, 2], 1.0), roughness)
+    free = np.where(above, (1.0 + behind_eye) / (1.0 + behind_eye + behind_light), 0.0)
+    return free * reflectance(np.sum(outgoing * normal, axis=1))
+
+
+def base_value(
+    first_in: NDArray[np.floating],
+    first_out: NDArray[np.floating],
+    first_mean: NDArray[np.floating] | float,
+    base: NDArray[np.floating],
+) -> NDArray[np.float64]:
+    """Return the BRDF of the base under a first layer, sr-1.
+
+    Parameters
+    ----------
+    first_in, first_out
+        Albedo of the first layer towards light and eye, dimensionless.
+    first_mean
+        Its cosine-weighted mean, dimensionless.
+    base
+        Reflectance of the base, dimensionless.
+
+    Notes
+    -----
+    rho (1 - E(i)) (1 - E(o)) / (pi (1 - E_mean)) (Kelemen and Szirmay-Kalos, Eurographics 2001): its albedo is
+    rho (1 - E(o)), so with rho = 1 all light comes back.
+    """
+    return base * (1.0 - first_in) * (1.0 - first_out) / (np.pi * (1.0 - first_mean))
+
+
+def sample_mixture(
+    first: NDArray[np.float64], share: NDArray[np.floating], rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """Return directions of the first draw with a probability `share` (ray,), else by the cosine law, shape (ray, 3)."""
+    takes_first = rng.random(len(first)) < share
+    return np.where(takes_first[:, None], first, cosine_directions(len(first), rng))

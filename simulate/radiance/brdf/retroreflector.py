@@ -8,11 +8,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from labdata.errors import BadInput
 from labdata.frames import read_only
-from simulate.radiance.brdf.albedo_table import AlbedoTable
-from simulate.radiance.brdf.base_layer import base_value
-from simulate.radiance.brdf.directions import both_above, cosine_density, directions_at_cosine
-from simulate.radiance.brdf.mixture import sample_mixture
-from simulate.radiance.materials.reflectance import Reflectance
+from simulate.radiance.brdf.microfacet import AlbedoTable, base_value, sample_mixture
+from simulate.radiance.brdf.protocol import Reflectance, both_above, cosine_density, directions_at_cosine
 
 NARROWEST_DEG, WIDEST_DEG = 0.02, 20.0
 # Directions of which the lobe's albedo is the mean.

@@ -5,12 +5,9 @@ from pathlib import Path
 import numpy as np
 
 from labdata.errors import BadInput
-from simulate.radiance.outdoor.description.lamp_placement import NARROW
-from simulate.radiance.photometry import planck
-from simulate.radiance.spectrum import SourceSpectrum
-from simulate.radiance.tables import table
+from simulate.radiance.outdoor.scene import NARROW
+from simulate.radiance.spectrum import SourceSpectrum, planck, table
 
-PACKAGE = "simulate.radiance.lamps"
 FIRST_NM, LAST_NM = 300.0, 1200.0
 # Lines, nm, and power relative to the lamp's visible continuum table (380 to 780 nm, lines included, is 1).
 SODIUM_D = ((589.0, 2.0 / 3.0), (589.6, 1.0 / 3.0))
@@ -180,7 +177,7 @@ def _discharge(kind: str, near_infrared_share: float) -> SourceSpectrum:
         wavelength, density, lines = np.array([FIRST_NM, LAST_NM]), np.zeros(2), SODIUM_D
     else:
         column, lines = COLUMNS[kind]
-        visible = table(PACKAGE, "visible")
+        visible = table("visible")
         wavelength, density = visible["wavelength_nm"], visible[column]
     lines = (*lines, *((nm, near_infrared_share * part) for nm, part in beyond if near_infrared_share > 0.0))
     return SourceSpectrum(

@@ -8,28 +8,27 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from labdata.errors import BadInput
-from simulate.radiance.atmosphere.air import Atmosphere
+from simulate.radiance.atmosphere import Atmosphere
+from simulate.radiance.brdf.measured import read_measured
 from simulate.radiance.brdf.protocol import Brdf
-from simulate.radiance.lamps import Cosine, Isotropic, Lamp, SpotBeam, read_ies, read_spectrum, spectrum
+from simulate.radiance.geometry.surfaces import Surfaces
+from simulate.radiance.integrator import environment_map
+from simulate.radiance.integrator.light_sources import DiscLight, LampLight, LampPattern, Lighting, Panels, panels_of
+from simulate.radiance.integrator.panes import Panes
+from simulate.radiance.integrator.shading_points import BsdfSet, shading_frames
+from simulate.radiance.integrator.spectral_scene import Air, SpectralScene, air
+from simulate.radiance.lamps.distribution import Cosine, Isotropic, Lamp, SpotBeam
+from simulate.radiance.lamps.ies import read_ies
+from simulate.radiance.lamps.spectra import read_spectrum, spectrum
 from simulate.radiance.outdoor.build import build_surfaces
-from simulate.radiance.outdoor.description.lamp_placement import LampPlacement
-from simulate.radiance.outdoor.description.material import MaterialSpec
-from simulate.radiance.outdoor.description.scene import OutdoorScene
-from simulate.radiance.outdoor.description.surroundings import Weather
-from simulate.radiance.outdoor.measured_surface import read_measured
-from simulate.radiance.outdoor.surfaces import Surfaces
-from simulate.radiance.sky.disc import Disc
+from simulate.radiance.outdoor.materials import MaterialSpec
+from simulate.radiance.outdoor.scene import LampPlacement, OutdoorScene
+from simulate.radiance.outdoor.surroundings import Weather
 from simulate.radiance.sky.ephemeris import ObserverLocation
+from simulate.radiance.sky.moon import Disc
 from simulate.radiance.sky.night_sky import NightSky
-from simulate.radiance.sky.town import TownGlow
-from simulate.radiance.spectral_grid import spectral_grid
-from simulate.radiance.spectrum import SourceSpectrum
-from simulate.radiance.transport import environment_map
-from simulate.radiance.transport.air_path_table import Air, air
-from simulate.radiance.transport.light_sources import DiscLight, LampLight, LampPattern, Lighting, Panels, panels_of
-from simulate.radiance.transport.panes import Panes
-from simulate.radiance.transport.shading_points import BsdfSet, shading_frames
-from simulate.radiance.transport.spectral_scene import SpectralScene
+from simulate.radiance.sky.sky_glow import TownGlow
+from simulate.radiance.spectrum import SourceSpectrum, spectral_grid
 
 Array = NDArray[np.floating]
 

@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulate.effect_selection import EffectSelection, OptionalEffect, select_effects
+from simulate.radiance.geometry.viewpoint import Viewpoint
+from simulate.radiance.integrator.adaptive_sampling import SamplingSettings
+from simulate.radiance.integrator.integrator_settings import IntegratorSettings
+from simulate.radiance.integrator.outgoing_radiance import radiance_along
+from simulate.radiance.integrator.render_sensor import KNOWN, RenderSensor
+from simulate.radiance.integrator.shading_request import bounce_order
+from simulate.radiance.integrator.spectral_scene import SpectralScene
 from simulate.radiance.outdoor.built_scene import BuiltScene
-from simulate.radiance.outdoor.viewpoint import Viewpoint
-from simulate.radiance.transport.adaptive_sampling import SamplingSettings
-from simulate.radiance.transport.camera_ray_radiance import radiance_along
-from simulate.radiance.transport.integrator_settings import IntegratorSettings
-from simulate.radiance.transport.radiance_components import bounce_order
-from simulate.radiance.transport.render_sensor import KNOWN, RenderSensor
-from simulate.radiance.transport.spectral_scene import SpectralScene
 
 # Places of the trial, rays of each and by which each gathers; bounces that it tells apart, and follows in all.
 TRIAL_PIXELS, TRIAL_RAYS, TRIAL_GATHERED, TRIAL_BOUNCES, TRIAL_LAST = 1600, 2, 4, 4, 24

@@ -7,18 +7,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from labdata.errors import BadInput
-from simulate.radiance.atmosphere.air import Atmosphere
-from simulate.radiance.atmosphere.airmass import airmass
+from simulate.radiance.atmosphere import Atmosphere, airmass
 from simulate.radiance.cube import band_widths
-from simulate.radiance.photometry import LUMENS_PER_WATT, luminous_efficiency
-from simulate.radiance.sky import scattering, twilight
-from simulate.radiance.sky.dark_sky import dark_sky, van_rhijn
-from simulate.radiance.sky.disc import Disc
+from simulate.radiance.sky import scattering, sky_glow
 from simulate.radiance.sky.ephemeris import AU_KM, Ephemeris, ObserverLocation, ephemeris
-from simulate.radiance.sky.moon import moonlight
-from simulate.radiance.sky.sun import sun_spectrum
-from simulate.radiance.sky.town import TownGlow
-from simulate.radiance.spectrum import SourceSpectrum, require_grid, sum_spectra
+from simulate.radiance.sky.moon import Disc, moonlight, sun_spectrum
+from simulate.radiance.sky.sky_glow import TownGlow, dark_sky, van_rhijn
+from simulate.radiance.spectrum import LUMENS_PER_WATT, SourceSpectrum, luminous_efficiency, require_grid, sum_spectra
 
 # Irradiance over pi times the zenith's radiance of a layer of airglow, above the air (`van_rhijn`).
 AIRGLOW_HEMISPHERE = 1.715
@@ -90,7 +85,7 @@ class NightSky:
 
     def sources(self) -> tuple[SourceSpectrum, ...]:
         """Return the spectra that light the scene, for `spectral_grid`."""
-        bodies = [body.extraterrestrial for body in self.bodies if body.elevation_deg > -twilight.LAST_DEG]
+        bodies = [body.extraterrestrial for body in self.bodies if body.elevation_deg > -sky_glow.LAST_DEG]
         return (*bodies, self._night(), *(town.spectrum for town in self.towns))
 
     def radiance(self, direction: NDArray[np.floating], wavelength_nm: ArrayLike) -> NDArray[np.float64]:
@@ -111,7 +106,7 @@ class NightSky:
                 total += self._endless(body, direction, grid) * scattering.sky_depth(depth, direction)
             glow = self._twilight(body)
             if glow is not None:
-                total += glow.on(grid)[:, None] * twilight.twilight_shape(direction, body.direction)
+                total += glow.on(grid)[:, None] * sky_glow.twilight_shape(direction, body.direction)
         return total * (direction[:, 2] >= 0.0)
 
     def air_radiance(self, direction: NDArray[np.floating], wavelength_nm: ArrayLike) -> NDArray[np.float64]:
@@ -135,7 +130,7 @@ class NightSky:
         for body in self.bodies:
             glow = self._twilight(body)
             if glow is not None:
-                around += glow.on(grid) * (twilight.twilight_shape(directions, body.direction) @ cosine)
+                around += glow.on(grid) * (sky_glow.twilight_shape(directions, body.direction) @ cosine)
         even = 0.5 * (1.0 + self.ground_albedo) / np.pi * around + self._night_air(grid)
         return total + even[:, None]
 
@@ -169,7 +164,7 @@ class NightSky:
         return per_shape[:, None] * scattering.endless_path(direction, body.direction, molecules)
 
     def _twilight(self, body: Disc) -> SourceSpectrum | None:
-        return twilight.twilight_spectrum(body.elevation_deg, body.extraterrestrial.lumens / sun_spectrum().lumens)
+        return sky_glow.twilight_spectrum(body.elevation_deg, body.extraterrestrial.lumens / sun_spectrum().lumens)
 
     def _night(self) -> SourceSpectrum:
         dark = dark_sky()

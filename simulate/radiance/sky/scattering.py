@@ -5,9 +5,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from simulate.radiance.atmosphere.aerosol import scattering_albedo
-from simulate.radiance.atmosphere.air import Atmosphere
-from simulate.radiance.atmosphere.airmass import airmass
+from simulate.radiance.atmosphere import Atmosphere, airmass, scattering_albedo
 
 # nL per foot-candle to sr-1: 1 nL is 1e-5/pi cd m-2, 1 foot-candle 10.764 lux.
 NANOLAMBERT_CD_M2 = 1e-5 / np.pi

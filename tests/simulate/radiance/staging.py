@@ -3,19 +3,16 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.radiance.brdf.lambert import Lambert
-from simulate.radiance.brdf.protocol import Brdf
+from simulate.radiance.brdf.protocol import Brdf, Lambert, grey
+from simulate.radiance.geometry.shapes import Mesh
+from simulate.radiance.geometry.surfaces import collect_surfaces
+from simulate.radiance.integrator.environment_map import black, environment_map
+from simulate.radiance.integrator.integrator_settings import IntegratorSettings
+from simulate.radiance.integrator.light_sources import DiscLight, LampLight, LampPattern, Lighting, panels_of
+from simulate.radiance.integrator.outgoing_radiance import outgoing_radiance
+from simulate.radiance.integrator.shading_points import BsdfSet
+from simulate.radiance.integrator.spectral_scene import Air, SpectralScene
 from simulate.radiance.lamps.distribution import Isotropic
-from simulate.radiance.materials.reflectance import grey
-from simulate.radiance.outdoor.shapes import Mesh
-from simulate.radiance.outdoor.surfaces import collect_surfaces
-from simulate.radiance.transport.air_path_table import Air
-from simulate.radiance.transport.environment_map import black, environment_map
-from simulate.radiance.transport.integrator_settings import IntegratorSettings
-from simulate.radiance.transport.light_sources import DiscLight, LampLight, LampPattern, Lighting, panels_of
-from simulate.radiance.transport.outgoing_radiance import outgoing_radiance
-from simulate.radiance.transport.shading_points import BsdfSet
-from simulate.radiance.transport.spectral_scene import SpectralScene
 
 NM = np.array([500.0, 600.0])
 UP = (0.0, 0.0, 1.0)

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from simulate.radiance.integrator.adaptive_sampling import GROWTH, SamplingSettings, allocate_samples, further
+from simulate.radiance.integrator.auxiliary_layers import AuxiliaryLayers
+from simulate.radiance.integrator.render_sensor import KNOWN, RenderSensor
 from simulate.radiance.outdoor.render_settings import REGIONS, _influence
-from simulate.radiance.transport.adaptive_sampling import GROWTH, SamplingSettings, allocate_samples, further
-from simulate.radiance.transport.auxiliary_layers import AuxiliaryLayers
-from simulate.radiance.transport.render_sensor import KNOWN, RenderSensor
 
 SHAPE = (32, 64)
 ALLOWED = 0.01

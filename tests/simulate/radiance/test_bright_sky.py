@@ -5,14 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from simulate.radiance.brdf import Glossy
-from simulate.radiance.materials.reflectance import grey
-from simulate.radiance.outdoor.shapes import plane
-from simulate.radiance.transport.camera_ray_radiance import radiance_along
-from simulate.radiance.transport.environment_map import environment_map
-from simulate.radiance.transport.integrator_settings import IntegratorSettings
-from simulate.radiance.transport.sky_importance_sampling import SkyImportance
-from simulate.radiance.transport.spectral_scene import SpectralScene
+from simulate.radiance.brdf.glossy import Glossy
+from simulate.radiance.brdf.protocol import grey
+from simulate.radiance.geometry.shapes import plane
+from simulate.radiance.integrator.environment_map import SkyImportance, environment_map
+from simulate.radiance.integrator.integrator_settings import IntegratorSettings
+from simulate.radiance.integrator.outgoing_radiance import radiance_along
+from simulate.radiance.integrator.spectral_scene import SpectralScene
 from tests.simulate.radiance.staging import OVERCAST, UNIFORM, at, inside_out, staged, upright
 
 SUN = np.array([0.0, np.cos(0.6), np.sin(0.6)])

@@ -7,18 +7,15 @@ import numpy as np
 import pytest
 
 from labdata.errors import BadInput
-from simulate.radiance.embree import COPY_BITS
+from simulate.radiance.geometry.embree import COPY_BITS
+from simulate.radiance.geometry.viewpoint import Viewpoint
+from simulate.radiance.integrator.auxiliary_layers import truth
+from simulate.radiance.integrator.integrator_settings import IntegratorSettings
+from simulate.radiance.integrator.outgoing_radiance import radiance_along
 from simulate.radiance.outdoor import build
 from simulate.radiance.outdoor.built_scene import BuiltScene
-from simulate.radiance.outdoor.description.camera import SceneCamera
-from simulate.radiance.outdoor.description.lamp_placement import LampPlacement
-from simulate.radiance.outdoor.description.material import MaterialSpec
-from simulate.radiance.outdoor.description.objects import Object, Pose
-from simulate.radiance.outdoor.description.scene import OutdoorScene
-from simulate.radiance.outdoor.viewpoint import Viewpoint
-from simulate.radiance.transport.auxiliary_layers import truth
-from simulate.radiance.transport.camera_ray_radiance import radiance_along
-from simulate.radiance.transport.integrator_settings import IntegratorSettings
+from simulate.radiance.outdoor.materials import MaterialSpec
+from simulate.radiance.outdoor.scene import LampPlacement, Object, OutdoorScene, Pose, SceneCamera
 
 NM = np.array([500.0, 600.0])
 
@@ -117,10 +114,10 @@ def test_truth_and_refusals_know_shared_copies(shared):
 
 PEAK = """
 from simulate.radiance.outdoor.build import built
-from simulate.radiance.outdoor.description.camera import Camera
-from simulate.radiance.outdoor.description.material import Surface
-from simulate.radiance.outdoor.description.objects import Object, Pose
-from simulate.radiance.outdoor.description.scene import Scene
+from simulate.radiance.outdoor.scene import Camera
+from simulate.radiance.outdoor.materials import Surface
+from simulate.radiance.outdoor.scene import Object, Pose
+from simulate.radiance.outdoor.scene import Scene
 
 poses = tuple(Pose(position_m=(3.0 * (i % 150), 3.0 * (i // 150), 1.0), heading_deg=i % 360) for i in range(20_000))
 ball = Object(label="balls", material="grey", shape="sphere", size_m=(1.0,), instances=poses)

@@ -6,17 +6,16 @@ from functools import partial
 import numpy as np
 import pytest
 
-from simulate.radiance.outdoor.shapes import box, plane
-from simulate.radiance.outdoor.viewpoint import Viewpoint
-from simulate.radiance.transport.adaptive_sampling import SamplingSettings
-from simulate.radiance.transport.cache_smoothing import Nodes
-from simulate.radiance.transport.integrator_settings import IntegratorSettings
-from simulate.radiance.transport.irradiance_cache import STEP, build_irradiance_cache
-from simulate.radiance.transport.low_discrepancy import TILE, low_discrepancy_points
-from simulate.radiance.transport.outgoing_radiance import outgoing_radiance
-from simulate.radiance.transport.renderer import render_scene
-from simulate.radiance.transport.spectral_scene import SpectralScene
-from simulate.radiance.transport.workers import one_by_one, workers
+from simulate.radiance.geometry.shapes import box, plane
+from simulate.radiance.geometry.viewpoint import Viewpoint
+from simulate.radiance.integrator.adaptive_sampling import SamplingSettings
+from simulate.radiance.integrator.cache_smoothing import Nodes
+from simulate.radiance.integrator.integrator_settings import IntegratorSettings, one_by_one, workers
+from simulate.radiance.integrator.irradiance_cache import STEP, build_irradiance_cache
+from simulate.radiance.integrator.low_discrepancy import TILE, low_discrepancy_points
+from simulate.radiance.integrator.outgoing_radiance import outgoing_radiance
+from simulate.radiance.integrator.renderer import render_scene
+from simulate.radiance.integrator.spectral_scene import SpectralScene
 from tests.simulate.radiance.staging import UNIFORM, at, inside_out, lamp, staged, upright
 
 WHITE = np.ones(2, np.float32)

@@ -5,11 +5,11 @@ import pytest
 
 from labdata.errors import BadInput
 from simulate.iiccd.tube_photometry import JOULE_METRE
-from simulate.radiance.lamps import read_spectrum, spectrum
+from simulate.radiance.integrator.integrator_settings import IntegratorSettings
+from simulate.radiance.integrator.outgoing_radiance import radiance_along
+from simulate.radiance.lamps.spectra import read_spectrum, spectrum
 from simulate.radiance.outdoor.built_scene import BuiltScene
 from simulate.radiance.scene import load_scene
-from simulate.radiance.transport.camera_ray_radiance import radiance_along
-from simulate.radiance.transport.integrator_settings import IntegratorSettings
 
 SCENE = """
 name = "a wall and an illuminator"

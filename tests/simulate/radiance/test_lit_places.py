@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.integrate import dblquad, quad
 
+from simulate.radiance.geometry.shapes import plane
+from simulate.radiance.integrator.integrator_settings import IntegratorSettings
+from simulate.radiance.integrator.light_sources import LampLight, LampPattern
+from simulate.radiance.integrator.light_tracing import RINGS, LightTracingSettings
+from simulate.radiance.integrator.outgoing_radiance import outgoing_radiance
 from simulate.radiance.lamps.distribution import Cosine, Isotropic, MeasuredDistribution, SpotBeam
-from simulate.radiance.outdoor.shapes import plane
-from simulate.radiance.transport.integrator_settings import IntegratorSettings
-from simulate.radiance.transport.light_sources import LampLight, LampPattern
-from simulate.radiance.transport.light_tracing import RINGS, LightTracingSettings
-from simulate.radiance.transport.outgoing_radiance import outgoing_radiance
 from tests.simulate.radiance.staging import agree, at, inside_out, irradiance, lamp, staged
 
 FLOOR, ABOVE_M = 0.6, 2.0

@@ -9,18 +9,18 @@ import pytest
 
 from labdata.errors import BadInput
 from labdata.serialiser import from_mapping
-from simulate.radiance.materials.pane import clearest, pane_shares
+from simulate.radiance.geometry.shapes import Mesh, shape
+from simulate.radiance.geometry.surfaces import collect_surfaces
+from simulate.radiance.geometry.viewpoint import Viewpoint
+from simulate.radiance.integrator.integrator_settings import IntegratorSettings
+from simulate.radiance.integrator.outgoing_radiance import radiance_along
+from simulate.radiance.integrator.panes import Panes
+from simulate.radiance.integrator.subpixel_sources import add_small_sources
+from simulate.radiance.materials import clearest, pane_shares
 from simulate.radiance.outdoor.built_scene import BuiltScene
-from simulate.radiance.outdoor.description.material import MaterialSpec
-from simulate.radiance.outdoor.description.scene import OutdoorScene
-from simulate.radiance.outdoor.shapes import Mesh, shape
-from simulate.radiance.outdoor.surfaces import collect_surfaces
-from simulate.radiance.outdoor.viewpoint import Viewpoint
+from simulate.radiance.outdoor.materials import MaterialSpec
+from simulate.radiance.outdoor.scene import OutdoorScene
 from simulate.radiance.scene import load_scene
-from simulate.radiance.transport.camera_ray_radiance import radiance_along
-from simulate.radiance.transport.integrator_settings import IntegratorSettings
-from simulate.radiance.transport.panes import Panes
-from simulate.radiance.transport.subpixel_sources import add_small_sources
 from tests.simulate.radiance.staging import NM, UNIFORM, UP, agree, at, disc_light, irradiance, lamp, staged, upright
 
 INDEX = 1.5

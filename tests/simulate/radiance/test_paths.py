@@ -4,17 +4,17 @@ import numpy as np
 import pytest
 
 from simulate.radiance.brdf.glossy import Glossy
+from simulate.radiance.brdf.protocol import grey
+from simulate.radiance.geometry.shapes import box, plane
+from simulate.radiance.integrator.compiled_light_sources import lamp_arrays, lamp_pattern
+from simulate.radiance.integrator.final_gather import plain
+from simulate.radiance.integrator.integrator_settings import IntegratorSettings
+from simulate.radiance.integrator.light_sources import LampLight, LampPattern
+from simulate.radiance.integrator.low_discrepancy import SequenceSlice
+from simulate.radiance.integrator.outgoing_radiance import outgoing_radiance
+from simulate.radiance.integrator.path_states import WAVE
+from simulate.radiance.integrator.spectral_scene import SpectralScene
 from simulate.radiance.lamps.distribution import Cosine, Isotropic, MeasuredDistribution, SpotBeam
-from simulate.radiance.materials.reflectance import grey
-from simulate.radiance.outdoor.shapes import box, plane
-from simulate.radiance.transport.compiled_light_sources import lamp_arrays, lamp_pattern
-from simulate.radiance.transport.final_gather.diffuse_surfaces import plain
-from simulate.radiance.transport.integrator_settings import IntegratorSettings
-from simulate.radiance.transport.light_sources import LampLight, LampPattern
-from simulate.radiance.transport.low_discrepancy import SequenceSlice
-from simulate.radiance.transport.outgoing_radiance import outgoing_radiance
-from simulate.radiance.transport.path_states import WAVE
-from simulate.radiance.transport.spectral_scene import SpectralScene
 from tests.simulate.radiance.staging import OVERCAST, at, disc_light, inside_out, lamp, staged
 
 # A glow of a hundred times the rest around a place 30 degrees high.

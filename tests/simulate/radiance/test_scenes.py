@@ -6,22 +6,21 @@ import numpy as np
 import pytest
 
 from labdata.errors import BadInput
-from simulate.radiance.brdf import Metal
-from simulate.radiance.materials.reflectance import grey
+from simulate.radiance.brdf.glossy import Metal
+from simulate.radiance.brdf.protocol import grey
+from simulate.radiance.geometry.shapes import SIZES, Mesh, box, ground, plane, shape, shed, sphere
+from simulate.radiance.geometry.viewpoint import RasterGeometry, Viewpoint
+from simulate.radiance.integrator.adaptive_sampling import SamplingSettings
+from simulate.radiance.integrator.auxiliary_layers import truth
+from simulate.radiance.integrator.integrator_settings import IntegratorSettings
+from simulate.radiance.integrator.outgoing_radiance import radiance_along
+from simulate.radiance.integrator.render_sensor import RenderSensor
+from simulate.radiance.integrator.renderer import render_scene
 from simulate.radiance.outdoor.build import build_surfaces, place_mesh
 from simulate.radiance.outdoor.built_scene import BuiltScene
-from simulate.radiance.outdoor.description.objects import Pose
-from simulate.radiance.outdoor.description.scene import OutdoorScene
 from simulate.radiance.outdoor.render_settings import choose_render_settings
-from simulate.radiance.outdoor.shapes import SIZES, Mesh, box, ground, plane, shape, shed, sphere
-from simulate.radiance.outdoor.viewpoint import RasterGeometry, Viewpoint
+from simulate.radiance.outdoor.scene import OutdoorScene, Pose
 from simulate.radiance.scene import load_bench, load_scene
-from simulate.radiance.transport.adaptive_sampling import SamplingSettings
-from simulate.radiance.transport.auxiliary_layers import truth
-from simulate.radiance.transport.camera_ray_radiance import radiance_along
-from simulate.radiance.transport.integrator_settings import IntegratorSettings
-from simulate.radiance.transport.render_sensor import RenderSensor
-from simulate.radiance.transport.renderer import render_scene
 from tests.simulate.radiance.staging import NM, UNIFORM, UP, at, disc_light, inside_out, irradiance, lamp, staged
 
 CAMERA = "[camera]\nposition_m = [0, -10, 2]\nlook_at_m = [0, 0, 1]\n"
@@ -432,7 +431,7 @@ def test_rays_that_trials_thought_too_few_go_on_until_the_error_is_as_promised(m
     stage = staged(parts, {"m": 0.2, "steel": brdf}, lamps=(lamp((2, -6, 5), 1000.0),))
     few = replace(VIEW, shape=(6, 8), focal_px=(10.0, 10.0))
     monkeypatch.setattr(
-        "simulate.radiance.transport.renderer.allocate_samples",
+        "simulate.radiance.integrator.renderer.allocate_samples",
         lambda here, rays, trial, seed: np.full((6, 8), 32, np.int32),
     )
 

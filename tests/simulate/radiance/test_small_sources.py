@@ -3,13 +3,12 @@
 import numpy as np
 import pytest
 
-from simulate.radiance.outdoor.shapes import shape
-from simulate.radiance.outdoor.viewpoint import RasterGeometry, Viewpoint
-from simulate.radiance.transport.adaptive_sampling import SamplingSettings
-from simulate.radiance.transport.coverage import coverage
-from simulate.radiance.transport.integrator_settings import IntegratorSettings
-from simulate.radiance.transport.renderer import render_scene
-from simulate.radiance.transport.subpixel_sources import add_small_sources
+from simulate.radiance.geometry.shapes import shape
+from simulate.radiance.geometry.viewpoint import RasterGeometry, Viewpoint
+from simulate.radiance.integrator.adaptive_sampling import SamplingSettings
+from simulate.radiance.integrator.integrator_settings import IntegratorSettings
+from simulate.radiance.integrator.renderer import render_scene
+from simulate.radiance.integrator.subpixel_sources import add_small_sources, coverage
 from tests.simulate.radiance.staging import at, disc_light, lamp, staged, upright
 
 

@@ -6,12 +6,11 @@ import pytest
 from labdata.errors import BadInput
 from simulate.iiccd.tube_photometry import JOULE_METRE, detection_weights, quantum_efficiency
 from simulate.radiance.cube import band_widths
-from simulate.radiance.lamps import KINDS, spectrum
+from simulate.radiance.lamps.spectra import KINDS, spectrum
 from simulate.radiance.outdoor.render_settings import COARSEST
-from simulate.radiance.sky import NightSky
 from simulate.radiance.sky.moon import moon_spectrum
-from simulate.radiance.spectral_grid import spectral_grid
-from simulate.radiance.spectrum import SourceSpectrum, sum_spectra
+from simulate.radiance.sky.night_sky import NightSky
+from simulate.radiance.spectrum import SourceSpectrum, spectral_grid, sum_spectra
 
 
 @pytest.mark.parametrize("kind", [*KINDS, "moon", "dark sky"])

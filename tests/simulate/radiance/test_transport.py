@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from simulate.radiance.brdf import Glossy, Metal
-from simulate.radiance.materials.reflectance import grey
-from simulate.radiance.outdoor.shapes import Mesh, box, disc, plane, sphere
-from simulate.radiance.transport.camera_ray_radiance import radiance_along
-from simulate.radiance.transport.integrator_settings import IntegratorSettings
+from simulate.radiance.brdf.glossy import Glossy, Metal
+from simulate.radiance.brdf.protocol import grey
+from simulate.radiance.geometry.shapes import Mesh, box, disc, plane, sphere
+from simulate.radiance.integrator.integrator_settings import IntegratorSettings
+from simulate.radiance.integrator.outgoing_radiance import radiance_along
 from tests.simulate.radiance.staging import (
     OVERCAST,
     UNIFORM,

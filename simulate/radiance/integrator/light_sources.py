@@ -1,0 +1,171 @@
+"""What lights a scene, on the bands that are computed: lamps, discs of sun and moon, glowing surfaces, and the sky."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulate.radiance.geometry.ray_tracer import normals
+from simulate.radiance.geometry.surfaces import Surfaces
+from simulate.radiance.integrator.environment_map import EnvironmentMap, SkyImportance
+from simulate.radiance.lamps.distribution import Distribution
+
+Array = NDArray[np.floating]
+
+
+@dataclass(frozen=True)
+class LampPattern:
+    """Where a lamp shines.
+
+    Parameters
+    ----------
+    distribution
+        Share of its light per solid angle, in its own frame.
+    frame
+        That frame's axes in the scene's, as rows, shape (3, 3).
+    """
+
+    distribution: Distribution
+    frame: NDArray[np.float64]
+
+    def __call__(self, direction: Array) -> Array:
+        """Return the share per sr in unit directions (ray, 3) away from the lamp, shape (ray,)."""
+        return self.distribution.per_sr(direction @ self.frame.T)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LampLight:
+    """A small lamp: a ball that shines into directions as its pattern says.
+
+    Parameters
+    ----------
+    name
+        Its name.
+    position_m
+        Its middle, shape (3,), m.
+    radius_m
+        Radius of the ball, m; shadows are as soft as that.
+    spectrum
+        Radiant flux, shape (band,), W nm-1.
+    pattern
+        Where it goes.
+    """
+
+    name: str
+    position_m: NDArray[np.float64]
+    radius_m: float
+    spectrum: NDArray[np.float32]
+    pattern: LampPattern
+
+
+@dataclass(frozen=True, kw_only=True)
+class DiscLight:
+    """Sun or moon.
+
+    Parameters
+    ----------
+    name
+        "sun" or "moon".
+    direction
+        Unit direction to its middle, shape (3,).
+    angular_radius_rad
+        Radius, rad.
+    irradiance
+        Irradiance of a surface that faces it, shape (band,), W m-2 nm-1.
+    """
+
+    name: str
+    direction: NDArray[np.float64]
+    angular_radius_rad: float
+    irradiance: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Panels:
+    """Glowing triangles, equally bright from everywhere on their outer side.
+
+    Parameters
+    ----------
+    face
+        Numbers of the triangles, shape (panel,).
+    corners_m, normal
+        Their corners, shape (panel, 3, 3), m, and unit normals, shape (panel, 3).
+    spectra
+        Radiance of each kind of glow, shape (kind, band), W m-2 sr-1 nm-1.
+    kind_of_face
+        Kind of glow of each triangle of the scene, -1 for none, shape (face,).
+    per_m2_of_face
+        Chance that a draw falls on a square metre of each triangle of the scene, shape (face,), m-2.
+    cumulated
+        Chance that a draw falls on a panel up to each, shape (panel,).
+    """
+
+    face: NDArray[np.int64]
+    corners_m: NDArray[np.float64]
+    normal: NDArray[np.float64]
+    spectra: NDArray[np.float32]
+    kind_of_face: NDArray[np.int64]
+    per_m2_of_face: NDArray[np.float64]
+    cumulated: NDArray[np.float64]
+
+    def draw(self, count: int, rng: np.random.Generator) -> tuple[NDArray[np.int64], Array]:
+        """Draw panels, by their power, and a place on each, evenly: numbers (count,) and places (count, 3), m."""
+        panel = np.minimum(np.searchsorted(self.cumulated, rng.random(count), side="right"), len(self.face) - 1)
+        root, v = np.sqrt(rng.random(count))[:, None], rng.random(count)[:, None]
+        a, b, c = (self.corners_m[panel, i] for i in range(3))
+        return panel, (1.0 - root) * a + root * ((1.0 - v) * b + v * c)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lighting:
+    """All light of a scene.
+
+    Parameters
+    ----------
+    environment_map
+        The sky without discs.
+    lamps, discs
+        Lamps; sun and moon.
+    panels
+        Glowing surfaces, or None.
+    """
+
+    environment_map: EnvironmentMap
+    lamps: tuple[LampLight, ...] = ()
+    discs: tuple[DiscLight, ...] = ()
+    panels: Panels | None = None
+
+    @cached_property
+    def bright_sky(self) -> SkyImportance | None:
+        """How directions are drawn by the sky's light; None where it is even."""
+        return SkyImportance.of(self.environment_map)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of lamps and discs, in the order of the bits of `truth.Truth.shadow`."""
+        return tuple(light.name for light in (*self.discs, *self.lamps))
+
+
+def panels_of(surfaces: Surfaces, kind_of_face: NDArray[np.int64], spectra: NDArray[np.float32]) -> Panels | None:
+    """Return the glowing triangles of surfaces, or None where nothing glows.
+
+    Parameters
+    ----------
+    surfaces
+        All surfaces.
+    kind_of_face
+        Kind of glow of each triangle, -1 for none, shape (face,).
+    spectra
+        Radiance of each kind, shape (kind, band), W m-2 sr-1 nm-1.
+    """
+    face = np.flatnonzero(kind_of_face >= 0)
+    power = surfaces.area_m2[face] * spectra.sum(axis=1)[kind_of_face[face]] if len(face) else np.zeros(0)
+    if not power.sum() > 0.0:
+        return None
+    chance = power / power.sum()
+    per_m2 = np.zeros(len(kind_of_face))
+    area = surfaces.area_m2[face]
+    per_m2[face] = np.divide(chance, area, out=np.zeros_like(area), where=area > 0.0)
+    corners = surfaces.mesh.corners_m[face]
+    return Panels(face, corners, normals(corners), spectra, kind_of_face, per_m2, np.cumsum(chance))

@@ -1,0 +1,250 @@
+"""Places that lamps light, drawn by the lamps' own light: gathering seldom finds the patch behind a lamp on a wall.
+
+A ray is sent from a lamp as it shines, and what it meets is asked whether the place that gathers sees it. Gathering
+finds the same patches, and both share what they send (balance heuristic of Veach and Guibas, 1995), so that neither a
+patch that a lamp almost touches nor one next to the place makes bright specks. It costs two to three rays for each
+that gathers, and is done only for lamps whose light it finds much more surely.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from simulate.radiance.geometry.embree import (
+    COMPILED,
+    INLINED,
+    ROW,
+    intersect,
+    is_ray_occluded,
+    plane_of,
+    set_ray,
+    trace_occlusion,
+    triangle_of,
+)
+from simulate.radiance.geometry.ray_tracer import NOTHING, RayTracer
+from simulate.radiance.integrator.compiled_light_sources import SHORT, lamp_factor, towards_lamp
+from simulate.radiance.integrator.light_sources import LampLight
+from simulate.radiance.integrator.path_states import set_ray_start, uniform
+from simulate.radiance.integrator.shading_points import shading_frames
+
+# A lamp's directions are drawn from so many rings about its axis, each of which holds as much of its light.
+RINGS, ANGLES, AROUND = 64, 2000, 24
+# Rays that tell how well gathering finds a lamp's light. It is worth the rays where they would find so large a share of
+# it, or where gathering's values would scatter so many times as much (in their square).
+TRIED, SHARE, GAIN = 512, 0.7, 20.0
+# What light would find less of than this share is left to gathering alone, and costs it no ray.
+LEAST = 0.01
+
+
+@dataclass(frozen=True, kw_only=True)
+class LightTracingSettings:
+    """How rays are drawn as lamps shine.
+
+    Parameters
+    ----------
+    worth
+        Whether each lamp is worth it, shape (lamp,).
+    falls
+        1 less the cosines between rings about the lamps' axes, ascending, shape (lamp, ring + 1).
+    """
+
+    worth: NDArray[np.bool_]
+    falls: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, lamps: tuple[LampLight, ...], tracer: RayTracer) -> "LightTracingSettings":
+        """Return the draws of lamps among surfaces."""
+        falls = np.array([_rings(lamp) for lamp in lamps]).reshape(-1, RINGS + 1)
+        worth = [_worth(lamp, rings, tracer) for lamp, rings in zip(lamps, falls, strict=True)]
+        return cls(worth=np.array(worth, np.bool_), falls=falls)
+
+    def arrays(self, lamps: tuple[LampLight, ...], some: NDArray[np.bool_]) -> tuple[NDArray, NDArray, NDArray]:
+        """Return for some of the lamps the chance that each is drawn, these summed up, and the falls."""
+        power = np.array([float(lamp.spectrum.sum()) for lamp in lamps])[some]
+        power[~self.worth[some]] = 0.0
+        chance = power / power.sum() if power.sum() > 0.0 else np.zeros(0)
+        return chance, np.cumsum(chance), self.falls[some]
+
+
+def _rings(lamp: LampLight) -> NDArray[np.float64]:
+    """1 less the cosines between rings about a lamp's axis that hold as much light each, shape (ring + 1,)."""
+    polar = np.pi * np.linspace(0.0, 1.0, ANGLES) ** 2
+    turn = 2.0 * np.pi * (np.arange(AROUND) + 0.5) / AROUND
+    sine = np.sin(polar)[:, None]
+    way = np.stack(np.broadcast_arrays(sine * np.cos(turn), sine * np.sin(turn), np.cos(polar)[:, None]), axis=-1)
+    density = lamp.pattern.distribution.per_sr(way.reshape(-1, 3)).reshape(ANGLES, AROUND).mean(axis=1) * sine[:, 0]
+    so_far = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]) * np.diff(polar))])
+    # A millionth of evenness keeps rings apart where a table is dark.
+    so_far += 1e-6 * so_far[-1] * polar / np.pi
+    edge = np.interp(np.linspace(0.0, so_far[-1], RINGS + 1), so_far, polar)
+    return 2.0 * np.sin(0.5 * edge) ** 2
+
+
+def _worth(lamp: LampLight, falls: NDArray[np.float64], tracer: RayTracer) -> bool:
+    """Return whether a lamp's light by way of one place to another is found much more surely by rays from the lamp.
+
+    Notes
+    -----
+    Light is followed from the lamp to such pairs of places. With densities l and g of a first place by light and by
+    gathering, of a radiance L, the share of light is l/(l + g); values of gathering alone have the mean square of L,
+    shared ones that of L g/(l + g).
+    """
+    rng = np.random.default_rng(0)
+    ring, along, turn = rng.integers(RINGS, size=TRIED), rng.random(TRIED), 2.0 * np.pi * rng.random(TRIED)
+    fall, per_sr = falls[ring] + along * np.diff(falls)[ring], 1.0 / (2.0 * np.pi * RINGS * np.diff(falls)[ring])
+    flat = np.sqrt(fall * (2.0 - fall))
+    way = np.column_stack([flat * np.cos(turn), flat * np.sin(turn), 1.0 - fall]) @ lamp.pattern.frame
+    first = tracer.hits(np.broadcast_to(lamp.position_m, way.shape), way)
+    met = np.flatnonzero(first.face != NOTHING)
+    way, face, range_m, per_sr = way[met], first.face[met], first.range_m[met], per_sr[met]
+    place, (normal, leaving) = lamp.position_m + range_m[:, None] * way, tracer.facing(face, way)
+    by_light = per_sr * leaving / range_m**2
+    square, turn = rng.random(len(met)), 2.0 * np.pi * rng.random(len(met))
+    local = np.column_stack([np.sqrt(square) * np.cos(turn), np.sqrt(square) * np.sin(turn), np.sqrt(1.0 - square)])
+    onwards = np.einsum("ri,rij->rj", local, shading_frames(normal))
+    then = tracer.hits(tracer.above(face, place, normal), onwards)
+    back = np.flatnonzero(then.face != NOTHING)
+    if not len(back):
+        return False
+    arriving = tracer.facing(then.face[back], onwards[back])[1]
+    with np.errstate(divide="ignore"):
+        by_ray = local[back, 2] * arriving / (np.pi * then.range_m[back] ** 2)
+    share = by_light[back] / (by_light[back] + by_ray)
+    bright = lamp.pattern(way[back]) * leaving[back] / range_m[back] ** 2
+    return bool(share.mean() >= SHARE or bright.sum() >= GAIN * (bright * (1.0 - share)).sum())
+
+
+@numba.njit(**INLINED)
+def light_tracing_weight(beams: Any, lamps: Any, lamp: int, place: Any, normal: Any, by_ray: float) -> float:
+    """Return which share of what a lamp sends by way of a place is found by rays from the lamp.
+
+    `by_ray` is the density with which gathering finds the place, m-2.
+    """
+    chance, _, falls = beams
+    if len(chance) == 0 or chance[lamp] == 0.0:
+        return 0.0
+    position, axes = lamps[0], lamps[4]
+    square, leaving, up = 0.0, 0.0, 0.0
+    for axis in range(3):
+        way = place[axis] - position[lamp, axis]
+        square += way * way
+        leaving -= way * normal[axis]
+        up += way * axes[lamp, 2, axis]
+    distance = np.sqrt(square)
+    if not (leaving > 0.0 and square > 0.0):
+        return 0.0
+    by_light = chance[lamp] * _per_sr(falls[lamp], 1.0 - up / distance) * leaving / (distance * square)
+    share = by_light / (by_light + by_ray)
+    return share if share >= LEAST else 0.0
+
+
+@numba.njit(**INLINED)
+def _per_sr(falls: Any, fall: float) -> float:
+    """Density with which rings are drawn in a direction, sr-1."""
+    ring = np.searchsorted(falls, fall, side="right") - 1
+    if ring < 0 or ring >= RINGS:
+        return 0.0
+    return 1.0 / (2.0 * np.pi * RINGS * (falls[ring + 1] - falls[ring]))
+
+
+@numba.njit(**INLINED)
+def _shine(beams: Any, lamps: Any, state: Any, way: Any) -> int:
+    """Draw a lamp, and set a direction as it shines."""
+    _, cumulated, falls = beams
+    lamp = int(min(np.searchsorted(cumulated, uniform(state), side="right"), len(cumulated) - 1))
+    at = uniform(state) * RINGS
+    ring = int(at)
+    fall = falls[lamp, ring] + (at - ring) * (falls[lamp, ring + 1] - falls[lamp, ring])
+    flat, turn = np.sqrt(max(fall * (2.0 - fall), 0.0)), 2.0 * np.pi * uniform(state)
+    u, v, up = flat * np.cos(turn), flat * np.sin(turn), 1.0 - fall
+    axes = lamps[4][lamp]
+    for axis in range(3):
+        way[axis] = u * axes[0, axis] + v * axes[1, axis] + up * axes[2, axis]
+    return lamp
+
+
+@numba.njit(**COMPILED)
+def add_light_traced_paths(scene: Any, coats: Any, lamps: Any, beams: Any, packets: Any, lanes: Any, many: int, state: Any,
+                   found: Any) -> None:  # fmt: skip
+    """Add what places send that lamps light, as far as it is found from there: see `arrivals.add_lamps`."""
+    address, centre, planes, clearance = scene
+    material_of, rho_by_pi, matt = coats
+    position, spectrum, there = lamps[0], lamps[2], lanes.place
+    for k in range(many):
+        lane = lanes.going[k]
+        lanes.chosen[lane] = _shine(beams, lamps, state, there[lane])
+        set_ray(packets, k, centre, position[lanes.chosen[lane]], there[lane], np.inf)
+    intersect(address, packets, many)
+    asked = 0
+    for slot in range(many):
+        face, lane = triangle_of(packets, slot, planes), lanes.going[slot]
+        if face < 0 or not matt[material_of[face & ROW]]:
+            continue
+        # The place's own normal is kept: gathering goes on from it. Rays to the lamp take their way's room.
+        up = lanes.toward[lane]
+        corner, normal = plane_of(planes, face)
+        _land(corner, normal, position[lanes.chosen[lane]], there[lane], up)
+        lanes.face[lane], lanes.factor[lane] = face, _path_irradiance(lamps, beams, lanes, lane, up)
+        if lanes.factor[lane] > 0.0:
+            set_ray_start(clearance, centre, face, there[lane], up, there[lane])
+            for axis in range(3):
+                up[axis] = there[lane, axis] - lanes.start[lane, axis]
+            # Slots before this one have been read.
+            set_ray(packets, asked, centre, lanes.start[lane], up, SHORT)
+            lanes.asked[asked] = lane
+            asked += 1
+    trace_occlusion(address, packets, asked)
+    free = 0
+    for slot in range(asked):
+        if not is_ray_occluded(packets, slot):
+            lane = lanes.asked[slot]
+            towards_lamp(lamps, lanes.chosen[lane], there[lane], state, lanes.toward[lane])
+            set_ray(packets, free, centre, there[lane], lanes.toward[lane], SHORT)
+            lanes.asked[free] = lane
+            free += 1
+    trace_occlusion(address, packets, free)
+    for slot in range(free):
+        if not is_ray_occluded(packets, slot):
+            lane = lanes.asked[slot]
+            owner, chosen, material = lanes.owner[lane], lanes.chosen[lane], material_of[lanes.face[lane] & ROW]
+            for band in range(found.shape[1]):
+                light = lanes.factor[lane] * spectrum[chosen, band] * rho_by_pi[material, band]
+                found[owner, band] += lanes.leaves[lane, band] * light
+
+
+@numba.njit(**INLINED)
+def _land(corner: Any, normal: Any, origin: Any, there: Any, up: Any) -> None:
+    """Go from an origin by a direction to a triangle's plane, and set the normal towards where the ray came from."""
+    height, slope = 0.0, 0.0
+    for axis in range(3):
+        height += (corner[axis] - origin[axis]) * normal[axis]
+        slope += there[axis] * normal[axis]
+    length = height / slope
+    length = max(length, 0.0) if np.isfinite(length) else 0.0
+    for axis in range(3):
+        there[axis] = origin[axis] + length * there[axis]
+        up[axis] = -normal[axis] if slope > 0.0 else normal[axis]
+
+
+@numba.njit(**INLINED)
+def _path_irradiance(lamps: Any, beams: Any, lanes: Any, lane: int, up: Any) -> float:
+    """Irradiance by way of a place over spectrum and rho / pi were nothing between, as its share by light counts it."""
+    there, start, normal, lamp = lanes.place[lane], lanes.start[lane], lanes.normal[lane], lanes.chosen[lane]
+    square, cosine, leaving = 0.0, 0.0, 0.0
+    for axis in range(3):
+        off = there[axis] - start[axis]
+        square += off * off
+        cosine += off * normal[axis]
+        leaving -= off * up[axis]
+    if cosine <= 0.0 or leaving <= 0.0:
+        return 0.0
+    form = cosine * leaving / (square * square)
+    by_ray = form / np.pi
+    share = light_tracing_weight(beams, lamps, lamp, there, up, by_ray)
+    if share == 0.0:
+        return 0.0
+    # The density by light is by_ray * share / (1 - share), and the light counts share of itself over that.
+    return lamp_factor(lamps, lamp, there, up) * form * (1.0 - share) / by_ray

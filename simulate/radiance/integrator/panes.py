@@ -1,0 +1,203 @@
+"""Thin panes in the way of light: it goes straight on, weakened, and a part is mirrored. Opaque things know none.
+
+Panes are traced by themselves, so that scenes without any pay nothing. A pane has no thickness: what goes through is
+not moved aside. Two panes closer to each other than the clearance of rays (`trace.CLEARANCE_M`) count as one.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulate.radiance.geometry.ray_tracer import NOTHING, RayTracer
+from simulate.radiance.materials import pane_shares
+
+Array = NDArray[np.floating]
+Rows = NDArray[np.int64]
+# Panes that a ray goes through or is mirrored by at most; what is left then is lost.
+MOST = 64
+# Behind so many panes rays of the eye take one way by chance; before, both.
+SPLIT = 3
+
+
+@dataclass(frozen=True)
+class Met:
+    """Rays that meet a pane.
+
+    Parameters
+    ----------
+    which
+        Their numbers, shape (meeting ray,).
+    range_m
+        How far away, shape (meeting ray,), m.
+    place_m, normal
+        Where, and the pane's unit normal there, on the side that the ray comes from, shape (meeting ray, 3).
+    face
+        Triangles of the panes.
+    mirrored, through
+        Shares of the light, shape (meeting ray, band).
+    """
+
+    which: Rows
+    range_m: Array
+    place_m: Array
+    normal: Array
+    face: Rows
+    mirrored: NDArray[np.float32]
+    through: NDArray[np.float32]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Panes:
+    """All panes of a scene, on bands.
+
+    Parameters
+    ----------
+    tracer
+        Their triangles, ready for rays.
+    kind_of_face
+        Kind of glass of each, shape (face,).
+    transmittance
+        Of each kind at normal incidence, shape (kind, band).
+    refractive_index
+        Of each kind.
+    """
+
+    tracer: RayTracer
+    kind_of_face: NDArray[np.int64]
+    transmittance: NDArray[np.float64]
+    refractive_index: tuple[float, ...]
+
+    def met(self, origin_m: Array, direction: Array, reach_m: Array) -> Met:
+        """Return which rays of unit direction (ray, 3) meet a pane within reaches (ray,), m, and what it does."""
+        hit = self.tracer.hits(origin_m, direction)
+        which = np.flatnonzero((hit.face != NOTHING) & (hit.range_m < reach_m))
+        face, range_m, along = hit.face[which], hit.range_m[which], direction[which]
+        normal = self.tracer.normals(face)
+        cosine = np.einsum("ij,ij->i", normal, along)
+        mirrored, through = self._shares(self.kind_of_face[face], cosine)
+        facing = np.where(cosine[:, None] < 0.0, normal, -normal)
+        place = origin_m[which] + range_m[:, None] * along
+        return Met(which, range_m, place, facing, face, mirrored, through)
+
+    def beyond(self, met: Met) -> NDArray[np.float64]:
+        """Return where light goes on that went through, shape (meeting ray, 3), m."""
+        return self.tracer.above(met.face, met.place_m, -met.normal)
+
+    def before(self, met: Met) -> NDArray[np.float64]:
+        """Return where light goes on that was mirrored, shape (meeting ray, 3), m."""
+        return self.tracer.above(met.face, met.place_m, met.normal)
+
+    def left(self, start_m: Array, way: Array, reach: float | None) -> tuple[Rows, NDArray[np.float32]]:
+        """Return what panes leave of light that goes straight: numbers of rays that meet any, and shares (ray, band).
+
+        Parameters
+        ----------
+        start_m, way
+            Rays, each of shape (ray, 3).
+        reach
+            How far to look, in lengths of the ways; without end if None.
+        """
+        length = np.linalg.norm(way, axis=1)
+        ahead = way / np.maximum(length, 1e-300)[:, None]
+        rest = np.full(len(way), np.inf) if reach is None else reach * length
+        share = np.ones((len(way), self.transmittance.shape[1]), np.float32)
+        rows, start, touched = np.arange(len(way)), np.asarray(start_m, float), np.zeros(len(way), bool)
+        for _ in range(MOST):
+            met = self.met(start, ahead[rows], rest[rows])
+            rows = rows[met.which]
+            if not len(rows):
+                return np.flatnonzero(touched), share[touched]
+            share[rows] *= met.through
+            touched[rows], start = True, self.beyond(met)
+            rest[rows] -= met.range_m
+        share[rows] = 0.0
+        return np.flatnonzero(touched), share[touched]
+
+    def _shares(self, kind: Rows, cosine: Array) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        mirrored = np.zeros((len(kind), self.transmittance.shape[1]), np.float32)
+        through = np.zeros_like(mirrored)
+        for number, index in enumerate(self.refractive_index):
+            of = np.flatnonzero(kind == number)
+            mirrored[of], through[of] = pane_shares(cosine[of], self.transmittance[number], index)
+        return mirrored, through
+
+
+@dataclass(frozen=True)
+class Passed:
+    """Rays that met panes, and where they went in the end.
+
+    Parameters
+    ----------
+    which
+        Their numbers, shape (meeting ray,).
+    start_m, direction
+        Their last legs, shape (meeting ray, 3).
+    face, range_m
+        What these hit of opaque things, and how far away.
+    gone_m
+        The ways before the last legs, m.
+    turned
+        Whether a pane mirrored them.
+    weight
+        Shares of the light over the chance of the way, shape (meeting ray, band).
+    """
+
+    which: Rows
+    start_m: Array
+    direction: Array
+    face: Rows
+    range_m: Array
+    gone_m: Array
+    turned: NDArray[np.bool_]
+    weight: NDArray[np.float32]
+
+
+def trace_through_panes(
+    panes: Panes, tracer: RayTracer, start_m: Array, direction: Array, range_m: Array, rng: np.random.Generator
+) -> Passed:
+    """Follow rays that meet panes before the opaque thing so far away (ray,): through or mirrored, by chance."""
+    met = panes.met(start_m, direction, range_m)
+    which = met.which
+    ends = Passed(
+        which,
+        np.array(start_m[which]),
+        np.array(direction[which]),
+        np.full(len(which), NOTHING, np.int64),
+        np.full(len(which), np.inf),
+        np.zeros(len(which)),
+        np.zeros(len(which), bool),
+        np.ones((len(which), panes.transmittance.shape[1]), np.float32),
+    )
+    rows = np.arange(len(which))
+    for _ in range(MOST):
+        if not len(rows):
+            return ends
+        turns, share = choose_mirror_rays(met, rng)
+        ends.weight[rows] *= share
+        ends.start_m[rows] = np.where(turns[:, None], panes.before(met), panes.beyond(met))
+        ends.direction[rows] = np.where(
+            turns[:, None], reflect_direction(ends.direction[rows], met.normal), ends.direction[rows]
+        )
+        ends.gone_m[rows] += met.range_m
+        ends.turned[rows] |= turns
+        hit = tracer.hits(ends.start_m[rows], ends.direction[rows])
+        ends.face[rows], ends.range_m[rows] = hit.face, hit.range_m
+        met = panes.met(ends.start_m[rows], ends.direction[rows], hit.range_m)
+        rows = rows[met.which]
+    ends.weight[rows] = 0.0
+    return ends
+
+
+def choose_mirror_rays(met: Met, rng: np.random.Generator) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+    """Choose by chance which rays are mirrored; return that, and shares of the light over its chance (ray, band)."""
+    back, on = met.mirrored.mean(axis=1), met.through.mean(axis=1)
+    chance = back / np.maximum(back + on, 1e-30)
+    turns = rng.random(len(chance)) < chance
+    share = np.where(turns[:, None], met.mirrored, met.through)
+    return turns, share / np.where(turns, chance, 1.0 - chance)[:, None].astype(np.float32)
+
+
+def reflect_direction(direction: Array, normal: Array) -> NDArray[np.float64]:
+    """Return directions (ray, 3) mirrored by planes of unit normals (ray, 3)."""
+    return direction - 2.0 * np.einsum("ij,ij->i", direction, normal)[:, None] * normal
