@@ -60,7 +60,7 @@ def spectra(path: Path) -> None:
     natural = [
         ("moon, phase 5°, above the air", moon_spectrum(5.0)),
         ("moon, phase 90°", moon_spectrum(90.0)),
-        ("dark sky, π L of the zenith", dark_sky().total.scaled(np.pi)),
+        ("dark sky, π L of the zenith", dark_sky().total.scale(np.pi)),
         ("its zodiacal light and stars", _quiet(np.pi)),
     ]
     _curves(upper, natural)
@@ -74,7 +74,7 @@ def spectra(path: Path) -> None:
         ("metal halide", spectrum("metal-halide")),
         ("LED, warm", spectrum("led-warm")),
     ]
-    _curves(lower, [(name, one.scaled(1e3)) for name, one in lamps])
+    _curves(lower, [(name, one.scale(1e3)) for name, one in lamps])
     lower.set_yscale("log")
     lower.set_ylim(1e-3, 1.0)
     lower.set_ylabel("flux per lumen, mW nm⁻¹")
@@ -87,7 +87,7 @@ def spectra(path: Path) -> None:
 
 def _quiet(scale: float) -> SourceSpectrum:
     parts = NightSky(airglow=0.0).sources()[-1]
-    return parts.scaled(scale)
+    return parts.scale(scale)
 
 
 def _curves(axes: plt.Axes, lights: Sequence[tuple[str, SourceSpectrum]]) -> None:

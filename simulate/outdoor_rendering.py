@@ -56,7 +56,7 @@ class RenderedView:
     @property
     def chance(self) -> float:
         """Error of the pixels by chance over their grain, root mean square, by the scatter of their own rays."""
-        grain = self.eye.grain(self.picture.signal)
+        grain = self.eye.noise_floor(self.picture.signal)
         return float(np.sqrt(np.mean(np.nan_to_num(self.picture.variance) / grain**2)))
 
     @property
@@ -162,7 +162,7 @@ class OutdoorRendering:
             plan, stage = exact(self.site, view, eye, seed)
         else:
             plan, stage = choose_render_settings(self.site, view, eye, tolerance, seed)
-        rays = replace(plan.rays, edge=PREVIEW_RAYS, most=PREVIEW_RAYS) if preview else plan.rays
+        rays = replace(plan.rays, edge=PREVIEW_RAYS, max_rays=PREVIEW_RAYS) if preview else plan.rays
         count = min(2, os.cpu_count() or 1) if threads is None else threads
         with workers(count) as run:
             found = render_scene(

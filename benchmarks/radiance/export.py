@@ -24,7 +24,7 @@ def export(case: Case, folder: Path) -> None:
         "field_deg": float(2.0 * np.rad2deg(np.arctan(0.5 * view.shape[1] / view.focal_px[0]))),
         "position_m": [float(x) for x in view.position_m],
         "target_m": [float(x) for x in np.add(view.position_m, view.forward)],
-        "max_depth": -1 if case.bounces is None else case.bounces + 2,
+        "max_depth": -1 if case.max_bounces is None else case.max_bounces + 2,
         "meshes": _meshes(case, into),
         "lamps": [
             _lamp(post, lamp, float(light.spectrum[0]))

@@ -41,7 +41,7 @@ class Case:
         The scene on one band.
     view
         The camera.
-    bounces
+    max_bounces
         Reflections that are followed before the one that the eye sees; None: all.
     even_sky
         Radiance of a sky that is the same everywhere; None where it is not, or is dark.
@@ -51,7 +51,7 @@ class Case:
     site: BuiltScene
     stage: SpectralScene
     view: Viewpoint
-    bounces: int | None
+    max_bounces: int | None
     even_sky: float | None = None
 
     @property
@@ -63,16 +63,16 @@ class Case:
 def cases() -> tuple[Case, ...]:
     """Return all five."""
     return (
-        _case("yard", _yard(), field_deg=40.0, bounces=0, even_sky=5e-4),
-        _case("lab", _lab(), field_deg=32.0, bounces=3),
-        _case("hangar", _shipped("hangar"), field_deg=36.0, bounces=3),
-        _case("road", _shipped("road"), field_deg=30.0, bounces=3),
-        _case("room", _room(), field_deg=75.0, bounces=None),
+        _case("yard", _yard(), field_deg=40.0, max_bounces=0, even_sky=5e-4),
+        _case("lab", _lab(), field_deg=32.0, max_bounces=3),
+        _case("hangar", _shipped("hangar"), field_deg=36.0, max_bounces=3),
+        _case("road", _shipped("road"), field_deg=30.0, max_bounces=3),
+        _case("room", _room(), field_deg=75.0, max_bounces=None),
     )
 
 
 def _case(
-    name: str, scene: OutdoorScene, *, field_deg: float, bounces: int | None, even_sky: float | None = None
+    name: str, scene: OutdoorScene, *, field_deg: float, max_bounces: int | None, even_sky: float | None = None
 ) -> Case:
     site = BuiltScene(scene)
     stage = _grey(site.on(BANDS_NM))
@@ -88,7 +88,7 @@ def _case(
         shape=SHAPE,
         focal_px=(focal, focal),
     )
-    return Case(name=name, site=site, stage=stage, view=view, bounces=bounces, even_sky=even_sky)
+    return Case(name=name, site=site, stage=stage, view=view, max_bounces=max_bounces, even_sky=even_sky)
 
 
 def _grey(stage: SpectralScene) -> SpectralScene:

@@ -1,4 +1,4 @@
-"""The atmosphere: transmittance of paths near the ground and to the stars, and the light that air adds to a path."""
+"""Atmosphere: transmittance of paths near the ground and to space, and path radiance."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from labdata.errors import BadInput
 from simulate.radiance.spectrum import require_grid, table
 
-# Contrast of 2 % is the least that shows: ln 50.
+# ln 50: the visibility is defined by a contrast of 2 %.
 KOSCHMIEDER = 3.912
 REFERENCE_NM = 550.0
 
@@ -33,7 +33,7 @@ def kruse_per_km(wavelength_nm: ArrayLike, visibility_km: float) -> NDArray[np.f
 
 
 def scattering_albedo(wavelength_nm: ArrayLike) -> NDArray[np.float64]:
-    """Return the share of haze's extinction that is scattering, dimensionless.
+    """Return the single-scattering albedo of haze, dimensionless.
 
     Notes
     -----
@@ -74,7 +74,7 @@ def _coefficient(wavelength_nm: ArrayLike, name: str) -> NDArray[np.float64]:
 
 
 def water_transmittance(wavelength_nm: ArrayLike, precipitable_cm: ArrayLike) -> NDArray[np.float64]:
-    """Return what water vapour lets through, shape (band, path).
+    """Return the transmittance of water vapour, shape (band, path).
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def water_transmittance(wavelength_nm: ArrayLike, precipitable_cm: ArrayLike) ->
 
 
 def uniform_gas_transmittance(wavelength_nm: ArrayLike, airmass: ArrayLike) -> NDArray[np.float64]:
-    """Return what oxygen and carbon dioxide let through, shape (band, path), for pressure-corrected air masses.
+    """Return the transmittance of oxygen and carbon dioxide, shape (band, path), for pressure-corrected air masses.
 
     Notes
     -----
@@ -103,7 +103,7 @@ def uniform_gas_transmittance(wavelength_nm: ArrayLike, airmass: ArrayLike) -> N
 
 
 def ozone_transmittance(wavelength_nm: ArrayLike, ozone_atm_cm: ArrayLike) -> NDArray[np.float64]:
-    """Return what ozone lets through, shape (band, path), for ozone on each path, atm cm."""
+    """Return the transmittance of ozone, shape (band, path), for ozone on each path, atm cm."""
     return np.exp(-_coefficient(wavelength_nm, "ozone_per_atm_cm")[:, None] * np.atleast_1d(ozone_atm_cm))
 
 
@@ -145,21 +145,21 @@ HOTTEST_C, COLDEST_C = 60.0, -60.0
 
 
 class SkyLight(Protocol):
-    """What lights the air: gives the radiance that an endless path of it would have."""
+    """Light source of the path radiance of air."""
 
     def air_radiance(self, direction: NDArray[np.floating], wavelength_nm: ArrayLike) -> NDArray[np.float64]:
-        """Return the radiance of an endless path along directions (path, 3), W m-2 sr-1 nm-1, shape (band, path)."""
+        """Return the radiance of an infinite path along directions (path, 3), W m-2 sr-1 nm-1, shape (band, path)."""
         ...
 
 
 @dataclass(frozen=True, kw_only=True)
 class Atmosphere:
-    """Air of one visibility and humidity, the same at all places of the scene.
+    """Homogeneous air of one visibility and humidity.
 
     Parameters
     ----------
     visibility_km
-        Meteorological range: where a black thing keeps 2 % of its contrast, km.
+        Meteorological range: distance at which a black object has a contrast of 2 %, km.
     relative_humidity
         At the ground, 0 to 1, dimensionless.
     temperature_c, pressure_hpa
@@ -169,7 +169,7 @@ class Atmosphere:
     aerosol_scale_height_km
         Height of a column of the haze at the ground that holds all of it, km.
     light
-        What lights the air; `NightSky.air` puts it in. Without it paths add no light.
+        Light source of the path radiance, set by `NightSky.air`; None: no path radiance.
 
     Notes
     -----
@@ -229,7 +229,7 @@ class Atmosphere:
         return self.haze_per_km(wavelength_nm) * self.aerosol_scale_height_km
 
     def transmittance(self, range_m: ArrayLike, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
-        """Return what paths near the ground let through, dimensionless, shape (band, path).
+        """Return the transmittance of paths near the ground, dimensionless, shape (band, path).
 
         Parameters
         ----------
@@ -243,16 +243,16 @@ class Atmosphere:
     def path_radiance(
         self, range_m: ArrayLike, wavelength_nm: ArrayLike, direction: NDArray[np.floating]
     ) -> NDArray[np.float64]:
-        """Return the light that air adds to paths, W m-2 sr-1 nm-1, shape (band, path).
+        """Return the path radiance, W m-2 sr-1 nm-1, shape (band, path).
 
         Parameters
         ----------
         range_m
             Lengths of the paths, shape (path,), m.
         wavelength_nm
-            The whole spectral grid, shape (band,), nm.
+            The complete spectral grid, shape (band,), nm.
         direction
-            Directions that one looks in, x east, y north, z up, shape (path, 3).
+            Viewing directions, x east, y north, z up, shape (path, 3).
 
         Notes
         -----
@@ -266,7 +266,7 @@ class Atmosphere:
         return endless * (1.0 - self._particle_transmittance(metres, grid)) * self.gas_transmittance(0.5 * metres, grid)
 
     def slant_transmittance(self, elevation_deg: ArrayLike, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
-        """Return what the whole atmosphere lets through, shape (band, path), along elevations (path,) in degrees.
+        """Return the transmittance of the atmosphere, shape (band, path), along elevations (path,) in degrees.
 
         Paths below the horizon count as along it.
         """
@@ -275,7 +275,7 @@ class Atmosphere:
         return np.exp(-depth[:, None] * mass) * self.gas_slant_transmittance(elevation_deg, wavelength_nm)
 
     def gas_slant_transmittance(self, elevation_deg: ArrayLike, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
-        """Return what gases let through of light from outside, shape (band, path), along elevations in degrees."""
+        """Return the gas transmittance of the atmosphere, shape (band, path), along elevations in degrees."""
         mass = np.atleast_1d(airmass(elevation_deg))
         pressure = self.pressure_hpa / SEA_LEVEL_HPA
         ozone = np.atleast_1d(ozone_mass(elevation_deg)) * self.ozone_atm_cm
@@ -286,7 +286,7 @@ class Atmosphere:
         )
 
     def _particle_transmittance(self, range_m: ArrayLike, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
-        """Return what haze and molecules leave on paths near the ground, shape (band, path)."""
+        """Return the transmittance of haze and molecules on paths near the ground, shape (band, path)."""
         metres = np.atleast_1d(np.asarray(range_m, float))
         if metres.size and not metres.min() >= 0.0:
             raise BadInput(f"a range must not be negative, got {metres.min():g} m")
@@ -299,7 +299,7 @@ class Atmosphere:
         return 1e-3 * (molecules + self.haze_per_km(wavelength))
 
     def gas_transmittance(self, range_m: ArrayLike, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
-        """Return what gases leave on paths near the ground; ozone takes less than 0.1 % per km there, left out."""
+        """Return the gas transmittance near the ground, without ozone, which absorbs less than 0.1 % per km."""
         metres = np.atleast_1d(np.asarray(range_m, float))
         mixed = 1e-3 * metres / MIXED_SCALE_HEIGHT_KM * self.pressure_hpa / SEA_LEVEL_HPA
         water = water_transmittance(wavelength_nm, 1e-4 * metres * self.vapour_g_m3)

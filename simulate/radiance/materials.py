@@ -1,4 +1,4 @@
-"""Materials: what share of the light they reflect and let through, by wavelength, and how it is spread."""
+"""Materials: spectral reflectance and transmittance, BRDF, the shipped library, and panes of glass."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 Finish = Literal["matt", "glossy", "metal", "retroreflective"]
-# What each finish needs told, besides the tables.
+# Parameters that each finish needs in addition to the tables.
 NEEDED = {
     "matt": (),
     "glossy": ("roughness", "refractive_index"),
@@ -29,28 +29,29 @@ NEEDED = {
 
 @dataclass(frozen=True, kw_only=True)
 class Material:
-    """A surface that reflects by its finish and transmits straight through.
+    """Spectral reflectance and transmittance of a surface, and its finish.
 
     Parameters
     ----------
     wavelength_nm
         Wavelengths of the tables, ascending, nm; one wavelength makes a grey material.
     reflectance, transmittance
-        Shares of the light, dimensionless, together at most 1; linear between wavelengths, constant outside. One share
-        stands for all wavelengths.
+        Fractions of the light, dimensionless, together at most 1; linear between wavelengths, constant outside. One
+        value applies to all wavelengths.
     finish
-        "matt" (Lambert), "glossy" (a coat over a matt base of the reflectance given), "metal" (rough mirror of the
-        reflectance given at normal incidence) or "retroreflective" (a lobe back to the light over a matt base).
+        "matt" (Lambertian), "glossy" (a dielectric over a diffuse base of this reflectance), "metal" (rough mirror of
+        this reflectance at normal incidence) or "retroreflective" (a lobe back to the light over a diffuse base).
     roughness
-        Spread of the facets' slopes of coat or metal (GGX's a), dimensionless.
+        Roughness of dielectric or metal (GGX's a), dimensionless.
     refractive_index
-        Of the coat, dimensionless.
+        Of the dielectric, dimensionless.
     retroreflected_share, half_width_deg
-        Share of the light in the lobe, and the angle between light and eye at which it has fallen to half.
+        Fraction of the light in the lobe, and the angle between light and viewer at half of its maximum.
     emissivity
         Between 8 and 12 um, dimensionless; None if unknown.
     slab
-        Name of the slab (`simulate.thermal.temperatures`) that it covers unless a scene says otherwise; None without one.
+        Name of the slab (`simulate.thermal.temperatures`) that it covers unless a scene says otherwise; None without
+        one.
     source
         Where the numbers come from.
     """
@@ -93,19 +94,19 @@ class Material:
                 )
 
     def _each(self, shares: tuple[float, ...]) -> tuple[float, ...]:
-        """Return one share per wavelength."""
+        """Return one value per wavelength."""
         return shares * len(self.wavelength_nm) if len(shares) == 1 else shares
 
-    def reflected(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
-        """Reflectance at wavelengths, dimensionless: of the base alone where a coat or lobe lies over it."""
+    def reflectance_at(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+        """Return the reflectance at wavelengths, dimensionless; of the base alone under a coat or lobe."""
         return np.interp(np.asarray(wavelength_nm, float), self.wavelength_nm, self._each(self.reflectance))
 
     def transmittance_at(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
-        """Transmittance at wavelengths, dimensionless."""
+        """Return the transmittance at wavelengths, dimensionless."""
         return np.interp(np.asarray(wavelength_nm, float), self.wavelength_nm, self._each(self.transmittance))
 
     def brdf(self) -> "Brdf":
-        """Return how the surface spreads the light that it reflects."""
+        """Return the BRDF."""
         from simulate.radiance.brdf.glossy import Glossy, Metal
         from simulate.radiance.brdf.protocol import Lambert
         from simulate.radiance.brdf.retroreflector import Retroreflector
@@ -136,18 +137,18 @@ class Shelf:
 
 @cache
 def shelf() -> Shelf:
-    """Return the materials that ship."""
+    """Return the shipped materials."""
     with resources.as_file(resources.files("simulate.radiance") / "materials.toml") as path:
         return from_toml(path, Shelf)
 
 
 def material_names() -> tuple[str, ...]:
-    """Return the names of the materials that ship."""
+    """Return the names of the shipped materials."""
     return tuple(sorted(shelf().material))
 
 
 def material(name: str) -> Material:
-    """Return a material that ships by its name.
+    """Return a shipped material by name.
 
     Raises
     ------
@@ -159,7 +160,7 @@ def material(name: str) -> Material:
     return shelf().material[name]
 
 
-# Cosine of the most grazing angle that is told from 90 degrees.
+# Cosine of the most grazing angle that is distinguished from 90 degrees.
 GRAZING = 1e-6
 
 
@@ -170,7 +171,7 @@ def clearest(refractive_index: float) -> float:
 
 
 def internal_transmittance(transmittance: ArrayLike, refractive_index: float) -> NDArray[np.float64]:
-    """Return what the glass leaves between the faces, once straight across, by a pane's transmittance.
+    """Return the internal transmittance of the glass at normal incidence, from a pane's transmittance.
 
     Notes
     -----
@@ -184,7 +185,7 @@ def internal_transmittance(transmittance: ArrayLike, refractive_index: float) ->
 def pane_shares(
     cosine: NDArray[np.floating], transmittance: NDArray[np.floating], refractive_index: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the shares of unpolarised light that a pane mirrors and lets through, each of shape (ray, band).
+    """Return the reflectance and transmittance of a pane for unpolarised light, each of shape (ray, band).
 
     Parameters
     ----------
@@ -197,9 +198,9 @@ def pane_shares(
 
     Notes
     -----
-    All reflections between the faces are added up without interference (Born and Wolf, Principles of Optics, 7.6, for
-    light less coherent than the pane is thick): for each polarisation T = (1 - r)^2 t / (1 - r^2 t^2), R = r (1 + t T),
-    with t to the power of 1/cos of the angle in the glass. What is neither is absorbed.
+    All reflections between the faces are summed without interference (Born and Wolf, Principles of Optics, 7.6, for a
+    coherence length below the thickness): for each polarisation T = (1 - r)^2 t / (1 - r^2 t^2), R = r (1 + t T), with
+    t to the power of 1/cos of the angle in the glass. The rest is absorbed.
     """
     steep = np.clip(np.abs(cosine), GRAZING, 1.0)
     inside = np.sqrt(1.0 - (1.0 - steep**2) / refractive_index**2)

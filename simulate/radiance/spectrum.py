@@ -1,4 +1,4 @@
-"""A spectrum of a source: a continuum and lines, averaged over the bands of a grid so that no line is lost."""
+"""Spectra of light sources, with a continuum and lines, and the spectral grid of a rendering."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -49,7 +49,7 @@ Table = tuple[ArrayLike, ArrayLike]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SourceSpectrum:
-    """Power of a source over wavelength; of what kind (W, W m-2, W m-2 sr-1) its owner says.
+    """Power of a source over wavelength, in W, W m-2 or W m-2 sr-1 as the user states.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ class SourceSpectrum:
         Parameters
         ----------
         wavelength_nm
-            The grid, ascending, shape (band,), nm; always the whole grid, for a band's width is set by its neighbours.
+            The complete grid, ascending, shape (band,), nm; a band's width depends on its neighbours.
 
         Raises
         ------
@@ -109,13 +109,13 @@ class SourceSpectrum:
             power += strength * _hats_at(grid, line)
         return power / band_widths(grid)
 
-    def scaled(self, factor: float) -> "SourceSpectrum":
-        """Return the spectrum with all powers times a factor."""
+    def scale(self, factor: float) -> "SourceSpectrum":
+        """Return the spectrum multiplied by a number."""
         powers = tuple(factor * power for power in self.line_power)
         return replace(self, density=factor * self.density, line_power=powers)
 
-    def filtered(self, factor: Callable[[NDArray[np.floating]], NDArray[np.floating]]) -> "SourceSpectrum":
-        """Return the spectrum times a function of wavelength, nm: a filter, a reflectance."""
+    def multiply(self, factor: Callable[[NDArray[np.floating]], NDArray[np.floating]]) -> "SourceSpectrum":
+        """Return the spectrum multiplied by a function of wavelength, nm, such as a filter or a reflectance."""
         shares = factor(np.asarray(self.line_nm, float)) if self.line_nm else np.empty(0)
         powers = tuple(float(share * power) for share, power in zip(shares, self.line_power, strict=True))
         return replace(self, density=self.density * factor(self.wavelength_nm), line_power=powers)
@@ -157,7 +157,7 @@ def sum_spectra(parts: list[SourceSpectrum]) -> SourceSpectrum:
 
 
 def require_grid(wavelength_nm: ArrayLike) -> NDArray[np.float64]:
-    """Return a grid of wavelengths as an array, or refuse one that does not ascend or has fewer than two bands."""
+    """Return a grid of wavelengths as an array; raise BadInput if it does not ascend or has fewer than two bands."""
     grid = np.atleast_1d(np.asarray(wavelength_nm, float))
     if grid.ndim != 1 or grid.size < 2:
         raise BadInput(f"a spectral grid must be a row of at least two bands, got shape {grid.shape}")
@@ -205,11 +205,11 @@ def _hats_at(grid: NDArray[np.float64], wavelength_nm: float) -> NDArray[np.floa
     return np.array([np.interp(wavelength_nm, grid, unit, left=0.0, right=0.0) for unit in np.eye(grid.size)])
 
 
-# Step of the fine grid on which errors are judged, besides the knots of all tables.
+# Step of the fine grid on which errors are computed, in addition to the knots of all tables, nm.
 FINE_NM = 1.0
-# Bands begin no further apart than this, so that materials and gases between sources' features are seen.
+# Largest initial distance of bands, nm, so that features of materials and gases between those of sources count.
 WIDEST_NM = 50.0
-# A line's neighbours stand this close, so that its light stays at its own wavelength.
+# Distance of a line's neighbours, nm, so that its light stays at its wavelength.
 LINE_FOOT_NM = 4.0
 
 
@@ -222,7 +222,7 @@ def spectral_grid(
     spectra: Sequence[tuple[ArrayLike, ArrayLike]] = (),
     widest_nm: float = WIDEST_NM,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return wavelengths that follow sources and sensor, and their widths.
+    """Return the bands for sources and a sensor, and their widths.
 
     Parameters
     ----------
@@ -234,15 +234,15 @@ def spectral_grid(
     tolerance
         Largest error of any source's detected light, as a sum over |error| between bands, as a fraction of it.
     spectra
-        Reflectances, transmittances: wavelengths and values of tables that light is multiplied with.
+        Reflectances and transmittances: wavelengths and values of tables that multiply the light.
     widest_nm
         Largest distance of neighbours, nm.
 
     Returns
     -------
     wavelength_nm
-        Bands, ascending, shape (band,), nm: both ends of the response, each line between them, and bands put in where
-        response or spectra bend most.
+        Bands, ascending, shape (band,), nm: both ends of the response, each line between them, and bands inserted where
+        response or spectra are most curved.
     width_nm
         Width of each band (`cube.band_widths`), shape (band,), nm: an integral is the sum of value times width.
 
@@ -282,7 +282,7 @@ def _span(wavelength_nm: NDArray[np.floating], response: NDArray[np.floating]) -
 
 
 def _start(low: float, high: float, widest_nm: float, lines: list[float]) -> NDArray[np.float64]:
-    """Return an even grid with every line, and a foot on both sides of it where nothing else stands close."""
+    """Return an equidistant grid with every line, and a neighbour on both sides of it where no other band is close."""
     grid = np.linspace(low, high, max(2, int(np.ceil((high - low) / widest_nm)) + 1))
     grid = np.union1d(grid, lines)
     for line in lines:

@@ -150,7 +150,7 @@ def spots_of(facets: Facets, rng: np.random.Generator) -> Spots:
         at = (np.arange(POINTS) + rng.random()) / POINTS * total[-1]
         picked.append(faces[np.minimum(np.searchsorted(total, at), len(faces) - 1)])
     face = np.concatenate(picked)
-    first, second = SequenceSlice.drawn(len(facets), POINTS, rng).pairs().reshape(-1, 2).T
+    first, second = SequenceSlice.random(len(facets), POINTS, rng).pairs().reshape(-1, 2).T
     root = np.sqrt(first)
     weight = np.stack([1.0 - root, root * (1.0 - second), root * second], axis=1)
     return Spots.on(facets.surfaces, face, np.einsum("sc,sck->sk", weight, corners[face]))
@@ -226,7 +226,7 @@ class Exposure:
 def exposure_of(facets: Facets, sun: Array, rng: np.random.Generator) -> Exposure:
     """Return what facets see of sun (directions of shape (time, 3)), sky and each other."""
     spots, count = spots_of(facets, rng), len(facets)
-    rings, face = view(facets.surfaces, spots, SequenceSlice.drawn(len(spots.normal), RAYS, rng))
+    rings, face = view(facets.surfaces, spots, SequenceSlice.random(len(spots.normal), RAYS, rng))
     rings = rings.reshape(count, POINTS, RINGS).mean(axis=1)
     face = face.reshape(count, -1)
     viewer, ray = np.nonzero(face != NOTHING)

@@ -49,7 +49,7 @@ def slab_of(scene: OutdoorScene, surface: MaterialSpec) -> Slab:
     sun's spectrum, unless the scene's slab states it; elsewhere that of the slab.
     """
     described = {slab.label: slab for slab in scene.slab}
-    name = surface.slab or surface.made.slab
+    name = surface.slab or surface.material.slab
     if name is None:
         raise BadInput(
             f"a material must have a slab for its temperature, got {surface.label!r} without one; give slab = one of "
@@ -69,12 +69,12 @@ def _absorptivity(surface: MaterialSpec) -> Parameter:
     """1 minus the reflectance over the sun's spectrum; tables end before the sun does and are constant from there."""
     sun = sun_spectrum()
     nm = np.asarray(sun.wavelength_nm)
-    reflectance = np.trapezoid(surface.made.reflected(nm) * sun.density, nm) / np.trapezoid(sun.density, nm)
+    reflectance = np.trapezoid(surface.material.reflectance_at(nm) * sun.density, nm) / np.trapezoid(sun.density, nm)
     return Parameter(
         value=float(1.0 - reflectance),
         standing="derived",
         source=f"reflectance of {surface.label!r} over the sun from {nm[0]:.0f} to {nm[-1]:.0f} nm, its table constant "
-        f"beyond {surface.made.wavelength_nm[-1]:.0f} nm",
+        f"beyond {surface.material.wavelength_nm[-1]:.0f} nm",
     )
 
 

@@ -102,8 +102,8 @@ def _median_pe(night: OutdoorRendering) -> float:
     stage = night.site.on(night.site.bands(eye.response_nm, eye.response, 0.02))
     view = night.view
     row, col = (axis.ravel() + 0.5 for axis in np.indices(view.shape))
-    effort = IntegratorSettings(bounces=0, hidden_sky=False)
-    light = radiance_along(stage, *view.rays(row, col), effort, np.random.default_rng(0), gathered=1).total()
+    effort = IntegratorSettings(max_bounces=0, sky_shadowing=False)
+    light = radiance_along(stage, *view.rays(row, col), effort, np.random.default_rng(0), gather_rays=1).total()
     return float(np.median(light @ eye.weight(stage.bsdfs.wavelength_nm)))
 
 

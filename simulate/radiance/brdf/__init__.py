@@ -1,1 +1,1 @@
-"""How surfaces scatter light: reciprocal, and never more than arrives."""
+"""Bidirectional reflectance distribution functions (BRDFs), reciprocal and energy-conserving."""

@@ -1,4 +1,4 @@
-"""A glossy coat on a matt base: paint, plastic, wet ground, and water where the base is dark."""
+"""Glossy dielectrics over a diffuse base (paint, plastic, wet ground, water) and rough metals."""
 
 from dataclasses import dataclass
 
@@ -82,7 +82,7 @@ class Metal:
         return share * mirrored + (1.0 - share) * cosine_density(incoming)
 
     def albedo(self, outgoing: NDArray[np.floating], wavelength_nm: ArrayLike) -> NDArray[np.float64]:
-        """Return the share of a uniform sky's light that goes to the eye, shape (band, ray)."""
+        """Return the fraction of a uniform sky's light that goes to the viewer, shape (band, ray)."""
         normal = self.reflectance.at(wavelength_nm)[:, None]
         perfect, rise = self._perfect.at(outgoing), schlick_albedo(self.roughness).at(outgoing)
         return normal * perfect + (1.0 - normal) * rise + (1.0 - perfect) * self._between(normal)
@@ -93,13 +93,13 @@ class Metal:
         return facet**2 * perfect / (1.0 - facet * (1.0 - perfect))
 
 
-# The share of draws that either part gets at least.
+# Least fraction of the samples for either part.
 LEAST_SHARE = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
 class Glossy:
-    """GGX facets of a dielectric over a matt base that gets all the light they let pass.
+    """GGX microfacets of a dielectric over a diffuse base that receives all transmitted light.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ class Glossy:
     def sample(
         self, outgoing: NDArray[np.floating], rng: np.random.Generator
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Draw mirrored directions or by the cosine law, as coat and base share the light; and their densities."""
+        """Draw specular directions or by the cosine law, in the ratio of coat and base; and their densities."""
         normals = microfacet.sample_visible_normals(outgoing, self.roughness, rng.random((len(outgoing), 2)))
         drawn = sample_mixture(microfacet.mirror_direction(outgoing, normals), self._coat_share(outgoing), rng)
         return drawn, self.pdf(drawn, outgoing)
@@ -154,7 +154,7 @@ class Glossy:
         return share * mirrored + (1.0 - share) * cosine_density(incoming)
 
     def albedo(self, outgoing: NDArray[np.floating], wavelength_nm: ArrayLike) -> NDArray[np.float64]:
-        """Return the share of a uniform sky's light that goes to the eye, shape (band, ray)."""
+        """Return the fraction of a uniform sky's light that goes to the viewer, shape (band, ray)."""
         coat = self._coat.at(outgoing)
         return coat + (1.0 - coat) * self.reflectance.at(wavelength_nm)[:, None]
 

@@ -1,4 +1,4 @@
-"""A measured BRDF as a table over both polar angles, the azimuth between them, and wavelength."""
+"""Measured BRDFs: tables over both polar angles, the azimuth between them and wavelength, and their files."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,15 +11,15 @@ from labdata.errors import BadInput
 from labdata.frames import read_only
 from simulate.radiance.brdf.protocol import both_above, cosine_density, cosine_directions
 
-# How far a table may be from f(i, o) = f(o, i), as a fraction of its largest value, before it is refused.
+# Largest deviation from f(i, o) = f(o, i), as a fraction of the largest value.
 ASYMMETRY = 0.05
-# How much more light than arrives a table may give off: rounding of measured values.
+# Largest excess of the albedo over 1, for rounding of measured values.
 EXCESS = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MeasuredTable:
-    """A BRDF that is the same in all azimuths, linear between the table's angles and wavelengths.
+    """An isotropic BRDF, linear between the table's angles and wavelengths.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ class MeasuredTable:
         return cosine_density(incoming)
 
     def albedo(self, outgoing: NDArray[np.floating], wavelength_nm: ArrayLike) -> NDArray[np.float64]:
-        """Return the share of a uniform sky's light that goes to the eye, shape (band, ray)."""
+        """Return the fraction of a uniform sky's light that goes to the viewer, shape (band, ray)."""
         column, along = _place(self.polar_deg, _polar_deg(outgoing))
         table = self._between(self._albedo, wavelength_nm)
         return table[:, column] * (1.0 - along) + table[:, column + 1] * along
@@ -185,7 +185,7 @@ def read_measured(path: Path) -> MeasuredTable:
     Raises
     ------
     BadInput
-        If the file cannot be read, lacks an array, or the table is no BRDF.
+        If the file cannot be read, lacks an array, or the table is not a BRDF.
     """
     try:
         with np.load(path, allow_pickle=False) as file:

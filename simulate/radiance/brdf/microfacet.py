@@ -1,4 +1,4 @@
-"""A rough face as many small mirrors: how they lean, which hide others, and a draw of those that the eye sees."""
+"""Microfacet model: GGX normals, Smith masking, Fresnel reflectance, albedo tables and the base under a layer."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from labdata.frames import read_only
 from simulate.radiance.brdf.protocol import cosine_directions, directions_at_cosine
 
-# The narrowest and widest spread of slopes.
+# Limits of the roughness.
 SMOOTHEST, ROUGHEST = 0.002, 1.0
 
 
@@ -23,13 +23,13 @@ def normals_density(half: NDArray[np.floating], roughness: float) -> NDArray[np.
 
 
 def smith_lambda(cosine: NDArray[np.floating], roughness: float) -> NDArray[np.float64]:
-    """Return Smith's Lambda, (sqrt(1 + a^2 tan^2) - 1)/2: 1/(1 + Lambda) of the facets is seen from a direction."""
+    """Return Smith's Lambda, (sqrt(1 + a^2 tan^2) - 1)/2: the fraction 1/(1 + Lambda) of the facets is visible."""
     tangent2 = (1.0 - cosine**2) / np.maximum(cosine**2, 1e-300)
     return 0.5 * (np.sqrt(1.0 + roughness**2 * np.maximum(tangent2, 0.0)) - 1.0)
 
 
 def halfway(incoming: NDArray[np.floating], outgoing: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Return the normals of the facets that mirror one direction into the other, shape (ray, 3)."""
+    """Return the normals of the facets that reflect one direction into the other, shape (ray, 3)."""
     total = incoming + outgoing
     return total / np.maximum(np.linalg.norm(total, axis=1), 1e-300)[:, None]
 
@@ -52,12 +52,12 @@ def lobe(incoming: NDArray[np.floating], outgoing: NDArray[np.floating], roughne
 def sample_visible_normals(
     outgoing: NDArray[np.floating], roughness: float, even: NDArray[np.floating]
 ) -> NDArray[np.float64]:
-    """Return facet normals as the eye sees them, from pairs of numbers even in [0, 1), shape (ray, 2).
+    """Return visible facet normals from pairs of uniform numbers in [0, 1), shape (ray, 2).
 
     Notes
     -----
-    Stretch to a hemisphere, draw on the cap that faces the eye, stretch back (Dupuy and Benyoub, Comput. Graph. Forum
-    42(8), 2023).
+    Stretch to a hemisphere, draw on the cap that faces the viewer, stretch back (Dupuy and Benyoub, Comput. Graph.
+    Forum 42(8), 2023).
     """
     stretched = outgoing * np.array([roughness, roughness, 1.0])
     stretched = stretched / np.linalg.norm(stretched, axis=1)[:, None]
@@ -71,16 +71,16 @@ def sample_visible_normals(
 
 
 def mirror_direction(outgoing: NDArray[np.floating], normal: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Return the direction that a facet mirrors to the eye, shape (ray, 3)."""
+    """Return the direction that a facet reflects to the viewer, shape (ray, 3)."""
     return 2.0 * np.sum(outgoing * normal, axis=1)[:, None] * normal - outgoing
 
 
 def mirror_density(
     incoming: NDArray[np.floating], outgoing: NDArray[np.floating], roughness: float
 ) -> NDArray[np.float64]:
-    """Return the density of `mirror_direction` draws of `sample_visible_normals`, D / (4 cos(o) (1 + Lambda(o))), sr-1, shape (ray,).
+    """Return the density of mirrored `sample_visible_normals`, D / (4 cos(o) (1 + Lambda(o))), sr-1, shape (ray,).
 
-    Directions below the surface have one too: they are drawn, and lost.
+    Directions below the surface have a density too: they are drawn and give zero.
     """
     cos_out = np.maximum(outgoing[:, 2], 1e-12)
     density = normals_density(halfway(incoming, outgoing), roughness)
@@ -118,13 +118,13 @@ def schlick_rise(cosine: ArrayLike) -> NDArray[np.float64]:
 
 
 NODES, STRATA = 96, 64
-# Steep facets are rare and lose their light: quantiles crowd towards them by this power.
+# Steep facets are rare and lose their light: quantiles are denser towards them by this power.
 TAIL_POWER = 4
 
 
 @dataclass(frozen=True, eq=False)
 class AlbedoTable:
-    """Directional albedo over the cosine of the eye's angle, linear between nodes.
+    """Directional albedo over the cosine of the viewing angle, linear between nodes.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ class AlbedoTable:
 
 @lru_cache(maxsize=64)
 def specular_albedo(roughness: float) -> AlbedoTable:
-    """Return the albedo of a rough face whose facets reflect all: the rest is light that hits more than one facet."""
+    """Return the single-scattering albedo of a rough face with perfectly reflecting facets."""
     return _rough_albedo(roughness, np.ones_like)
 
 
@@ -162,13 +162,13 @@ def schlick_albedo(roughness: float) -> AlbedoTable:
 
 @lru_cache(maxsize=64)
 def dielectric_albedo(roughness: float, refractive_index: float) -> AlbedoTable:
-    """Return the albedo of a rough face of glass, of light that hits one facet."""
+    """Return the single-scattering albedo of a rough dielectric face."""
     return _rough_albedo(roughness, lambda cosine: dielectric(cosine, refractive_index))
 
 
 def _rough_albedo(roughness: float, reflectance: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> AlbedoTable:
-    """Integrate over the facets that the eye sees: each sends on its reflectance times the chance of a free way."""
-    # Nodes crowd at grazing angles, where the albedo changes most.
+    """Integrate over the visible facets: reflectance times the probability that the reflected ray is unmasked."""
+    # Nodes are denser at grazing angles, where the albedo changes most.
     cosine = np.linspace(0.0, 1.0, NODES) ** 2
     cosine[0] = 1e-5
     middle, edge = (np.arange(STRATA) + 0.5) / STRATA, np.arange(STRATA + 1) / STRATA
@@ -186,7 +186,7 @@ def _one_albedo(
     reflectance: Callable[[NDArray[np.float64]], NDArray[np.float64]],
     even: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the light that each draw of a facet sends on."""
+    """Return the fraction of light that each sampled facet reflects."""
     outgoing = np.broadcast_to(directions_at_cosine(np.array([cosine])), (len(even), 3))
     normal = sample_visible_normals(outgoing, roughness, even)
     incoming = mirror_direction(outgoing, normal)
@@ -225,6 +225,6 @@ def base_value(
 def sample_mixture(
     first: NDArray[np.float64], share: NDArray[np.floating], rng: np.random.Generator
 ) -> NDArray[np.float64]:
-    """Return directions of the first draw with a probability `share` (ray,), else by the cosine law, shape (ray, 3)."""
+    """Return the first directions with a probability `share` (ray,), else draws by the cosine law, shape (ray, 3)."""
     takes_first = rng.random(len(first)) < share
     return np.where(takes_first[:, None], first, cosine_directions(len(first), rng))

@@ -1,4 +1,7 @@
-"""What every BRDF offers; directions are unit vectors away from the surface, in a frame whose z is its normal."""
+"""BRDF protocol, Lambertian BRDF, spectral reflectance, and sampling of the hemisphere.
+
+Directions are unit vectors away from the surface, in a frame whose z axis is its normal.
+"""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -14,8 +17,7 @@ class Brdf(Protocol):
 
     Notes
     -----
-    f(i, o) = f(o, i), and int f cos(i) di <= 1 for every o: held by tests for each BRDF here. A direction at or below
-    the surface gives zero.
+    f(i, o) = f(o, i), and int f cos(i) di <= 1 for every o. A direction at or below the surface gives zero.
     """
 
     def value(
@@ -28,7 +30,7 @@ class Brdf(Protocol):
         incoming
             Directions to the light, shape (ray, 3).
         outgoing
-            Directions to the eye, shape (ray, 3).
+            Directions to the viewer, shape (ray, 3).
         wavelength_nm
             Wavelengths, shape (band,), nm.
         """
@@ -37,21 +39,21 @@ class Brdf(Protocol):
     def sample(
         self, outgoing: NDArray[np.floating], rng: np.random.Generator
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Draw one direction to the light for each direction to the eye.
+        """Draw one direction to the light for each direction to the viewer.
 
         Parameters
         ----------
         outgoing
-            Directions to the eye, shape (ray, 3).
+            Directions to the viewer, shape (ray, 3).
         rng
             Source of chance.
 
         Returns
         -------
         incoming
-            Directions, shape (ray, 3); a few may fall below the surface, where `value` is zero.
+            Directions, shape (ray, 3); some may lie below the surface, where `value` is zero.
         density
-            Their probability densities, sr-1, shape (ray,): the same as `pdf` says.
+            Their probability densities, sr-1, shape (ray,), as `pdf`.
         """
         ...
 
@@ -60,20 +62,20 @@ class Brdf(Protocol):
         ...
 
     def albedo(self, outgoing: NDArray[np.floating], wavelength_nm: ArrayLike) -> NDArray[np.float64]:
-        """Return the share of light from a uniform sky that goes to the eye, int f cos(i) di, shape (band, ray)."""
+        """Return the fraction of a uniform sky's light that goes to the viewer, int f cos(i) di, shape (band, ray)."""
         ...
 
 
 @dataclass(frozen=True, kw_only=True)
 class Reflectance:
-    """Shares of light at wavelengths, linear between them and constant outside.
+    """Fraction of light over wavelength, linear between the given values and constant outside.
 
     Parameters
     ----------
     wavelength_nm
         Wavelengths, ascending, nm; one makes a grey.
     share
-        Share at each, 0 to 1, dimensionless.
+        Fraction at each, 0 to 1, dimensionless.
     """
 
     wavelength_nm: tuple[float, ...] = (550.0,)
@@ -92,12 +94,12 @@ class Reflectance:
                 raise BadInput(f"a share of light must lie in [0, 1], got {share:g}")
 
     def at(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
-        """Return the share at wavelengths, dimensionless, shape (band,)."""
+        """Return the fraction at wavelengths, dimensionless, shape (band,)."""
         return np.interp(np.atleast_1d(np.asarray(wavelength_nm, float)), self.wavelength_nm, self.share)
 
 
 def grey(share: float) -> Reflectance:
-    """Return the same share at all wavelengths."""
+    """Return the same reflectance at all wavelengths."""
     return Reflectance(share=(share,))
 
 

@@ -1,6 +1,7 @@
-"""Embree itself, out of the library that embreex ships: scenes, and loops over rays that hold no interpreter's lock.
+"""Adapter to the Embree library that embreex ships: scenes, and compiled loops over ray packets.
 
-Through embreex's own calls threads wait for each other; compiled loops over the library's calls for packets do not.
+The calls of embreex itself hold the interpreter lock, so that threads wait for each other; the compiled loops here call
+the library without the lock.
 """
 
 import ctypes
@@ -28,8 +29,8 @@ def _without_reference_count(typingctx: Any, value: Any) -> Any:
     return value(value), codegen
 
 
-# Returns an array, or a tuple of arrays, tuples and numbers, whose references are not counted. The caller holds them:
-# what a loop itself has made must not pass here, for it would be given back while in use.
+# Returns an array, or a tuple of arrays, tuples and numbers, without reference counts. The caller must hold them: an
+# array allocated in the compiled loop itself would be released while in use.
 without_reference_count: Any = intrinsic(_without_reference_count)
 
 
@@ -48,22 +49,22 @@ def _strip_reference_count(context: Any, builder: Any, kind: Any, value: Any) ->
     return value
 
 
-# Numbers of Embree 4's C interface: kinds of geometry and of buffers, and formats.
+# Constants of Embree 4's C interface: kinds of geometry and of buffers, and formats.
 TRIANGLES, INSTANCE, INDEX, VERTEX, UINT3, FLOAT3, ROWS_3X4 = 0, 121, 0, 1, 0x5003, 0x9003, 0x9134
-# Rays go in packets of 16, seven times as fast as one by one. A packet starts at a multiple of 64 bytes; its rows, of
-# numbers of 4 bytes, are first those of rays, then those of hits, and last our own of which rays count.
+# Rays are traced in packets of 16, seven times as fast as single rays. A packet is aligned to 64 bytes; its rows of
+# 4-byte numbers are those of `RTCRay16`, then those of `RTCHit16`, and last the mask of valid rays.
 BITS, ALIGNED = 4, 64
 PACKET = 1 << BITS
 ORIGIN, DIRECTION, REACH, MASK, TRIANGLE, GEOMETRY, COPY, VALID, ROWS = 0, 4, 8, 9, 17, 18, 19, 22, 23
 NONE = -1
 COMPILED = {"nogil": True, "cache": True, "error_model": "numpy"}
-# What is called for each ray: a call would push all its arrays and count references, which costs more than the work.
+# For functions that are called for each ray: passing arrays and counting references would cost more than the work.
 INLINED = {**COMPILED, "forceinline": True}
-# A face's number is that of its row among triangles that are kept, and above these bits that of the copy it belongs to.
+# A face number holds the row of the triangle in its low bits, and above these bits the number of its copy.
 COPY_BITS = 32
 ROW = (1 << COPY_BITS) - 1
-# A corner and the unit normal of each triangle, each of shape (row, 3). Of copies, number 0 of which stands for what is
-# there once, the row of the first triangle, the turn times size (copy, 3, 3), the shift (copy, 3) and the size.
+# A corner and the unit normal of each triangle, each of shape (row, 3). Of each copy (number 0 is the mesh without
+# copies): row of its first triangle, rotation times scale (copy, 3, 3), translation (copy, 3) and scale.
 Planes = tuple[NDArray[np.float64], ...]
 
 
@@ -109,14 +110,14 @@ def _device() -> int:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Copied:
-    """A mesh that stands in many places and is kept once.
+    """A mesh with many copies, stored once.
 
     Parameters
     ----------
     vertices_m, faces
         The mesh, shapes (vertex, 3), m, and (face, 3).
     turn, shift_m
-        Where copies stand: turn times size, shape (copy, 3, 3), and then shift, shape (copy, 3), m.
+        Pose of each copy: rotation times scale, shape (copy, 3, 3), then translation, shape (copy, 3), m.
     """
 
     vertices_m: NDArray[np.float64]
@@ -126,7 +127,7 @@ class Copied:
 
 
 class EmbreeScene:
-    """Triangles in Embree's tree.
+    """Triangles in an Embree acceleration structure.
 
     Parameters
     ----------
@@ -135,9 +136,9 @@ class EmbreeScene:
     faces
         Shape (face, 3).
     centre_m
-        Place that is Embree's origin, shape (3,), m: it computes in single precision.
+        Origin of Embree's coordinates, which are in single precision, shape (3,), m.
     copied
-        Meshes that stand in many places: each is one tree, which its copies share.
+        Meshes with copies, which share one acceleration structure each.
     """
 
     def __init__(
@@ -172,7 +173,7 @@ class EmbreeScene:
     def hits(
         self, planes: Planes, origin: NDArray[np.float64], direction: NDArray[np.float64]
     ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Return the triangle that each ray (ray, 3) hits first, -1 for none, and how far away, each of shape (ray,).
+        """Return the triangle that each ray (ray, 3) hits first, -1 for none, and its distance, each of shape (ray,).
 
         Distances are those of the triangles' planes in double precision.
         """
@@ -183,7 +184,7 @@ class EmbreeScene:
     def is_occluded(
         self, origin: NDArray[np.float64], direction: NDArray[np.float64], reach: NDArray[np.float64]
     ) -> NDArray[np.bool_]:
-        """Return whether rays hit anything within so many lengths of their directions, shape (ray,)."""
+        """Return whether rays hit a surface within a number of direction lengths, shape (ray,)."""
         found = np.empty(len(origin), np.bool_)
         _trace_occlusions(self.address, self.centre_m, (origin, direction, reach), new_packets(PACKET), found)
         return found
@@ -214,7 +215,7 @@ _occluded: Any = types.ExternalFunction("rtcOccluded16", types.void(*(types.uint
 
 
 def new_packets(rays: int) -> NDArray[np.float32]:
-    """Return room for so many rays and their hits: packets of a row for each number and a column for each ray."""
+    """Return empty ray packets: one row for each number and one column for each ray."""
     many = -(-rays // PACKET)
     room = np.zeros(many * ROWS * PACKET + ALIGNED // 4, np.float32)
     start = -room.ctypes.data % ALIGNED // 4
@@ -225,7 +226,7 @@ def new_packets(rays: int) -> NDArray[np.float32]:
 
 @numba.njit(**INLINED)
 def set_ray(packets, slot, centre, origin, direction, reach):
-    """Set one ray: how far it may go is in lengths of its direction."""
+    """Set one ray; its length is in units of its direction."""
     packet, lane = slot >> BITS, slot & (PACKET - 1)
     for axis in range(3):
         packets[packet, ORIGIN + axis, lane] = origin[axis] - centre[axis]
@@ -235,7 +236,7 @@ def set_ray(packets, slot, centre, origin, direction, reach):
 
 @numba.njit(**INLINED)
 def intersect(scene, packets, many):
-    """Find what the first so many rays hit: `triangle_of` tells."""
+    """Trace the first `many` rays; `triangle_of` returns their hits."""
     for packet in range((many + PACKET - 1) >> BITS):
         rays = _prepare_packet(packets, packet, many)
         _intersect(rays + 4 * VALID * PACKET, scene, rays, 0)
@@ -251,7 +252,7 @@ def trace_occlusion(scene, packets, many):
 
 @numba.njit(**INLINED)
 def _prepare_packet(packets, packet, many):
-    """Set which rays of a packet count and that none has hit, and return its address."""
+    """Reset a packet with its mask of valid rays, and return its address."""
     number = packets.view(np.int32)
     for lane in range(PACKET):
         number[packet, VALID, lane] = -1 if (packet << BITS) + lane < many else 0
@@ -266,7 +267,7 @@ def triangle_of(packets, slot, planes):
     if number[packet, GEOMETRY, lane] == NONE:
         return np.int64(-1)
     triangle, copy = np.int64(number[packet, TRIANGLE, lane]), np.int64(number[packet, COPY, lane])
-    # Copies are Embree's geometries from 1 on: number 0 holds what is there once.
+    # Copies are Embree's geometries from 1; geometry 0 is the mesh without copies.
     return triangle if copy == NONE else (copy << COPY_BITS) + planes[2][copy] + triangle
 
 
@@ -293,7 +294,7 @@ def plane_of(planes, face):
 
 @numba.njit(**INLINED)
 def is_ray_occluded(packets, slot):
-    """Return whether a ray was stopped."""
+    """Return whether a shadow ray is occluded."""
     return packets[slot >> BITS, REACH, slot & (PACKET - 1)] < 0.0
 
 
@@ -318,7 +319,7 @@ def _trace_hits(scene, centre, planes, rays, packets, face, range_m):
             for axis in range(3):
                 height += (corner[axis] - origin[i, axis]) * normal[axis]
                 slope += direction[i, axis] * normal[axis]
-            # Where a ray runs within the plane, or rounding puts the plane behind it, it starts on the triangle.
+            # A ray within the plane, or with the plane behind it by rounding, starts on the triangle.
             length = height / slope
             range_m[i] = max(length, 0.0) if np.isfinite(length) else 0.0
 

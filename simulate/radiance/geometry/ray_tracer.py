@@ -1,4 +1,4 @@
-"""Rays against surfaces, by Embree.
+"""Ray tracer of triangle meshes, by Embree.
 
 Embree computes in single precision. Surfaces are therefore moved to the middle of the scene, places where rays hit are
 found again in double precision on the plane of the triangle, and a ray that starts on a surface starts a little above
@@ -21,7 +21,7 @@ NOTHING = -1
 
 @dataclass(frozen=True)
 class Hits:
-    """Where rays hit.
+    """First hits of rays.
 
     Parameters
     ----------
@@ -36,29 +36,28 @@ class Hits:
 
     @property
     def met(self) -> NDArray[np.int64]:
-        """Numbers of the rays that hit something."""
+        """Indices of the rays that hit a surface."""
         return np.flatnonzero(self.face != NOTHING)
 
 
 @dataclass(frozen=True)
 class RayTracer:
-    """Surfaces ready to be hit.
+    """Ray tracer of a triangle mesh.
 
     Parameters
     ----------
     scene
         The embree scene; None without a triangle.
     centre_m
-        Place that the embree scene has in its middle, shape (3,), m.
+        Centre of the Embree scene, shape (3,), m.
     planes
-        First corner and unit normal of each triangle, each of shape (row, 3), and how copies stand (`embree.Planes`).
+        First corner and unit normal of each triangle, each of shape (row, 3), and poses of copies (`embree.Planes`).
     clearance_m
-        How far above each triangle a ray starts, shape (row,), m.
+        Distance of ray starts from each triangle, shape (row,), m.
 
     Notes
     -----
-    A face is the row of a triangle; of a mesh that stands in many places and is kept once, besides the copy
-    (`embree.COPY_BITS`).
+    A face is the row of a triangle, combined with the number of the copy for meshes with copies (`embree.COPY_BITS`).
     """
 
     scene: EmbreeScene | None
@@ -94,14 +93,14 @@ class RayTracer:
     def is_occluded(
         self, origin_m: NDArray[np.floating], direction: NDArray[np.floating], reach: ArrayLike | None = None
     ) -> NDArray[np.bool_]:
-        """Return whether anything stands in each ray's way, shape (ray,).
+        """Return whether each ray is occluded, shape (ray,).
 
         Parameters
         ----------
         origin_m, direction
             Rays, each of shape (ray, 3).
         reach
-            How far to look, in lengths of the direction, one number or shape (ray,); without end if None.
+            Length of the rays in units of the direction, one number or shape (ray,); None: infinite.
         """
         if self.scene is None:
             return np.zeros(len(origin_m), np.bool_)
@@ -111,7 +110,7 @@ class RayTracer:
     def facing(
         self, face: NDArray[np.integer], direction: NDArray[np.floating]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return normals of triangles towards where rays (ray, 3) come from, and the cosines to them, shape (ray,)."""
+        """Return normals of triangles on the side of ray origins, shape (ray, 3), and cosines to them, shape (ray,)."""
         normal = self.normals(face)
         cosine = -np.einsum("ij,ij->i", normal, direction)
         return np.where(cosine < 0.0, -1.0, 1.0)[:, None] * normal, np.abs(cosine)
@@ -119,25 +118,25 @@ class RayTracer:
     def above(
         self, face: NDArray[np.integer], place_m: NDArray[np.floating], side: NDArray[np.floating]
     ) -> NDArray[np.float64]:
-        """Return places on triangles moved off them towards a side, for rays that start there.
+        """Return positions displaced from triangles towards one side, as starts of rays.
 
         Parameters
         ----------
         face, place_m
-            Triangle, shape (place,), and place on it, shape (place, 3), m.
+            Triangle, shape (point,), and position on it, shape (point, 3), m.
         side
-            Normal of the triangle, pointing to the side where the ray goes, shape (place, 3).
+            Normal of the triangle on the side of the ray, shape (point, 3).
         """
-        # Column by column: NumPy takes ten times as long over rows of three.
+        # Column by column: ten times as fast in NumPy as over rows of three.
         away = reduce(np.maximum, np.abs(place_m - self.centre_m).T)
         shift = np.maximum(self.clearance_m[face & ROW], CLEARANCE_SHARE * away)
         return place_m + shift[:, None] * side
 
 
 def tracer(vertices_m: NDArray[np.floating], faces: NDArray[np.integer], copied: tuple[Copied, ...] = ()) -> RayTracer:
-    """Return a tracer of a mesh, vertices (vertex, 3) in m and faces (face, 3), and of meshes in many places besides.
+    """Return the ray tracer of a mesh, vertices (vertex, 3) in m and faces (face, 3), and of meshes with copies.
 
-    Rows of triangles are those of the mesh, of which there must be some, and then those of each copied mesh.
+    Rows of triangles are those of the mesh, which must not be empty, and then those of each copied mesh.
     """
     vertices, faces = np.asarray(vertices_m, float).reshape(-1, 3), np.asarray(faces, np.int64).reshape(-1, 3)
     corners = vertices[faces]
@@ -166,7 +165,7 @@ def _planes(corners: NDArray[np.float64], copied: tuple[Copied, ...]) -> Planes:
 
 
 def _extent(mesh: Copied) -> NDArray[np.float64]:
-    """Size of the triangles of the largest copy: how much farther away a corner may be than a place, shape (face,)."""
+    """Return the diameter of the triangles in the largest copy, shape (face,), m."""
     corners = mesh.vertices_m[mesh.faces]
     return np.ptp(corners, axis=1).max(axis=1) * np.sqrt(3.0) * np.cbrt(np.linalg.det(mesh.turn)).max()
 

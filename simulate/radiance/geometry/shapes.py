@@ -1,4 +1,4 @@
-"""Shapes that need no file: box, plane, disc, cylinder, cone, sphere, ground and an open shed; outsides face out."""
+"""Triangle meshes of simple shapes: box, plane, disc, cylinder, cone, sphere, ground and an open shed."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from labdata.errors import BadInput
 
-# Corners of a round shape, and times that a sphere's triangles are cut in four.
+# Corners of a round shape, and subdivisions of a sphere.
 AROUND, SPHERE_CUTS = 48, 4
 # Half the side of the innermost square of the ground, m; each square around it is twice as wide.
 GROUND_CORE_M = 16.0
@@ -41,8 +41,8 @@ class Mesh:
         return 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
 
     @property
-    def closed(self) -> bool:
-        """Whether each edge has one triangle on either side, wound alike, so that there is an inside."""
+    def is_closed(self) -> bool:
+        """Whether each edge has one triangle on either side, with the same orientation, so that there is an inside."""
         edges = np.concatenate([self.faces[:, [0, 1]], self.faces[:, [1, 2]], self.faces[:, [2, 0]]])
         same = _merge_vertices(self.vertices_m)[edges]
         key, back = same[:, 0] * len(self.vertices_m) + same[:, 1], same[:, 1] * len(self.vertices_m) + same[:, 0]
@@ -50,13 +50,13 @@ class Mesh:
 
 
 def _merge_vertices(vertices: NDArray[np.floating]) -> NDArray[np.int64]:
-    """Number of the first vertex that stands where each one does."""
+    """Return the index of the first vertex at the position of each one."""
     _, first, which = np.unique(vertices.round(9), axis=0, return_index=True, return_inverse=True)
     return first[which.reshape(-1)]
 
 
 def join_meshes(meshes: list[Mesh]) -> Mesh:
-    """Return meshes as one."""
+    """Return the union of meshes."""
     if not meshes:
         return Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
     starts = np.cumsum([0, *(len(mesh.vertices_m) for mesh in meshes[:-1])])
@@ -67,7 +67,7 @@ def join_meshes(meshes: list[Mesh]) -> Mesh:
 
 
 def shape(name: str, size_m: tuple[float, ...]) -> Mesh:
-    """Return a shape by name; see `SIZES` for what its sizes are.
+    """Return a shape by name; `SIZES` names its sizes.
 
     Raises
     ------
@@ -127,10 +127,10 @@ def sphere(radius: float) -> Mesh:
 
 
 def ground(side: float) -> Mesh:
-    """Square at z = 0 that faces up, its triangles small in the middle and large far away.
+    """Square at z = 0 that faces up, with small triangles at the centre and large ones far away.
 
-    A ray that starts on a large triangle must start high above it (`trace.CLEARANCE_SHARE`): the middle, where things
-    stand and are looked at, is spared that.
+    The clearance of a ray start grows with the size of its triangle (`CLEARANCE_SHARE`), and must be small at the
+    centre, where objects are.
     """
     halves = [side / 2.0]
     while halves[-1] > 2.0 * GROUND_CORE_M:
@@ -188,7 +188,7 @@ def _circle(radius: float, z: float) -> NDArray[np.float64]:
 
 
 def _cut(polygons: list[list[int]]) -> NDArray[np.int64]:
-    """Fan convex polygons into triangles."""
+    """Triangulate convex polygons."""
     return np.array([[p[0], p[i], p[i + 1]] for p in polygons for i in range(1, len(p) - 1)], np.int64)
 
 

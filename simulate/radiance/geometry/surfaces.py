@@ -1,4 +1,4 @@
-"""All surfaces of a scene as triangles ready for rays, each knowing its object and its material."""
+"""Surfaces of a scene: triangles with their object and material, and their ray tracer."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -18,19 +18,19 @@ class Surfaces:
     Parameters
     ----------
     mesh
-        Triangles that are there once, in the scene's coordinates.
+        Triangles without copies, in scene coordinates.
     tracer
-        All surfaces ready for rays.
+        Ray tracer of all surfaces.
     object_of, material_of
         Number of the object and of the material of each triangle, of `mesh` and then of `copied`, shape (row,).
     objects, materials
         Their names.
     copied
-        Meshes that stand in many places, and are kept once.
+        Meshes with copies, stored once.
     panes
-        Panes of glass among the objects, which are traced by themselves; None without any.
+        Panes of glass among the objects, with a ray tracer of their own; None without any.
     notes
-        What files say that is not used, in sentences.
+        Unused content of files, in sentences.
     """
 
     mesh: Mesh
@@ -49,7 +49,7 @@ class Surfaces:
         return self.mesh.area_m2
 
     def __reduce__(self) -> tuple:
-        # Embree's own tree cannot be sent to another process: it is built again there.
+        # Embree's scene cannot be pickled: it is rebuilt.
         mesh = self.mesh
         parts = (
             mesh.vertices_m,
@@ -64,7 +64,7 @@ class Surfaces:
         return _rebuilt, parts
 
     def near(self, place_m: NDArray[np.floating], radius_m: float) -> Iterator[tuple[NDArray[np.float64], str]]:
-        """Yield triangles that a ball may touch, in parts (face, corner, 3), m, and names of their objects."""
+        """Yield triangles that a sphere may touch, in parts (face, corner, 3), m, and names of their objects."""
         corners = self.mesh.corners_m
         close = _boxes_touch(corners, place_m, radius_m)
         for number in np.unique(self.object_of[close]):
@@ -72,7 +72,7 @@ class Surfaces:
         row = len(self.mesh.faces)
         for mesh in self.copied:
             size = np.cbrt(np.linalg.det(mesh.turn))
-            # The ball in the frame of each copy.
+            # Centre of the sphere in the frame of each copy.
             there = np.einsum("cji,cj->ci", mesh.turn, place_m - mesh.shift_m) / size[:, None] ** 2
             low, high = mesh.vertices_m.min(axis=0), mesh.vertices_m.max(axis=0)
             reach = (radius_m / size)[:, None]
@@ -85,7 +85,7 @@ class Surfaces:
 
 
 def _boxes_touch(corners_m: NDArray[np.float64], place_m: NDArray[np.floating], radius_m: float) -> NDArray[np.int64]:
-    """Return which triangles (face, corner, 3) have boxes that a ball's box touches."""
+    """Return which triangles (face, corner, 3) have bounding boxes that overlap a sphere's."""
     near = (corners_m.min(axis=1) <= place_m + radius_m) & (corners_m.max(axis=1) >= place_m - radius_m)
     return np.flatnonzero(near.all(axis=1))
 
@@ -97,7 +97,7 @@ def collect_surfaces(
 ) -> Surfaces:
     """Return the surfaces of objects: name, name of the material, and triangles of each; some materials are glass.
 
-    Meshes that stand in many places (`copied`) are of other materials, and each stands once among the parts too.
+    Meshes with copies (`copied`) are not of glass, and the first of each is one of the parts.
     """
     if any(material in glass for _, material, _ in parts):
         panes = collect_surfaces([part for part in parts if part[1] in glass])

@@ -1,4 +1,4 @@
-"""Where the camera stands and looks: rays of places on the picture, and places of directions, through its lens."""
+"""Pose and lens of a camera: rays of image coordinates, and image coordinates of directions."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -11,13 +11,13 @@ from labdata.camera_description import must_be_positive
 from labdata.errors import BadInput
 
 Array = NDArray[np.floating]
-# Distances from the axis, in corner radii, over which a distortion is inverted.
+# Largest radius, in corner radii, and nodes of the table that inverts a distortion.
 FARTHEST, STEPS = 2.0, 4096
 
 
 @dataclass(frozen=True, kw_only=True)
 class RasterGeometry:
-    """How a line scanner moves while it takes one row after the other.
+    """Motion of a line scanner during its rows.
 
     Parameters
     ----------
@@ -37,25 +37,25 @@ class RasterGeometry:
         must_be_positive(self, "line_time_s")
 
     def at(self, row: Array) -> tuple[Array, Array]:
-        """Return how far the scanner has moved (row, 3), m, and turned (row,), rad, in the middle of rows' times."""
+        """Return displacement (row, 3), m, and rotation (row,), rad, of the scanner in the middle of rows' times."""
         time_s = (np.floor(row) + 0.5) * self.line_time_s
         return time_s[:, None] * np.asarray(self.velocity_m_per_s), np.deg2rad(-self.turn_deg_per_s * time_s)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Exposure:
-    """Rows that a camera takes from one place at one time.
+    """Rows that a camera takes from one position at one time.
 
     Parameters
     ----------
     eye_m
-        Where the lens is, shape (3,), m.
+        Position of the lens, shape (3,), m.
     turn_rad
-        How far it has turned about the vertical, counterclockwise from above, rad.
+        Rotation about the vertical, counterclockwise from above, rad.
     first, rows
         First row through the lens, as `Viewpoint.project` counts them, and number of rows.
     picture_row
-        The row of the picture that the first one is.
+        Row of the image that the first one is.
     """
 
     eye_m: Array
@@ -65,7 +65,7 @@ class Exposure:
     picture_row: int
 
     def direction_before_turn(self, direction: Array) -> Array:
-        """Return directions (ray, 3) as they would be, had the camera not turned."""
+        """Return directions (ray, 3) in the frame of the camera before its rotation."""
         return _turn_about_vertical(direction, -self.turn_rad)
 
 
@@ -76,20 +76,19 @@ class Viewpoint:
     Parameters
     ----------
     position_m
-        Place of the lens (east, north, up), m.
+        Position of the lens (east, north, up), m.
     forward
         Direction of its axis, shape (3,), unit length.
     roll_deg
-        Turn about the axis, clockwise as the camera sees it, deg.
+        Rotation about the axis, clockwise as the camera sees it, deg.
     shape
-        Pixels of the picture, (row, col).
+        Pixels, (row, col).
     focal_px
         Focal length over the pitch of columns and of rows (x, y), dimensionless.
     distortion_fraction
         D of r' = r (1 + D (r/R)^2), R the corner's distance from the axis; positive is pincushion.
     scan
-        For a line scanner, whose rows all look along the middle of the picture, each at its own time and one pixel
-        high; None: framing.
+        For a line scanner, whose rows all view the central row, each at its own time; None: framing camera.
     """
 
     position_m: tuple[float, float, float]
@@ -110,9 +109,9 @@ class Viewpoint:
 
     @cached_property
     def axes(self) -> NDArray[np.float64]:
-        """Directions to the right, down and forward in the picture, rows of a (3, 3) array."""
+        """Directions to the right, down and forward in the image, rows of a (3, 3) array."""
         ahead = np.asarray(self.forward) / np.linalg.norm(self.forward)
-        # A camera that looks straight up or down has north at its top.
+        # A camera that looks straight up or down has north at the top of the image.
         zenith = np.array([0.0, 0.0, 1.0]) if abs(ahead[2]) < 1.0 - 1e-9 else np.array([0.0, 1.0, 0.0])
         right = np.cross(ahead, zenith)
         right /= np.linalg.norm(right)
@@ -121,19 +120,19 @@ class Viewpoint:
         return np.array([np.cos(turn) * right + np.sin(turn) * down, np.cos(turn) * down - np.sin(turn) * right, ahead])
 
     def smaller(self, factor: int) -> "Viewpoint":
-        """Return the same view with so many times fewer pixels on each side."""
+        """Return the same view with fewer pixels on each side, by a factor."""
         shape = tuple(max(1, -(-side // factor)) for side in self.shape)
         focal = tuple(f * new / old for f, new, old in zip(self.focal_px, shape[::-1], self.shape[::-1], strict=True))
         scan = None if self.scan is None else replace(self.scan, line_time_s=self.scan.line_time_s * factor)
         return replace(self, shape=(shape[0], shape[1]), focal_px=(focal[0], focal[1]), scan=scan)
 
     def rays(self, row: Array, col: Array) -> tuple[Array, Array]:
-        """Return origins, m, and unit directions of rays through picture coordinates, each of shape (ray, 3).
+        """Return origins, m, and unit directions of rays through image coordinates, each of shape (ray, 3).
 
         Parameters
         ----------
         row, col
-            Coordinates, whole numbers at the corners of pixels, shape (ray,).
+            Coordinates, integers at the corners of pixels, shape (ray,).
         """
         along = 0.5 * self.shape[0] + row % 1.0 - 0.5 if self.scan else row
         x = (col - 0.5 * self.shape[1]) / self.focal_px[0]
@@ -144,10 +143,10 @@ class Viewpoint:
         towards = np.stack([x, y, np.ones_like(x)], axis=1) @ self.axes
         towards /= np.linalg.norm(towards, axis=1, keepdims=True)
         origin = np.broadcast_to(np.asarray(self.position_m, float), towards.shape)
-        return (origin, towards) if self.scan is None else self._moved(self.scan, row, origin, towards)
+        return (origin, towards) if self.scan is None else self._move_rays(self.scan, row, origin, towards)
 
     def exposures(self) -> Iterator[Exposure]:
-        """Yield the rows that are taken at one time: all of a framing camera, each of a scanner."""
+        """Yield the rows taken at one time: all of a framing camera, each of a scanner."""
         eye = np.asarray(self.position_m, float)
         if self.scan is None:
             yield Exposure(eye_m=eye, turn_rad=0.0, first=0.0, rows=self.shape[0], picture_row=0)
@@ -159,9 +158,9 @@ class Viewpoint:
             )
 
     def project(self, direction: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Return coordinates (row, col) through the lens of directions, and whether they lie before it, shape (ray,).
+        """Return image coordinates (row, col) of directions, and whether they are in front of the lens, shape (ray,).
 
-        Those of a scanner are as if it had not moved. Beyond `FARTHEST` they are those there.
+        Those of a scanner are without its motion. Radii are limited to `FARTHEST`.
         """
         right, down, ahead = self.axes @ np.asarray(direction, float).T
         front = ahead > 1e-9
@@ -174,7 +173,7 @@ class Viewpoint:
         return row, col, front
 
     def solid_angle_sr(self, row: Array, col: Array) -> Array:
-        """Return the solid angle of a pixel at picture coordinates, shape (place,), sr.
+        """Return the solid angle of a pixel at image coordinates, shape (point,), sr.
 
         Notes
         -----
@@ -192,19 +191,19 @@ class Viewpoint:
         return 0.5 * float(np.hypot(self.shape[1] / self.focal_px[0], self.shape[0] / self.focal_px[1]))
 
     def _before(self, radius: Array) -> Array:
-        """Radius without distortion of radii in the picture, corner radii."""
+        """Return the undistorted radii of radii in the image, corner radii."""
         came = np.linspace(0.0, FARTHEST, STEPS)
         return np.interp(radius, came * (1.0 + self.distortion_fraction * came**2), came)
 
     @staticmethod
-    def _moved(scan: RasterGeometry, row: Array, origin: Array, towards: Array) -> tuple[Array, Array]:
-        """Rays of a scanner: each row from where the scanner is in the middle of its time."""
+    def _move_rays(scan: RasterGeometry, row: Array, origin: Array, towards: Array) -> tuple[Array, Array]:
+        """Return rays from the position of a scanner in the middle of each row's time."""
         moved, turn = scan.at(row)
         return origin + moved, _turn_about_vertical(towards, turn)
 
 
 def _turn_about_vertical(direction: Array, turn_rad: Array | float) -> Array:
-    """Turn directions (ray, 3) about the vertical, counterclockwise from above."""
+    """Rotate directions (ray, 3) about the vertical, counterclockwise from above."""
     x = np.cos(turn_rad) * direction[:, 0] - np.sin(turn_rad) * direction[:, 1]
     y = np.sin(turn_rad) * direction[:, 0] + np.cos(turn_rad) * direction[:, 1]
     return np.stack([x, y, direction[:, 2]], axis=1)

@@ -1,1 +1,1 @@
-"""How light gets from lamps and sky by way of surfaces into a camera."""
+"""Monte Carlo integrator: light transport from lamps and sky over surfaces to a camera."""

@@ -1,8 +1,8 @@
-"""How many rays each pixel gets: as few as keep chance, over the whole picture, within what is allowed.
+"""Adaptive sampling: allocates camera rays per pixel so that the Monte Carlo error stays within its limit.
 
-Some pixels of each tile are tried, edges of objects and shadows apart from the rest. What single rays differ there
-counts for the pixels of the same object around. The rays of the trial enter no picture: choosing where to look closely
-would else bend what is seen. Where the picture's own rays then differ more than was foreseen, further ones follow.
+A pilot run estimates the variance of single rays in a few pixels of each tile, separately for edges of objects and
+shadows; the pixels of the same object nearby use that estimate. The pilot's rays do not enter the rendering, because
+sampling that depends on its own samples is biased. Where the measured variance exceeds the estimate, more rays follow.
 """
 
 from collections.abc import Callable
@@ -14,18 +14,18 @@ from numpy.typing import NDArray
 
 from simulate.radiance.integrator.auxiliary_layers import AuxiliaryLayers
 
-# Tiles along the shorter side of a small picture, whose pixels have less in common.
+# Tiles along the shorter side of a small frame, whose pixels have less in common.
 FEWEST = 16
 
 
 @dataclass(frozen=True)
 class Tiles:
-    """Tiles of a picture; those at its lower and right border may be cut.
+    """Tiles of a frame; those at its lower and right border may be smaller.
 
     Parameters
     ----------
     shape
-        Pixels of the picture, (row, col).
+        Pixels, (row, col).
     side
         Side of a tile, px.
     """
@@ -35,25 +35,25 @@ class Tiles:
 
     @classmethod
     def of(cls, shape: tuple[int, int], side: int) -> "Tiles":
-        """Return tiles of a side, px, or smaller ones where the picture is small."""
+        """Return tiles of a side, px, or smaller ones in a small frame."""
         return cls(shape, int(np.clip(min(shape) // FEWEST, 1, side)))
 
     @property
     def count(self) -> tuple[int, int]:
-        """How many there are, (down, across)."""
+        """Number of tiles, (down, across)."""
         return -(-self.shape[0] // self.side), -(-self.shape[1] // self.side)
 
     @property
     def of_pixels(self) -> NDArray[np.int64]:
-        """Where the tiles of all pixels are, (down, across), shape (2, row, col)."""
+        """Tile indices of all pixels, (down, across), shape (2, row, col)."""
         return np.indices(self.shape) // self.side
 
     def holding(self, pixel: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return where the tiles of some pixels are, (down, across), each of shape (pixel,)."""
+        """Return the tile indices of some pixels, (down, across), each of shape (pixel,)."""
         return pixel // self.shape[1] // self.side, pixel % self.shape[1] // self.side
 
     def some_pixels(self, many: int, rng: np.random.Generator) -> NDArray[np.int64]:
-        """Draw numbers of so many pixels of each tile, tile by tile."""
+        """Draw the indices of `many` pixels of each tile, tile by tile."""
         down, across = self.count
         corner = self.side * np.indices((down, across)).reshape(2, -1, 1)
         at = corner + np.moveaxis(rng.integers(0, self.side, (down * across, many, 2)), -1, 0)
@@ -61,7 +61,7 @@ class Tiles:
         return (row * self.shape[1] + col).ravel()
 
     def one_of_each(self, pixel: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return of some pixels the first in each tile."""
+        """Return the first of the given pixels in each tile."""
         down, across = self.holding(pixel)
         return pixel[np.unique(down * self.count[1] + across, return_index=True)[1]]
 
@@ -74,67 +74,67 @@ def with_neighbours(grid: NDArray[np.floating]) -> NDArray[np.floating]:
 
 
 Array = NDArray[np.floating]
-# Side of a tile, px; pixels of each that are tried, those at edges that are tried besides, and rays of each.
+# Side of a tile, px; pilot pixels in each tile, additional ones at edges, and rays of each pilot pixel.
 TILE, TRIED, TRIED_EDGES, TRIES = 8, 4, 2, 2
-# A trial costs so large a share of the rays that it asks for, in so many rounds at most: rare bright rays hide long.
+# The pilot costs this fraction of the rays that it allocates, in at most this many rounds: rare bright rays need many.
 TRIAL_SHARE, ROUNDS = 0.1, 1024
-# However few rays a small picture asks for: a bright thing that one gathering ray in a hundred meets must be met.
+# Least pilot rays of a small rendering: a bright object that one gather ray in a hundred meets must be found.
 FEWEST_TRIALS = 4096
-# Variance that n rays leave at an edge over v n^(-3/2): 1.3 where a straight line crosses a pixel, more where several
-# edges meet and where trials missed one; measured in the scenes of `benchmarks.radiance`.
+# Variance of the mean of n rays at an edge over v n^(-3/2): 1.3 where a straight line crosses a pixel, more where
+# several edges meet or the pilot missed one; measured in the scenes of `benchmarks.radiance`.
 LINE = 2.0
-# Objects beyond so many share their trials with others.
+# Objects beyond this number use the pilot rays of another object.
 OBJECTS = 255
-# Kind of the trials at edges whose rays go to the same place; without that, edges are kind 0.
+# Kind of the pilot rays at edges that go to the same point of the pixel; other edge rays are kind 0.
 TOGETHER = OBJECTS + 1
-# By how many times the rays of a pixel may grow at once; and the part of those sent that is worth sending at least.
+# Largest growth of a pixel's rays in one turn; and the smallest useful addition, as 1/n of the rays traced.
 GROWTH, LEAST_GROWTH = 4, 8
-# Numbers of rays are steps of a factor of 2^(1/2), so that pixels of a kind can be followed together.
+# Numbers of rays are rounded to powers of 2^(1/2), so that pixels can be traced in batches of equal size.
 STEPS_PER_DOUBLING = 2
 
 
 @dataclass(frozen=True, kw_only=True)
 class SamplingSettings:
-    """How many rays pixels get.
+    """Number of rays per pixel.
 
     Parameters
     ----------
-    fewest, edge, most
-        Rays of any pixel at least, of one where objects or shadows meet, and of any pixel at most.
-    in_all
-        Rays of all pixels together at most, beyond the fewest of each; None: no limit.
-    gathered
-        Rays by which each place that they hit gathers its hemisphere.
-    shared, shared_most
-        Rays by which places on matt surfaces gather for all pixels around, at first and at most, see `field`; None:
-        every ray gathers for itself, which is slower and supposes nothing.
-    fine
-        Whether each pixel has such a place, instead of one for four, and pixels in which surfaces meet gather for
-        themselves: for shadows narrower than two pixels, in twice the time. No difference where only the sky's shadow
-        is to be found.
-    allowed
-        Variance that pixels may have by chance, by their signal: over the picture, variances over this are 1 in the
-        mean. None: no pixel gets more for its variance.
+    min_rays, edge, max_rays
+        Fewest rays of a pixel, of a pixel where objects or shadows meet, and most rays of any pixel.
+    total_rays
+        Most rays of all pixels together, apart from the fewest of each; None: no limit.
+    gather_rays
+        Final-gather rays of each point that a camera ray hits.
+    cache_rays, max_cache_rays
+        First and most gather rays of each node of the irradiance cache; None: no cache, every ray gathers for itself,
+        which is slower and makes no smoothness assumption.
+    refine
+        Whether the cache has one node per pixel instead of one per four, and pixels in which surfaces meet gather for
+        themselves: for shadows narrower than two pixels, in twice the time. No effect where only sky shadowing is
+        computed.
+    error_limit
+        Allowed Monte Carlo variance of a pixel's signal, as a function of the signal: the mean of variance over limit
+        is 1 over the rendering. None: rays do not depend on variance.
     """
 
-    fewest: int = 2
+    min_rays: int = 2
     edge: int = 8
-    most: int = 32
-    in_all: int | None = None
-    gathered: int = 2
-    shared: int | None = 8
-    shared_most: int = 512
-    fine: bool = False
-    allowed: Callable[[Array], Array] | None = None
+    max_rays: int = 32
+    total_rays: int | None = None
+    gather_rays: int = 2
+    cache_rays: int | None = 8
+    max_cache_rays: int = 512
+    refine: bool = False
+    error_limit: Callable[[Array], Array] | None = None
 
 
 class PilotRenderer(Protocol):
-    """Follows some pixels by a few rays each."""
+    """Traces a few rays in some pixels."""
 
     def __call__(self, pixels: NDArray[np.int64], rays: int, *, together: bool = False) -> tuple[Array, Array]:
         """Return signals and the variances of single rays, each of shape (pixel,).
 
-        Rays are spread over the pixel, or all go to the same place of it.
+        Rays are spread over the pixel, or all go to the same point of it (`together`).
         """
         ...
 
@@ -146,17 +146,17 @@ def allocate_samples(
 
     Notes
     -----
-    With a variance v of single rays, in units of what is allowed, n = c v^(1/2) rays give the least mean of v/n for
-    their number (Neyman, 1934); c is the least that brings it to 1, were there no limit of rays. At edges a part w of
-    the variance is that of rays to the same place, which is divided as elsewhere; of the rest n rays spread evenly
-    leave about (v - w) n^(-3/2), as the line crosses few of their cells: n = (3/2 c^2 (v - w))^(2/5) if that is more.
+    With the variance v of single rays over its limit, n = c v^(1/2) rays minimise the mean of v/n for a given total
+    (Neyman, 1934); c is the smallest that makes the mean 1 without a limit of rays. At edges, w is the variance of
+    rays to the same point, which falls as elsewhere; the rest falls as (v - w) n^(-3/2) for evenly spread rays,
+    because the edge crosses few of their cells: n = (3/2 c^2 (v - w))^(2/5) if that is more.
     """
     edges = here.edges()
-    least = np.where(edges, max(rays.edge, rays.fewest), rays.fewest)
-    least = np.minimum(least, rays.most)
-    if rays.allowed is None:
+    least = np.where(edges, max(rays.edge, rays.min_rays), rays.min_rays)
+    least = np.minimum(least, rays.max_rays)
+    if rays.error_limit is None:
         return least.astype(np.int32)
-    tried = _Tried(here, edges, rays.allowed)
+    tried = _Tried(here, edges, rays.error_limit)
     rng, tiles = np.random.default_rng([seed, 0]), Tiles.of(edges.shape, TILE)
     edge = np.flatnonzero(edges)
     for round_number in range(1, ROUNDS + 1):
@@ -173,41 +173,41 @@ def allocate_samples(
 def further(
     here: AuxiliaryLayers, rays: SamplingSettings, signal: Array, variance: Array, sent: NDArray[np.int32]
 ) -> NDArray[np.int32]:
-    """Return the rays that each pixel needs besides those that it has sent, by the error measured; zeros: none.
+    """Return the additional rays of each pixel by its measured error; zero where none are needed.
 
     Parameters
     ----------
     here, rays
-        What is where, and limits.
+        Auxiliary layers, and limits.
     signal, variance, sent
-        Signals, the variances of their means, nan where one ray says nothing of it, and rays so far, shape (row, col).
+        Signals, the variances of their means (nan for a single ray), and rays so far, shape (row, col).
 
     Notes
     -----
-    Variances of single rays are pooled over the pixels of the same object around, edges apart, so that no pixel alone
-    stops because its own rays missed what is bright. Rays grow `GROWTH`-fold at most, as rare bright rays make the
-    spread of few of them a poor estimate.
+    Variances of single rays are pooled over nearby pixels of the same object, edges separately, so that no pixel stops
+    because its own rays missed a bright source. Rays grow at most `GROWTH`-fold, because the variance of a few rays is
+    a poor estimate where bright rays are rare.
     """
-    if rays.allowed is None or not np.isfinite(variance).all():
+    if rays.error_limit is None or not np.isfinite(variance).all():
         return np.zeros_like(sent)
-    limit = rays.allowed(np.maximum(signal, 0.0))
+    limit = rays.error_limit(np.maximum(signal, 0.0))
     excess = np.divide(variance, limit, out=np.zeros(limit.shape), where=(variance > 0.0) & (limit > 0.0))
     if excess.mean() <= 1.0:
         return np.zeros_like(sent)
     pooled = _Tried(here, here.edges(), lambda signal: np.ones(signal.shape))
     pooled.add(np.arange(sent.size), signal.ravel(), (excess * sent.astype(float)).ravel(), weight=sent.ravel())
     wanted = _distribute_rays(pooled.variance(), np.zeros(sent.shape), sent, rays)
-    more = (np.minimum(wanted, np.minimum(GROWTH * sent, rays.most)) - sent).astype(float)
-    # One ray alone would not know its error.
-    return np.where(more * LEAST_GROWTH >= sent, _steps(more, np.full_like(sent, 2), rays.most), 0)
+    more = (np.minimum(wanted, np.minimum(GROWTH * sent, rays.max_rays)) - sent).astype(float)
+    # A single additional ray would give no variance.
+    return np.where(more * LEAST_GROWTH >= sent, _steps(more, np.full_like(sent, 2), rays.max_rays), 0)
 
 
 def _distribute_rays(
     plain: Array, edge: Array, least: NDArray[np.integer], limits: SamplingSettings
 ) -> NDArray[np.int32]:
-    """Rays by variances of single ones in plain places and at edges: the fewest whose mean variance is 1.
+    """Fewest rays whose mean variance is 1, from single-ray variances in plain pixels and at edges.
 
-    What pixels at the limit lack is not made up for by others: these could not, however many they got.
+    The excess of pixels at their limit of rays is not compensated by other pixels.
     """
 
     def rays(scale: float) -> Array:
@@ -218,34 +218,34 @@ def _distribute_rays(
         middle = 0.5 * (low + high)
         each = rays(middle)
         enough = np.mean(plain / each + edge / each**1.5) <= 1.0
-        enough |= limits.in_all is not None and np.minimum(each, limits.most).sum() >= limits.in_all
+        enough |= limits.total_rays is not None and np.minimum(each, limits.max_rays).sum() >= limits.total_rays
         low, high = (low, middle) if enough else (middle, high)
-    return _steps(rays(high), least, limits.most)
+    return _steps(rays(high), least, limits.max_rays)
 
 
-def _steps(rays: Array, least: NDArray[np.integer], most: int) -> NDArray[np.int32]:
-    """The nearest number of rays that is a step, between the least and the most."""
+def _steps(rays: Array, least: NDArray[np.integer], max_rays: int) -> NDArray[np.int32]:
+    """Round numbers of rays to the nearest step, between the least and the most."""
     step = np.round(STEPS_PER_DOUBLING * np.log2(np.maximum(rays, 1.0)))
-    return np.clip(np.round(2.0 ** (step / STEPS_PER_DOUBLING)), least, most).astype(np.int32)
+    return np.clip(np.round(2.0 ** (step / STEPS_PER_DOUBLING)), least, max_rays).astype(np.int32)
 
 
 class _Tried:
-    """What trials found, by kind of place: objects, and edges as a kind of their own; by tile, and the eight around it.
+    """Pilot variances by kind (object, or edge) and tile, pooled with the eight tiles around.
 
     Parameters
     ----------
     here, edges
-        What is where, and what is an edge.
-    allowed
-        Variance allowed, by signal.
+        Auxiliary layers, and edge pixels.
+    error_limit
+        Allowed variance as a function of the signal.
     """
 
-    def __init__(self, here: AuxiliaryLayers, edges: NDArray[np.bool_], allowed: Callable[[Array], Array]) -> None:
+    def __init__(self, here: AuxiliaryLayers, edges: NDArray[np.bool_], error_limit: Callable[[Array], Array]) -> None:
         self._object = 1 + (here.object + 1) % OBJECTS
         self._kind = np.where(edges, 0, self._object)
-        self._edges, self._allowed = edges, allowed
+        self._edges, self._allowed = edges, error_limit
         self._tiles = Tiles.of(edges.shape, TILE)
-        # Number of trials, sums of their signals and of their variances.
+        # Number of pilot pixels, sums of their signals and of their variances.
         self._sums = np.zeros((3, OBJECTS + 2, *self._tiles.count))
 
     def add(
@@ -257,7 +257,7 @@ class _Tried:
         together: bool = False,
         weight: NDArray[np.integer] | None = None,
     ) -> None:
-        """Add trials of pixels (pixel,), of weights if not of 1, all at edges where their rays went to one place."""
+        """Add pilot results of pixels (pixel,), weighted; `together`: edge pixels whose rays went to one point."""
         kind = np.full(len(pixel), TOGETHER) if together else self._kind.ravel()[pixel]
         place = (kind, *self._tiles.holding(pixel))
         counts = np.ones(len(pixel)) if weight is None else weight
@@ -265,12 +265,12 @@ class _Tried:
             np.add.at(sums, place, counts * values)
 
     def variance(self) -> Array:
-        """Return variances of single rays over what is allowed, of each pixel's own kind, shape (row, col)."""
+        """Return single-ray variances over their limit, of each pixel's kind, shape (row, col)."""
         down, across = self._tiles.of_pixels
         return self._shares()[self._kind, down, across]
 
     def variances(self) -> tuple[Array, Array]:
-        """Return variances of single rays over what is allowed, in plain places and at edges, shape (row, col)."""
+        """Return single-ray variances over their limit, in plain pixels and at edges, shape (row, col)."""
         share = self._shares()
         down, across = self._tiles.of_pixels
         at_edge, together = share[0, down, across], share[TOGETHER, down, across]
@@ -278,9 +278,9 @@ class _Tried:
         return plain, np.where(self._edges, LINE * np.maximum(at_edge - together, 0.0), 0.0)
 
     def _shares(self) -> Array:
-        """Return variances of single rays over what is allowed, by kind and tile."""
+        """Return single-ray variances over their limit, by kind and tile."""
         count, signal, variance = (with_neighbours(sums) for sums in self._sums)
-        # Where a kind was not tried around: all kinds there; where nothing was, everything.
+        # A kind without pilot pixels nearby takes the mean of all kinds there, else that of the whole frame.
         of_all = count.sum(axis=0) > 0.5
         mean, spread = (
             np.where(
@@ -290,6 +290,6 @@ class _Tried:
             )
             for total in (signal, variance)
         )
-        # Where nothing is allowed, as in the dark, nothing is asked for: no rays would do.
+        # Where the limit is zero, as in the dark, no number of rays reaches it: none are requested.
         limit = self._allowed(mean)
         return np.divide(spread, limit, out=np.zeros_like(spread), where=limit > 0.0)

@@ -1,4 +1,4 @@
-"""What is where in the picture: material, object, distance, normal and shadow of the middle of each pixel."""
+"""Auxiliary layers (AOVs): material, object, distance, normal and shadow at the centre of each pixel."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,16 +13,15 @@ from simulate.radiance.integrator.spectral_scene import SpectralScene
 
 Array = NDArray[np.floating]
 ROWS = 64
-# Bits of the shadow map; sources beyond have none.
+# Bits of the shadow map; further sources have none.
 BITS = 32
-# Neighbours whose normals differ by more than acos(0.98) = 11 degrees, or that lie farther than this share of the
-# distance off each other's planes, belong to different faces.
+# Neighbours whose normals differ by more than acos(0.98) = 11 degrees belong to different faces.
 SAME_NORMAL, SAME_PLANE = 0.98, 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
 class AuxiliaryLayers:
-    """Truth of each pixel's middle.
+    """Auxiliary layers of the pixel centres.
 
     Parameters
     ----------
@@ -31,11 +30,12 @@ class AuxiliaryLayers:
     range_m
         Distance from the lens, infinite for the sky, shape (row, col), m.
     normal
-        Unit normal on the eye's side, zero for the sky, shape (row, col, 3).
+        Unit normal on the camera's side, zero for the sky, shape (row, col, 3).
     shadow
-        Bit n is set where source n of `sources` gives no light: it is hidden or behind the surface, shape (row, col).
+        Bit n is set where source n of `sources` gives no light, because it is occluded or behind the surface, shape
+        (row, col).
     temperature_k
-        Slot for a thermal model: NaN everywhere, shape (row, col), K.
+        Layer of the thermal model, here NaN, shape (row, col), K.
     materials, objects, sources
         Names.
     """
@@ -51,7 +51,7 @@ class AuxiliaryLayers:
     sources: tuple[str, ...]
 
     def edges(self, *, shadows: bool = True) -> NDArray[np.bool_]:
-        """Return the pixels next to which object, face or, if asked for, shadow change, shape (row, col)."""
+        """Return the pixels at which object, face or, if requested, shadow changes, shape (row, col)."""
         found = np.zeros(self.material.shape, bool)
         for axis in (0, 1):
             here = _but_last(self, axis)
@@ -81,7 +81,7 @@ class AuxiliaryLayers:
 
 
 def truth(stage: SpectralScene, view: Viewpoint) -> AuxiliaryLayers:
-    """Return the truth of a view."""
+    """Return the auxiliary layers of a view."""
     rows, columns = view.shape
     parts = [_band(stage, view, start, min(start + ROWS, rows)) for start in range(0, rows, ROWS)]
     maps = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
@@ -120,7 +120,7 @@ def _band(stage: SpectralScene, view: Viewpoint, start: int, stop: int) -> dict[
 
 
 def _shadows(stage: SpectralScene, points: direct_lighting.ShadingPoints) -> NDArray[np.uint32]:
-    """Bits of the sources that the points do not see, by their middles."""
+    """Return the bits of the sources whose centres are not visible from the points."""
     found = np.zeros(len(points), np.uint32)
     every = np.arange(len(points))
     lights = (*stage.lighting.discs, *stage.lighting.lamps)[:BITS]

@@ -1,4 +1,4 @@
-"""Noisy values on a grid of places, evened out along smooth surfaces: planes fitted to windows of several widths."""
+"""Smoothing and interpolation of the irradiance cache: local plane fits along smooth surfaces."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -11,29 +11,29 @@ from simulate.radiance.geometry.embree import COMPILED, INLINED, without_referen
 from simulate.radiance.geometry.ray_tracer import NOTHING
 from simulate.radiance.integrator.integrator_settings import Run
 
-# Neighbours belong to the same surface if their normals differ by less than acos(0.98) = 11 degrees, and if none lies
-# farther off the other's plane than this share of their distance, or than the length that single precision allows.
+# Neighbours belong to one smooth surface if their normals differ by less than acos(0.98) = 11 degrees, and if neither
+# deviates from the other's plane by more than this fraction of their distance, or by the single-precision error.
 SAME_NORMAL, OFF_PLANE, LEAST_OFF_M = 0.98, 0.05, 1e-5
-# A plane needs more places than it has coefficients; with fewer it is the mean.
+# A plane fit needs at least this many nodes, else the mean is used.
 ENOUGH = 4
 
 
-# Rows of nodes that are fitted at once.
+# Rows of nodes in one job.
 STRIP = 16
 
 
 @dataclass(frozen=True)
 class Nodes:
-    """A grid of places that a camera sees.
+    """A grid of surface points in view of a camera.
 
     Parameters
     ----------
     row, col
-        Of those nodes that see a surface, shape (node,).
+        Indices of the nodes that see a surface, shape (node,).
     place_m, normal
-        Places, m, and unit normals there, shape (row, col, 3).
+        Positions, m, and unit normals, shape (row, col, 3).
     face
-        Their triangles, -1 where there is no surface, shape (row, col).
+        Triangles, -1 where there is no surface, shape (row, col).
     """
 
     row: NDArray[np.int64]
@@ -52,7 +52,7 @@ class Nodes:
         normal: NDArray[np.floating],
         face: NDArray[np.int64],
     ) -> "Nodes":
-        """Return a grid: places and normals (node, 3) and triangles (node,) at rows and columns (node,)."""
+        """Return a grid of positions and normals (node, 3) and triangles (node,) at rows and columns (node,)."""
         grid = cls(row, col, np.zeros((*shape, 3)), np.zeros((*shape, 3)), np.full(shape, NOTHING))
         grid.place_m[row, col], grid.normal[row, col], grid.face[row, col] = place_m, normal, face
         return grid
@@ -63,7 +63,7 @@ class Nodes:
         return self.face != NOTHING
 
     def spread(self, values: NDArray) -> NDArray:
-        """Return values (node, ...) on the grid, zero where there is nothing."""
+        """Return values (node, ...) on the grid, zero without a surface."""
         grid = np.zeros((*self.there.shape, *values.shape[1:]), values.dtype)
         grid[self.row, self.col] = values
         return grid
@@ -77,8 +77,8 @@ class Nodes:
         total = uniform_filter(np.where(self.there, values, 0.0), size, mode="constant")
         return np.divide(total, share, out=np.zeros_like(total), where=share > 1e-9)
 
-    def fitted(self, values: NDArray[np.floating], width: NDArray[np.int64], run: Run) -> NDArray[np.floating]:
-        """Return values (row, col, band) evened out over windows of half widths (row, col), nodes."""
+    def smooth(self, values: NDArray[np.floating], width: NDArray[np.int64], run: Run) -> NDArray[np.floating]:
+        """Return values (row, col, band) smoothed over windows of half widths (row, col), nodes."""
         found, rows = np.zeros_like(values), len(values)
 
         def strip(first: int) -> None:
@@ -95,16 +95,16 @@ class Nodes:
         place_m: NDArray[np.floating],
         normal: NDArray[np.floating],
     ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-        """Return values (row, col, band) at places that lie between nodes, and which have any of their own surface.
+        """Interpolate values (row, col, band) at points; return also which points had a node on their surface.
 
         Parameters
         ----------
         values
-            Of the nodes.
+            Values of the nodes.
         row, col
-            Coordinates of the places, whole numbers at nodes, shape (place,).
+            Coordinates of the points, integers at nodes, shape (point,).
         place_m, normal
-            Of the places, shape (place, 3).
+            Positions and normals of the points, shape (point, 3).
         """
         found, has = np.zeros((len(row), values.shape[2]), np.float32), np.zeros(len(row), np.bool_)
         _interpolate(values, self.place_m, self.normal, self.face, row, col, place_m, normal, found, has)
@@ -117,7 +117,7 @@ def all_alike(
     other_place_m: NDArray[np.floating],
     other_normal: NDArray[np.floating],
 ) -> NDArray[np.bool_]:
-    """Return which pairs of places (pair, 3), with unit normals, lie on one smooth surface, shape (pair,)."""
+    """Return which pairs of points (pair, 3), with unit normals, lie on one smooth surface, shape (pair,)."""
     found = np.empty(len(place_m), np.bool_)
     _all_alike(place_m, normal, other_place_m, other_normal, found)
     return found
@@ -125,7 +125,7 @@ def all_alike(
 
 @numba.njit(**INLINED)
 def alike(place: Any, normal: Any, other_place: Any, other_normal: Any) -> bool:
-    """Return whether two places lie on one smooth surface."""
+    """Return whether two points lie on one smooth surface."""
     facing, off, off_other, square = 0.0, 0.0, 0.0, 0.0
     for axis in range(3):
         step = other_place[axis] - place[axis]
@@ -146,22 +146,22 @@ def _all_alike(place: Any, normal: Any, other_place: Any, other_normal: Any, fou
 
 @numba.njit(**COMPILED)
 def _fit(values: Any, place: Any, normal: Any, face: Any, width: Any, first: int, last: int, found: Any) -> None:
-    """Fit values of nodes by a plane over row and column in windows around them, and put what it has in the middle.
+    """Fit a plane over row and column to the values in the window of each node, and store its value at the centre.
 
     Parameters
     ----------
     values
         Shape (row, col, band).
     place, normal
-        Of the nodes, shape (row, col, 3).
+        Positions and normals of the nodes, shape (row, col, 3).
     face
-        Triangle of each node, -1 where it has no values, shape (row, col).
+        Triangle of each node, -1 without values, shape (row, col).
     width
-        Half of each node's window, nodes, shape (row, col).
+        Half width of each node's window, nodes, shape (row, col).
     first, last
-        Rows that are done.
+        Range of rows.
     found
-        Gets the result, shape (row, col, band).
+        Output, shape (row, col, band).
     """
     values, found, face, width = (
         without_reference_count(values),
@@ -182,7 +182,7 @@ def _fit(values: Any, place: Any, normal: Any, face: Any, width: Any, first: int
             plane[:] = 0.0
             for i in range(max(r - h, 0), min(r + h + 1, rows)):
                 for j in range(max(c - h, 0), min(c + h + 1, columns)):
-                    # One triangle is one surface: that needs no further look.
+                    # Nodes on one triangle are on one surface.
                     if face[i, j] != here and (
                         face[i, j] == NOTHING or not alike(place[r, c], normal[r, c], place[i, j], normal[i, j])
                     ):
@@ -199,7 +199,7 @@ def _fit(values: Any, place: Any, normal: Any, face: Any, width: Any, first: int
                         plane[0, b] += value
                         plane[1, b] += value * x
                         plane[2, b] += value * y
-            # The constant of the normal equations, by Cramer's rule.
+            # Constant of the normal equations, by Cramer's rule.
             a, p, q = xx * yy - xy * xy, xy * y1 - x1 * yy, x1 * xy - xx * y1
             whole = n * a + x1 * p + y1 * q
             flat = n < ENOUGH or whole < 1e-6 * n * max(xx * yy, 1e-30)
@@ -214,18 +214,18 @@ def _fit(values: Any, place: Any, normal: Any, face: Any, width: Any, first: int
 def _interpolate(
     values: Any, place: Any, normal: Any, face: Any, row: Any, col: Any, at: Any, facing: Any, found: Any, has: Any
 ) -> None:
-    """Interpolate nodes at places that lie between them in the picture, among nodes of the same surface.
+    """Interpolate nodes at points between them, among nodes on the same surface.
 
     Parameters
     ----------
     values, place, normal, face
         As of `_fit`.
     row, col
-        Coordinates, in nodes, whole numbers at nodes, shape (ray,).
+        Coordinates, integers at nodes, shape (ray,).
     at, facing
-        Places and normals, shape (ray, 3).
+        Positions and normals, shape (ray, 3).
     found, has
-        Get values, shape (ray, band), and whether there were any, shape (ray,).
+        Output values, shape (ray, band), and whether there were any, shape (ray,).
     """
     values, found, face, has = (
         without_reference_count(values),

@@ -1,4 +1,4 @@
-"""Sources as plain arrays, and what compiled loops ask of them: the sky by direction, the patterns of lamps."""
+"""Light sources as plain arrays for compiled loops: sky by direction, intensity distributions of lamps."""
 
 from typing import Any
 
@@ -13,27 +13,27 @@ from simulate.radiance.integrator.path_states import in_disc, set_direction
 from simulate.radiance.integrator.shading_points import shading_frames
 from simulate.radiance.lamps.distribution import Cosine, Distribution, Isotropic, MeasuredDistribution, SpotBeam
 
-# The arrays of the sky: radiance and irradiance tables, whether there is any light, cumulated chances and densities of
-# bright parts, and the heights' sines.
+# Arrays of the sky: radiance and irradiance tables, whether there is any light, cumulative probabilities and densities
+# of the importance sampling, and the sines of the heights.
 Sky = tuple[NDArray, NDArray, bool, NDArray, NDArray, NDArray]
 
 
-def sky_arrays(dome: EnvironmentMap, bright: SkyImportance | None) -> Sky:
-    """Return the sky for compiled loops; no chances at all where it is not looked for by its brightness."""
+def sky_arrays(environment: EnvironmentMap, bright: SkyImportance | None) -> Sky:
+    """Return the sky for compiled loops; empty probabilities where it is not importance-sampled."""
     cumulated, per_sr = (np.zeros(0), np.zeros((0, 0))) if bright is None else (bright.cumulated, bright.per_sr)
     sines = np.sin(np.linspace(0.0, 0.5 * np.pi, len(per_sr) + 1))
-    return dome.radiance_table, dome.irradiance_table, not dome.dark, cumulated, per_sr, sines
+    return environment.radiance_table, environment.irradiance_table, not environment.dark, cumulated, per_sr, sines
 
 
 def disc_arrays(discs: tuple[DiscLight, ...], bands: int) -> tuple[NDArray, NDArray, NDArray]:
-    """Return axes whose z is the middle (disc, 3, 3), cosines of radii (disc,) and irradiances (disc, band)."""
+    """Return axes with z towards the centre (disc, 3, 3), cosines of radii (disc,) and irradiances (disc, band)."""
     axes = np.array([shading_frames(disc.direction[None])[0] for disc in discs]).reshape(-1, 3, 3)
     least = np.array([np.cos(disc.angular_radius_rad) for disc in discs])
     return axes, least, np.array([disc.irradiance for disc in discs], np.float32).reshape(-1, bands)
 
 
 def lamp_arrays(lamps: tuple[LampLight, ...], bands: int) -> tuple:
-    """Return places, radii, spectra and their sums, and the patterns' axes and tables, one after the other."""
+    """Return positions, radii, spectra and their sums, and the distributions' axes and concatenated tables."""
     tables = [_pattern(lamp.pattern.distribution) for lamp in lamps]
     ends = np.cumsum([0, *(len(table) for table in tables)])
     return (
@@ -48,7 +48,7 @@ def lamp_arrays(lamps: tuple[LampLight, ...], bands: int) -> tuple:
 
 
 def panel_arrays(panels: Panels | None, bands: int) -> tuple:
-    """Return what is known of glowing triangles, see `Panels`; none at all where nothing glows."""
+    """Return the arrays of emitting triangles, see `Panels`; empty ones without any."""
     if panels is None:
         nothing, no_face = np.zeros(0), np.zeros(0, np.int64)
         return (
@@ -72,12 +72,12 @@ def panel_arrays(panels: Panels | None, bands: int) -> tuple:
 
 
 EVERYWHERE, POWER, MEASURED = 0.0, 1.0, 2.0
-# A ray to a source ends so far before it.
+# Shadow rays end before their source, at this fraction of the distance.
 SHORT = 1.0 - 1e-4
 
 
 def _pattern(distribution: Distribution) -> NDArray[np.float64]:
-    """A distribution as numbers: its kind, then factor and power, or sizes, angles and intensities of a table."""
+    """Encode a distribution: its kind, then factor and power, or sizes, angles and intensities of a table."""
     match distribution:
         case Isotropic():
             return np.array([EVERYWHERE, 0.25 / np.pi])
@@ -94,7 +94,7 @@ def _pattern(distribution: Distribution) -> NDArray[np.float64]:
 
 @numba.njit(**INLINED)
 def lamp_factor(lamps: Any, lamp: int, place: Any, normal: Any) -> float:
-    """Irradiance of a lamp over its spectrum were nothing in the way, as `direct.lamp_factor`."""
+    """Return the unoccluded irradiance of a lamp over its spectrum, as `direct.lamp_factor`."""
     position, _, _, _, axes, ends, tables = lamps
     x, y, z = (position[lamp, 0] - place[0], position[lamp, 1] - place[1], position[lamp, 2] - place[2])
     square = x * x + y * y + z * z
@@ -108,7 +108,7 @@ def lamp_factor(lamps: Any, lamp: int, place: Any, normal: Any) -> float:
 
 @numba.njit(**INLINED)
 def towards_lamp(lamps: Any, lamp: int, place: Any, state: Any, way: Any) -> None:
-    """Set the way from a place to one drawn on a lamp."""
+    """Set the vector from a point to one drawn on a lamp."""
     position, radius, square = lamps[0][lamp], lamps[1][lamp], 0.0
     for axis in range(3):
         way[axis] = position[axis] - place[axis]
@@ -122,7 +122,7 @@ def towards_lamp(lamps: Any, lamp: int, place: Any, state: Any, way: Any) -> Non
 
 @numba.njit(**INLINED)
 def lamp_pattern(pattern: Any, axes: Any, x: float, y: float, z: float) -> float:
-    """Return the share of a lamp's light per sr in a unit direction away from it."""
+    """Return the fraction of a lamp's light per sr in a unit direction away from it."""
     up = axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z
     if pattern[0] == EVERYWHERE:
         return pattern[1]
@@ -152,26 +152,26 @@ def lamp_pattern(pattern: Any, axes: Any, x: float, y: float, z: float) -> float
 
 @numba.njit(**COMPILED)
 def _cell(values: Any, value: float) -> Any:
-    """The stretch between ascending values where a value lies, and how far along."""
+    """Return the interval of ascending values that contains a value, and the relative position in it."""
     at = min(max(np.searchsorted(values, value, side="right") - 1, 0), len(values) - 2)
     return at, (value - values[at]) / (values[at + 1] - values[at])
 
 
 @numba.njit(**INLINED)
 def sky_light(table: Any, x: float, y: float, z: float, share: float, weight: Any, found: Any) -> None:
-    """Add a share of the radiance from a unit direction above the horizon, weighed by band."""
+    """Add a fraction of the radiance from a unit direction above the horizon, weighted by band."""
     _add(table, np.arcsin(min(z, 1.0)) / (0.5 * np.pi), x, y, share, weight, found)
 
 
 @numba.njit(**INLINED)
 def sky_irradiance(table: Any, x: float, y: float, z: float, share: float, weight: Any, found: Any) -> None:
-    """Add a share of what a surface of a unit normal gets of the whole sky, weighed by band."""
+    """Add a fraction of the unoccluded sky irradiance of a surface with a unit normal, weighted by band."""
     _add(table, np.arccos(min(max(z, -1.0), 1.0)) / np.pi, x, y, share, weight, found)
 
 
 @numba.njit(**INLINED)
 def _add(table: Any, down: float, x: float, y: float, share: float, weight: Any, found: Any) -> None:
-    """Add what a table holds at a share of its height and in the azimuth of a direction, interpolated."""
+    """Add the interpolated value of a table at a fraction of its height and the azimuth of a direction."""
     rows, columns, bands = table.shape
     row, col = down * (rows - 1), np.arctan2(y, x) / (2.0 * np.pi)
     col = (col - np.floor(col)) * (columns - 1)
@@ -196,7 +196,7 @@ def bright_density(per_sr: Any, x: float, y: float, z: float) -> float:
 
 @numba.njit(**INLINED)
 def bright_way(cumulated: Any, sines: Any, a: float, b: float, c: float, way: Any) -> None:
-    """Set a direction drawn by how bright the sky is, from three even numbers."""
+    """Set a direction drawn by the brightness of the sky, from three uniform numbers."""
     around = len(cumulated) // (len(sines) - 1)
     cell = min(np.searchsorted(cumulated, a, side="right"), len(cumulated) - 1)
     row, col = cell // around, cell % around

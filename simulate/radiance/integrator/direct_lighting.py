@@ -1,7 +1,6 @@
-"""Light that comes straight from a lamp, from sun or moon or from a glowing surface, each looked for by name.
+"""Direct lighting by lamps, sun, moon and emitting surfaces: next-event estimation.
 
-A ray goes from the place to a place on the source that is drawn anew for each, so that shadows are as soft as the
-source is large.
+Each shadow ray ends at a random point of its source, so that penumbrae follow from the source's size.
 """
 
 from collections.abc import Callable, Iterator
@@ -14,28 +13,28 @@ from simulate.radiance.integrator.light_sources import DiscLight, LampLight, Pan
 from simulate.radiance.integrator.shading_points import BsdfSet, ShadingPoints, shading_frames
 
 Array = NDArray[np.floating]
-# What air leaves of light over lengths (ray,), m: shape (ray, band).
+# Transmittance of air over lengths (ray,), m: shape (ray, band).
 Through = Callable[[Array], NDArray[np.float32]]
-# Numbers of points that get light, and the radiance that they send to the eye, shape (point, band).
+# Indices of illuminated points, and their outgoing radiance, shape (point, band).
 Lit = tuple[NDArray[np.int64], NDArray[np.float32]]
-# A ray to a source ends so far before it.
+# Shadow rays end before their source, at this fraction of the distance.
 SHORT = 1.0 - 1e-4
 
 
 def from_disc(
-    points: ShadingPoints, disc: DiscLight, coats: BsdfSet, tracer: RayTracer, rng: np.random.Generator
+    points: ShadingPoints, disc: DiscLight, bsdfs: BsdfSet, tracer: RayTracer, rng: np.random.Generator
 ) -> Lit:
-    """Return radiance towards the eye by light of sun or moon."""
+    """Return the outgoing radiance by light of sun or moon."""
     towards = towards_disc(disc, len(points), rng)
     cosine = np.maximum(_dot(points.normal, towards), 0.0)
     lit = np.flatnonzero(cosine > 0.0)
     lit = lit[~is_occluded(points, lit, towards[lit], tracer, None)]
-    found = _reflect(points, coats, lit, towards[lit], cosine[lit], disc.irradiance)
-    return _behind_panes(found, points, coats, towards[lit], tracer, None)
+    found = _reflect(points, bsdfs, lit, towards[lit], cosine[lit], disc.irradiance)
+    return _behind_panes(found, points, bsdfs, towards[lit], tracer, None)
 
 
 def towards_disc(disc: DiscLight, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Draw unit directions to places on a disc, evenly over its solid angle, shape (count, 3)."""
+    """Draw unit directions to points of a disc, uniform over its solid angle, shape (count, 3)."""
     least = np.cos(disc.angular_radius_rad)
     cosine, turn = 1.0 - rng.random(count) * (1.0 - least), 2.0 * np.pi * rng.random(count)
     sine = np.sqrt(np.maximum(1.0 - cosine**2, 0.0))
@@ -45,7 +44,7 @@ def towards_disc(disc: DiscLight, count: int, rng: np.random.Generator) -> NDArr
 
 
 def lamp_factor(points: ShadingPoints, lamp: LampLight) -> tuple[Array, Array, Array]:
-    """Return unit directions to a lamp, distances, m, and its irradiance over its spectrum were nothing in the way."""
+    """Return unit directions to a lamp, distances, m, and its unoccluded irradiance over its spectrum."""
     way = lamp.position_m - points.place_m
     distance = np.linalg.norm(way, axis=1)
     towards = way / distance[:, None]
@@ -56,12 +55,12 @@ def lamp_factor(points: ShadingPoints, lamp: LampLight) -> tuple[Array, Array, A
 def from_lamp(
     points: ShadingPoints,
     lamp: LampLight,
-    coats: BsdfSet,
+    bsdfs: BsdfSet,
     tracer: RayTracer,
     rng: np.random.Generator,
     through: Through | None,
 ) -> Lit:
-    """Return radiance towards the eye by light of a lamp."""
+    """Return the outgoing radiance by light of a lamp."""
     towards, distance, factor = lamp_factor(points, lamp)
     lit = np.flatnonzero(factor > 0.0)
     radius, turn = lamp.radius_m * np.sqrt(rng.random(len(lit))), 2.0 * np.pi * rng.random(len(lit))
@@ -72,19 +71,19 @@ def from_lamp(
     clear = ~is_occluded(points, lit, seen, tracer, SHORT)
     lit, seen = lit[clear], seen[clear]
     air = None if through is None else through(distance[lit])
-    found = _reflect(points, coats, lit, towards[lit], factor[lit], lamp.spectrum, air)
-    return _behind_panes(found, points, coats, seen, tracer, SHORT)
+    found = _reflect(points, bsdfs, lit, towards[lit], factor[lit], lamp.spectrum, air)
+    return _behind_panes(found, points, bsdfs, seen, tracer, SHORT)
 
 
 def from_one_lamp(
     points: ShadingPoints,
     lamps: tuple[LampLight, ...],
-    coats: BsdfSet,
+    bsdfs: BsdfSet,
     tracer: RayTracer,
     rng: np.random.Generator,
     through: Through | None,
 ) -> Iterator[tuple[str, Lit]]:
-    """Yield names and radiance towards the eye of lamps, of which one is drawn for each point by what it might give."""
+    """Yield names and outgoing radiance of lamps; one lamp a point is drawn, by its unoccluded irradiance."""
     might = np.stack([lamp_factor(points, lamp)[2] * lamp.spectrum.sum() for lamp in lamps])
     total = might.sum(axis=0)
     chance = np.divide(might, total, out=np.zeros_like(might), where=total > 0.0)
@@ -92,7 +91,7 @@ def from_one_lamp(
     for number, lamp in enumerate(lamps):
         which = np.flatnonzero((chosen == number) & (total > 0.0))
         if len(which):
-            lit, light = from_lamp(points.some(which), lamp, coats, tracer, rng, through)
+            lit, light = from_lamp(points.some(which), lamp, bsdfs, tracer, rng, through)
             light /= chance[number, which[lit], None].astype(np.float32)
             yield lamp.name, (which[lit], light)
 
@@ -100,19 +99,19 @@ def from_one_lamp(
 def from_panels(
     points: ShadingPoints,
     panels: Panels,
-    coats: BsdfSet,
+    bsdfs: BsdfSet,
     tracer: RayTracer,
     rng: np.random.Generator,
     through: Through | None,
-    gathered: int,
+    gather_rays: int,
 ) -> Lit:
-    """Return radiance towards the eye by light of glowing surfaces.
+    """Return the outgoing radiance by light of emitting surfaces.
 
     Parameters
     ----------
-    gathered
-        Rays by which the hemisphere is gathered as well: they find the same light, and share it (balance heuristic of
-        Veach and Guibas, 1995), so that a panel close by makes no bright specks.
+    gather_rays
+        Gather rays of each point, which sample the same light: both are combined by the balance heuristic (Veach and
+        Guibas, 1995), so that a close panel does not cause bright outliers.
     """
     panel, place = panels.draw(len(points), rng)
     way = place - points.place_m
@@ -125,27 +124,27 @@ def from_panels(
     start = tracer.above(points.face[lit], points.place_m[lit], points.normal[lit])
     lit = lit[~tracer.is_occluded(start, target - start, SHORT)]
     by_area = panels.per_m2_of_face[panels.face[panel[lit]]] * distance[lit] ** 2 / leaving[lit]
-    by_gathering = gathered * coats.density(points.some(lit), towards[lit]) if gathered else 0.0
+    by_gathering = gather_rays * bsdfs.density(points.some(lit), towards[lit]) if gather_rays else 0.0
     factor = cosine[lit] / (by_area + by_gathering)
     air = None if through is None else through(distance[lit])
     glow = panels.spectra[panels.kind_of_face[panels.face[panel[lit]]]]
-    found = _reflect(points, coats, lit, towards[lit], factor, glow, air)
-    return _behind_panes(found, points, coats, way[lit], tracer, SHORT)
+    found = _reflect(points, bsdfs, lit, towards[lit], factor, glow, air)
+    return _behind_panes(found, points, bsdfs, way[lit], tracer, SHORT)
 
 
 def gather_mis_weight(
     panels: Panels, face: NDArray[np.int64], range_m: Array, leaving: Array, density: Array, rays: int
 ) -> Array:
-    """Return the share that gathering has in the light of a panel that it hits: the counterpart of `from_panels`.
+    """Return the balance-heuristic weight of a gather ray that hits a panel: the counterpart of `from_panels`.
 
     Parameters
     ----------
     face, range_m, leaving
         Triangles hit, distances, m, and cosines at them, shape (ray,).
     density
-        Density of gathering in those directions, sr-1, shape (ray,).
+        Sampling density of the gather rays in those directions, sr-1, shape (ray,).
     rays
-        Rays by which the hemisphere is gathered.
+        Gather rays of each point.
     """
     by_area = panels.per_m2_of_face[face] * range_m**2 / np.maximum(leaving, 1e-12)
     return np.where(leaving > 0.0, rays * density / (rays * density + by_area), 0.0)
@@ -154,35 +153,35 @@ def gather_mis_weight(
 def is_occluded(
     points: ShadingPoints, which: NDArray[np.int64], towards: Array, tracer: RayTracer, reach: float | None
 ) -> NDArray[np.bool_]:
-    """Return whether anything stands between some points and places so far (ray, 3) away, shape (ray,)."""
+    """Return whether a surface lies between some points and positions relative to them (ray, 3), shape (ray,)."""
     start = tracer.above(points.face[which], points.place_m[which], points.normal[which])
     return tracer.is_occluded(start, towards, reach)
 
 
 def _behind_panes(
-    found: Lit, points: ShadingPoints, coats: BsdfSet, way: Array, tracer: RayTracer, reach: float | None
+    found: Lit, points: ShadingPoints, bsdfs: BsdfSet, way: Array, tracer: RayTracer, reach: float | None
 ) -> Lit:
-    """Weaken light of lit points that comes along ways (lit point, 3) by the panes there."""
-    if coats.panes is None:
+    """Attenuate light that arrives along vectors (illuminated point, 3) by the panes there."""
+    if bsdfs.panes is None:
         return found
     lit, light = found
     start = tracer.above(points.face[lit], points.place_m[lit], points.normal[lit])
-    which, left = coats.panes.left(start, way, reach)
+    which, left = bsdfs.panes.transmittance_along(start, way, reach)
     light[which] *= left
     return lit, light
 
 
 def _reflect(
     points: ShadingPoints,
-    coats: BsdfSet,
+    bsdfs: BsdfSet,
     lit: NDArray[np.int64],
     towards: Array,
     factor: Array,
     spectrum: NDArray[np.float32],
     air: NDArray[np.float32] | None = None,
 ) -> Lit:
-    """Light of lit points, of directions, factors and air (lit point, ...) of those alone."""
-    light = coats.value(points.some(lit), towards)
+    """Return the reflected light of illuminated points; directions, factors and air are given for these only."""
+    light = bsdfs.value(points.some(lit), towards)
     light *= factor.astype(np.float32)[:, None]
     light *= spectrum
     if air is not None:

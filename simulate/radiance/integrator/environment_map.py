@@ -1,4 +1,4 @@
-"""The sky as a table over directions, and what level or tilted surfaces would get of it with nothing in the way."""
+"""Environment map of the sky, and the unoccluded irradiance of surfaces by their normal."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,15 +9,15 @@ from numpy.typing import NDArray
 from simulate.radiance.integrator.low_discrepancy import fraction
 
 Array = NDArray[np.floating]
-# Cells of the table, by height over the horizon and around; and steps between the normals of the irradiance table.
+# Cells of the radiance table, in height and azimuth; step between the normals of the irradiance table.
 HEIGHTS, AROUND, NORMAL_STEP_DEG = 90, 120, 4.0
-# Samples across a cell of the table where its light is added up.
+# Samples across a cell of the table in the irradiance sum.
 INSIDE = 1
 
 
 @dataclass(frozen=True)
 class EnvironmentMap:
-    """Radiance of the sky above the horizon; below it there is none.
+    """Radiance of the sky above the horizon; zero below it.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ class EnvironmentMap:
 
     @property
     def dark(self) -> bool:
-        """Whether no light comes from it."""
+        """Whether it emits no light."""
         return not self.radiance_table.any()
 
     def radiance(self, direction: Array) -> NDArray[np.float32]:
@@ -45,14 +45,14 @@ class EnvironmentMap:
         return found
 
     def irradiance(self, normal: Array) -> NDArray[np.float32]:
-        """Return what surfaces with unit normals (place, 3) get with nothing in the way, shape (place, band)."""
+        """Return the unoccluded irradiance of surfaces with unit normals (point, 3), shape (point, band)."""
         return _interpolate(
             self.irradiance_table, np.arccos(np.clip(normal[:, 2], -1.0, 1.0)) / np.pi, azimuth_turns(normal)
         )
 
 
 def environment_map(sky: Callable[[Array], Array]) -> EnvironmentMap:
-    """Return the dome of a sky: a function of unit directions (n, 3), z up, that gives radiance (band, n)."""
+    """Return the map of a sky: a function of unit directions (n, 3), z up, that gives radiance (band, n)."""
     height = np.linspace(0.0, 0.5 * np.pi, HEIGHTS + 1)
     azimuth = np.linspace(0.0, 2.0 * np.pi, AROUND + 1)
     table = np.asarray(sky(_directions(height, azimuth)), np.float32).T
@@ -61,7 +61,7 @@ def environment_map(sky: Callable[[Array], Array]) -> EnvironmentMap:
 
 
 def sphere(light: Callable[[Array], Array]) -> EnvironmentMap:
-    """Return light from all around, looked up as `irradiance`: a function of unit directions as for `environment_map`."""
+    """Tabulate a function of unit directions (n, 3) over the full sphere, for `EnvironmentMap.irradiance`."""
     table = np.asarray(light(_directions(*_normals())), np.float32).T
     tilts, turns = (len(axis) for axis in _normals())
     return EnvironmentMap(
@@ -75,9 +75,9 @@ def black(bands: int) -> EnvironmentMap:
 
 
 def _irradiance(table: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Add up the light of the table itself, as it is looked up, over all normals.
+    """Integrate the interpolated radiance table over the hemisphere of each normal.
 
-    Height is sampled by equal steps of its sine, so that each sample stands for the same solid angle.
+    Height is sampled in equal steps of its sine, so that all samples have the same solid angle.
     """
     bands = table.shape[2]
     if not table.any():
@@ -107,12 +107,12 @@ def _directions(height: Array, azimuth: Array) -> NDArray[np.float64]:
 
 
 def azimuth_turns(direction: Array) -> Array:
-    """Azimuth from east by north, in whole turns, 0 to 1."""
+    """Return the azimuth from east by north as a fraction of a turn, 0 to 1."""
     return fraction(np.arctan2(direction[:, 1], direction[:, 0]) / (2.0 * np.pi))
 
 
 def _interpolate(table: NDArray[np.float32], down: Array, across: Array) -> NDArray[np.float32]:
-    """Interpolate a table (row, col, band) linearly at shares of its height and width, shape (place, band)."""
+    """Interpolate a table (row, col, band) linearly at fractions of its height and width, shape (point, band)."""
     rows, columns, bands = table.shape
     row, col = down * (rows - 1), across * (columns - 1)
     top, left = np.minimum(row.astype(np.int64), rows - 2), np.minimum(col.astype(np.int64), columns - 2)
@@ -128,18 +128,18 @@ def _interpolate(table: NDArray[np.float32], down: Array, across: Array) -> NDAr
     return upper
 
 
-# Mean square of the radiance over the square of its mean, over the hemisphere, from which on it is worth the rays.
+# Sampling by brightness pays from this mean square over squared mean of the radiance over the hemisphere.
 UNEVEN = 2.0
 
 
 @dataclass(frozen=True)
 class SkyImportance:
-    """Chances of the cells between the entries of a dome's table, as the light that they hold.
+    """Sampling probabilities of the cells of the environment map, by their light.
 
     Parameters
     ----------
     cumulated
-        Chance that a draw falls on a cell up to each, height by height, shape (cell,).
+        Cumulative probability of the cells, height by height, shape (cell,).
     per_sr
         Density in each, sr-1, shape (height, azimuth).
     """
@@ -148,11 +148,11 @@ class SkyImportance:
     per_sr: NDArray[np.float64]
 
     @classmethod
-    def of(cls, dome: EnvironmentMap) -> "SkyImportance | None":
-        """Return the draw of a sky, or None where its light is so even that nothing is gained."""
-        if dome.dark:
+    def of(cls, environment: EnvironmentMap) -> "SkyImportance | None":
+        """Return the sampling probabilities of a sky, or None where it is too uniform to gain from them."""
+        if environment.dark:
             return None
-        corners = dome.radiance_table.sum(axis=2, dtype=np.float64)
+        corners = environment.radiance_table.sum(axis=2, dtype=np.float64)
         mean = 0.25 * (corners[:-1, :-1] + corners[1:, :-1] + corners[:-1, 1:] + corners[1:, 1:])
         sine = np.sin(np.linspace(0.0, 0.5 * np.pi, len(mean) + 1))
         cell_sr = np.broadcast_to(np.diff(sine)[:, None] * 2.0 * np.pi / mean.shape[1], mean.shape)
@@ -163,7 +163,7 @@ class SkyImportance:
         return cls(np.cumsum(chance.ravel()), chance / cell_sr)
 
     def draw(self, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
-        """Draw unit directions, evenly over the solid angle of each cell, shape (count, 3)."""
+        """Draw unit directions, uniform over the solid angle of each cell, shape (count, 3)."""
         heights, around = self.per_sr.shape
         cell = np.minimum(np.searchsorted(self.cumulated, rng.random(count), side="right"), self.per_sr.size - 1)
         sine = np.sin(np.linspace(0.0, 0.5 * np.pi, heights + 1))

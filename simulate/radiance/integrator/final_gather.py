@@ -1,9 +1,8 @@
-"""What places gather of the hemisphere around them: the sky that is open, what hides it, and what stands there.
+"""Final gather: sampling of the hemisphere at shading points.
 
-Gathering does not ask what the sky sends, for that is known without obstacles: it asks what obstacles change. A ray
-that meets nothing adds nothing, so that a place in the open has its exact light with no noise; a ray that meets an
-object adds what the object sends and takes away the sky behind it. Where little of the sky is open it is the other way
-round, see `Points.known`.
+The unoccluded sky irradiance is a control variate. A gather ray that meets nothing adds nothing, so that a point in the
+open has no noise; a ray that meets an object adds the object's radiance and subtracts the sky behind it. Where little
+of the sky is visible the fraction of the control variate is low, see `ShadingPoints`.
 """
 
 from collections.abc import Callable
@@ -30,7 +29,7 @@ Array = NDArray[np.floating]
 
 @dataclass(frozen=True)
 class Around:
-    """Rays that gather: their points, starts, directions, densities and factors, and what they meet."""
+    """Gather rays: their points, starts, directions, densities and factors, and their hits."""
 
     many: ShadingPoints
     start_m: Array
@@ -45,40 +44,42 @@ class Around:
     @property
     def has_pane_hits(self) -> NDArray[np.bool_]:
         """Whether rays met panes."""
-        return self._of_glass(np.zeros(len(self.direction), np.bool_), lambda glass: np.ones_like(glass.turned))
+        return self._of_glass(np.zeros(len(self.direction), np.bool_), lambda glass: np.ones_like(glass.is_reflected))
 
     @property
     def last_start_m(self) -> Array:
-        """Where the last legs of rays begin."""
+        """Starts of the last segments of rays."""
         return self._of_glass(self.start_m, lambda glass: glass.start_m)
 
     @property
     def last_direction(self) -> Array:
-        """Directions of the last legs of rays."""
+        """Directions of the last segments of rays."""
         return self._of_glass(self.direction, lambda glass: glass.direction)
 
     @property
-    def gone_m(self) -> Array:
-        """Ways before the last legs, m."""
-        return self._of_glass(np.zeros(len(self.direction)), lambda glass: glass.gone_m)
+    def earlier_length_m(self) -> Array:
+        """Path length before the last segments, m."""
+        return self._of_glass(np.zeros(len(self.direction)), lambda glass: glass.earlier_length_m)
 
     @property
-    def turned(self) -> NDArray[np.bool_]:
-        """Whether panes mirrored rays."""
-        return self._of_glass(np.zeros(len(self.direction), np.bool_), lambda glass: glass.turned)
+    def is_reflected(self) -> NDArray[np.bool_]:
+        """Whether panes reflected rays."""
+        return self._of_glass(np.zeros(len(self.direction), np.bool_), lambda glass: glass.is_reflected)
 
-    def weight(self, coats: BsdfSet, which: NDArray[np.int64]) -> NDArray[np.float32]:
+    def weight(self, bsdfs: BsdfSet, which: NDArray[np.int64]) -> NDArray[np.float32]:
         """Return BRDF times cosine over density and number of rays, of some rays, shape (ray, band)."""
-        weight = coats.value(self.many.some(which), self.direction[which])
+        weight = bsdfs.value(self.many.some(which), self.direction[which])
         weight *= self.factor[which, None].astype(np.float32)
         return weight
 
     def there(self, stage: SpectralScene) -> ShadingPoints:
-        """Return what the rays that met something met."""
-        return stage.points(self.hit, self.last_start_m, self.last_direction, self.met, self.many.known[self.met])
+        """Return the shading points of rays that hit a surface."""
+        return stage.points(
+            self.hit, self.last_start_m, self.last_direction, self.met, self.many.sky_control_fraction[self.met]
+        )
 
     def weaken(self, which: NDArray[np.int64], light: NDArray[np.float32]) -> None:
-        """Weaken the light of some rays (ray, band) by the panes that they met."""
+        """Attenuate the light of some rays (ray, band) by the panes that they met."""
         if self.glass is not None:
             _, among, here = np.intersect1d(self.glass.which, which, assume_unique=True, return_indices=True)
             light[here] *= self.glass.weight[among]
@@ -92,10 +93,10 @@ class Around:
 
 
 def sent(stage: SpectralScene, asked: ShadingRequest) -> Around:
-    """Send rays from places as they reflect, half of those of a gloss by it, and find what they meet."""
+    """Trace gather rays from points, half of those of glossy points by the specular lobe."""
     tracer, rays = stage.surfaces.tracer, asked.rays
     many = asked.points if rays == 1 else asked.points.some(np.repeat(np.arange(len(asked.points)), rays))
-    direction, density = stage.bsdfs.drawn(many, asked.stretches.pairs().reshape(-1, 2), asked.rng)
+    direction, density = stage.bsdfs.sample(many, asked.stretches.pairs().reshape(-1, 2), asked.rng)
     cosine = np.einsum("ij,ij->i", many.normal, direction)
     gives = (cosine > 0.0) & (density > 0.0)
     factor = np.divide(cosine, density * rays, out=np.zeros_like(cosine), where=gives)
@@ -120,32 +121,32 @@ def sent(stage: SpectralScene, asked: ShadingRequest) -> Around:
 
 
 def add_sky(stage: SpectralScene, asked: ShadingRequest, around: Around) -> None:
-    """Add the sky that gathering meets, and take what objects hide of the sky that is known."""
-    dome, hidden_sky, known = (
+    """Add the sky that gather rays meet, and subtract the occluded part of the control variate."""
+    environment, sky_shadowing, sky_control_fraction = (
         stage.lighting.environment_map,
-        asked.effort.hidden_sky,
-        np.repeat(asked.known, asked.rays),
+        asked.effort.sky_shadowing,
+        np.repeat(asked.sky_control_fraction, asked.rays),
     )
-    # Where panes are in the way, nothing is known of what comes by them, but all of the sky behind.
-    unknown = np.float32(1.0) - known * ~(around.has_pane_hits & hidden_sky)
+    # Behind panes the control variate does not apply to the transmitted light.
+    unknown = np.float32(1.0) - sky_control_fraction * ~(around.has_pane_hits & sky_shadowing)
     seen = np.flatnonzero(around.open & (unknown > 0.0))
     light = around.weight(stage.bsdfs, seen)
-    light *= dome.radiance(around.last_direction[seen])
+    light *= environment.radiance(around.last_direction[seen])
     light *= (unknown[seen] * _share(stage, asked, around, seen))[:, None]
     around.weaken(seen, light)
     asked.add_found("sky", seen, light)
     hides = (~around.open | around.has_pane_hits) & (around.factor > 0.0)
-    behind = np.flatnonzero(hides & (known > 0.0)) if hidden_sky else around.met[:0]
+    behind = np.flatnonzero(hides & (sky_control_fraction > 0.0)) if sky_shadowing else around.met[:0]
     light = around.weight(stage.bsdfs, behind)
-    light *= dome.radiance(around.direction[behind])
-    light *= (-known[behind] * _share(stage, asked, around, behind))[:, None]
+    light *= environment.radiance(around.direction[behind])
+    light *= (-sky_control_fraction[behind] * _share(stage, asked, around, behind))[:, None]
     asked.add_found("hidden sky", behind, light)
 
 
 def _share(
     stage: SpectralScene, asked: ShadingRequest, around: Around, which: NDArray[np.int64]
 ) -> NDArray[np.float32]:
-    """What gathering finds of the sky in its own directions, beside `add_bright_sky`, shape (ray,)."""
+    """Balance-heuristic weight of gather rays against `add_bright_sky`, shape (ray,)."""
     bright = stage.bright_sky
     if bright is None:
         return np.ones(len(which), np.float32)
@@ -154,20 +155,29 @@ def _share(
 
 
 def add_bright_sky(stage: SpectralScene, asked: ShadingRequest) -> None:
-    """Add the share of the sky that is looked for by name, one ray from each point (balance heuristic, Veach 1995).
+    """Add the importance-sampled part of the sky, one ray from each point (balance heuristic, Veach 1995).
 
-    What gathering counts of a free or a hidden direction counts here too: the unknown, or less the known.
+    Visible and occluded directions count as for gather rays: 1 minus, or minus, the control-variate fraction.
     """
-    bright, points, hidden_sky, known = stage.bright_sky, asked.points, asked.effort.hidden_sky, asked.known
+    bright, points, sky_shadowing, sky_control_fraction = (
+        stage.bright_sky,
+        asked.points,
+        asked.effort.sky_shadowing,
+        asked.sky_control_fraction,
+    )
     if bright is None:
         return
-    asks = (known < 1.0) | hidden_sky
+    asks = (sky_control_fraction < 1.0) | sky_shadowing
     towards = bright.draw(len(points), asked.rng)
     cosine = np.einsum("ij,ij->i", points.normal, towards)
     which = np.flatnonzero(asks & (cosine > 0.0))
     some, towards = points.some(which), towards[which]
     hidden = direct_lighting.is_occluded(points, which, towards, stage.surfaces.tracer, None)
-    counts = (1.0 - known[which] - hidden) if hidden_sky else np.where(hidden, 0.0, 1.0 - known[which])
+    counts = (
+        (1.0 - sky_control_fraction[which] - hidden)
+        if sky_shadowing
+        else np.where(hidden, 0.0, 1.0 - sky_control_fraction[which])
+    )
     density = asked.rays * stage.bsdfs.density(some, towards) + bright.density(towards)
     light = stage.bsdfs.value(some, towards)
     light *= (counts * cosine[which] / density).astype(np.float32)[:, None]
@@ -177,7 +187,7 @@ def add_bright_sky(stage: SpectralScene, asked: ShadingRequest) -> None:
 
 
 def add_by_batches(stage: SpectralScene, asked: ShadingRequest, further: Further) -> None:
-    """Add what the hemisphere holds besides the open sky."""
+    """Add indirect light on any surface, in batches of rays."""
     around = sent(stage, asked)
     if not stage.lighting.environment_map.dark:
         add_sky(stage, asked, around)
@@ -202,18 +212,18 @@ def _add_glow(
         return
     ray = around.met[glows]
     leaving = np.einsum("ij,ij->i", there.normal[glows], -around.last_direction[ray])
-    way = around.hit.range_m[ray] + around.gone_m[ray]
+    way = around.hit.range_m[ray] + around.earlier_length_m[ray]
     share = direct_lighting.gather_mis_weight(panels, there.face[glows], way, leaving, around.density[ray], asked.rays)
-    # What panes mirror is found by gathering alone.
-    share = np.where(around.turned[ray], 1.0, share)
+    # Only gather rays sample light reflected by panes.
+    share = np.where(around.is_reflected[ray], 1.0, share)
     asked.add_found("glow", ray, glow * share.astype(np.float32)[:, None] * weight[glows])
 
 
 def _add_bounced(
     asked: ShadingRequest, there: ShadingPoints, met: NDArray[np.int64], weight: NDArray[np.float32], further: Further
 ) -> None:
-    roulette_from = asked.effort.roulette_from
-    if roulette_from is not None and asked.depth >= roulette_from:
+    roulette_depth = asked.effort.roulette_depth
+    if roulette_depth is not None and asked.depth >= roulette_depth:
         chance = np.clip(weight.mean(axis=1) * asked.rays, LEAST_CHANCE, MOST_CHANCE)
         stays = np.flatnonzero(asked.rng.random(len(met)) < chance)
         there, met, weight = there.some(stays), met[stays], weight[stays] / chance[stays, None]
@@ -226,28 +236,28 @@ def _add_bounced(
 
 
 def add_by_paths(stage: SpectralScene, asked: ShadingRequest, further: Further) -> None:
-    """Add what matt points gather."""
+    """Add indirect light on diffuse points by the compiled path tracer, which defers what is not diffuse."""
     points, effort, light = asked.points, asked.effort, stage.lighting
     last = not asked.reflections and light.panels is None
-    if last and (not effort.hidden_sky or light.environment_map.dark):
+    if last and (not effort.sky_shadowing or light.environment_map.dark):
         return
-    # Rays of neighbours that are even together find the whole sky themselves where only its shadow counts.
+    # Low-discrepancy rays of neighbouring points sample the sky well enough where only its shadowing is computed.
     bright = None if asked.even is not None and last else stage.bright_sky
     even = asked.stretches
     if bright is None and last:
         found = sky_residual_irradiance(points, even, light.environment_map, stage.surfaces.tracer)
-        asked.parts.add("sky", asked.rows, found * stage.bsdfs.matt(points))
+        asked.parts.add("sky", asked.rows, found * stage.bsdfs.diffuse_brdf(points))
         return
     if bright is not None:
         add_bright_sky(stage, asked)
     found, back = plain(stage, effort, bright).irradiance(
         points,
         even,
-        known=asked.known,
-        hidden_sky=effort.hidden_sky,
+        sky_control_fraction=asked.sky_control_fraction,
+        sky_shadowing=effort.sky_shadowing,
         depth=asked.depth,
-        bounces=effort.bounces,
-        roulette_from=effort.roulette_from,
+        max_bounces=effort.max_bounces,
+        roulette_depth=effort.roulette_depth,
         asked_lamps=ASKED_LAMPS,
         seed=int(asked.rng.integers(1 << 63)),
     )
@@ -255,24 +265,28 @@ def add_by_paths(stage: SpectralScene, asked: ShadingRequest, further: Further) 
         these = np.flatnonzero(back.depth == behind)
         owner = back.owner[these]
         there = stage.bsdfs.points(
-            stage.surfaces, back.face[these], back.place_m[these], back.direction[these], points.known[owner]
+            stage.surfaces,
+            back.face[these],
+            back.place_m[these],
+            back.direction[these],
+            points.sky_control_fraction[owner],
         )
         np.add.at(found, owner, further(there, behind).total() * back.weight[these])
-    asked.parts.add("around", asked.rows, found * stage.bsdfs.matt(points))
+    asked.parts.add("around", asked.rows, found * stage.bsdfs.diffuse_brdf(points))
 
 
 def plain(stage: SpectralScene, effort: IntegratorSettings, bright: SkyImportance | None) -> CompiledScene:
-    """Return the scene as compiled loops need it."""
+    """Return the scene in the form of the compiled loops."""
     light = stage.lighting
-    shine = np.array([lamp.name not in effort.left_out for lamp in light.lamps], np.bool_)
+    shine = np.array([lamp.name not in effort.neglected for lamp in light.lamps], np.bool_)
     return CompiledScene(
         tracer=stage.surfaces.tracer,
         material_of=stage.surfaces.material_of,
         rho_by_pi=stage.bsdfs.rho_by_pi,
-        matt=np.array([isinstance(brdf, Lambert) for brdf in stage.bsdfs.brdfs]),
+        is_diffuse=np.array([isinstance(brdf, Lambert) for brdf in stage.bsdfs.brdfs]),
         sky=sky_arrays(light.environment_map, bright),
-        discs=disc_arrays(effort.kept(light.discs), stage.bands),
-        lamps=lamp_arrays(effort.kept(light.lamps), stage.bands),
+        discs=disc_arrays(effort.active_lights(light.discs), stage.bands),
+        lamps=lamp_arrays(effort.active_lights(light.lamps), stage.bands),
         panels=panel_arrays(light.panels, stage.bands),
         beams=stage.beams.arrays(light.lamps, shine),
     )

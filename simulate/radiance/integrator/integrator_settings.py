@@ -1,4 +1,4 @@
-"""How far light is followed."""
+"""Integrator settings: which light paths are followed, and the threads that follow them."""
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
-# More lamps than this are not all asked at places that an eye does not see: one is drawn.
+# With more lamps than this, points that the camera does not see sample one lamp at random.
 ASKED_LAMPS = 2
 
 
@@ -24,51 +24,51 @@ Light = TypeVar("Light", bound=Named)
 
 @dataclass(frozen=True, kw_only=True)
 class IntegratorSettings:
-    """How far light is followed.
+    """Which light paths are followed.
 
     Parameters
     ----------
-    bounces
-        Reflections by other objects on the way from a source to the surface that the eye sees; what would need more is
-        left out, so that the picture is never too bright.
-    hidden_sky
-        Whether objects hide the sky from surfaces; without, and without bounces, nothing is gathered.
-    air_between
-        Whether air weakens light between lamps and the surfaces that the eye sees.
-    left_out
-        Names of lamps and discs without influence.
-    roulette_from
-        From this bounce on a path goes on with a chance only, and counts for more; None: never.
+    max_bounces
+        Most reflections by other surfaces between a source and the surface that the camera sees. Longer paths are
+        neglected, so that the bias is never positive.
+    sky_shadowing
+        Whether objects occlude the sky; without this and without bounces there is no final gather.
+    path_air
+        Whether air attenuates light between lamps and the surfaces that the camera sees.
+    neglected
+        Names of neglected lamps and discs.
+    roulette_depth
+        First bounce with Russian roulette; None: never.
     """
 
-    bounces: int = 1
-    hidden_sky: bool = True
-    air_between: bool = True
-    left_out: frozenset[str] = frozenset()
-    roulette_from: int | None = None
+    max_bounces: int = 1
+    sky_shadowing: bool = True
+    path_air: bool = True
+    neglected: frozenset[str] = frozenset()
+    roulette_depth: int | None = None
 
     @property
     def gathers(self) -> bool:
-        """Whether anything is gathered at all."""
-        return self.hidden_sky or self.bounces > 0
+        """Whether there is a final gather."""
+        return self.sky_shadowing or self.max_bounces > 0
 
-    def kept(self, lights: tuple[Light, ...]) -> tuple[Light, ...]:
-        """Return the lights that have influence."""
-        return tuple(light for light in lights if light.name not in self.left_out)
+    def active_lights(self, lights: tuple[Light, ...]) -> tuple[Light, ...]:
+        """Return the lights that are not neglected."""
+        return tuple(light for light in lights if light.name not in self.neglected)
 
 
-# Does the same to several things, and gives the results in their order.
+# Applies a function to a list of jobs, and yields the results in their order.
 Run = Callable[[Callable[[Any], Any], list[Any]], Iterator[Any]]
 
 
 def one_by_one(do: Callable[[Any], Any], things: list[Any]) -> Iterator[Any]:
-    """Do them here, one after the other."""
+    """Run jobs one after the other."""
     return map(do, things)
 
 
 @contextmanager
 def workers(threads: int) -> Iterator[Run]:
-    """Give a way to do jobs in so many threads; they end with the block."""
+    """Yield a runner with `threads` threads, which end with the block."""
     if threads < 2:
         yield one_by_one
         return

@@ -1,11 +1,10 @@
-"""What matt surfaces gather, shared between the pixels of a picture instead of sought anew by every ray.
+"""Irradiance cache of diffuse surfaces: computed at nodes of the frame, smoothed and interpolated.
 
-Light from all around changes slowly along a surface. It is gathered at nodes, one for four pixels or, finely, one for
-each and from places all over it, by two halves of rays that know nothing of each other, less what an open sky would
-give, which is known exactly. Each half is evened out by planes fitted to windows; the window of a node is the one whose
-fit of either half best foretells the other half nearby. So contact shadows keep their shape, wide walls lose their
-noise, and what is still missed is known: where it is more than allowed, more rays are sent, as many as their spread
-asks for. What windows that follow the noise lose of the whole is put back evenly.
+Indirect irradiance varies slowly along a surface. Nodes, one for four pixels or one for each, gather it in two
+independent halves of rays, minus the unoccluded sky irradiance, which is exact. Each half is smoothed by local plane
+fits; the window of a node is the one in which each half best predicts the other. Contact shadows thus keep their shape
+while large walls lose their noise, and the prediction error is an error estimate: nodes above the limit gather more
+rays. The mean that noise-dependent windows lose is restored with the largest window (twicing).
 """
 
 from collections.abc import Callable
@@ -24,35 +23,35 @@ from simulate.radiance.integrator.shading_points import ShadingPoints
 from simulate.radiance.integrator.spectral_scene import SpectralScene
 
 Array = NDArray[np.floating]
-# Pixels between nodes; and where each pixel is one, places of it that rays are sent from at least, and rays of each at
-# most: what a pixel sees in shadow's edge is known no better than by so many places.
+# Pixels between nodes. Where each pixel is a node: least ray origins in it, and most rays from each, because the number
+# of origins limits the accuracy in a penumbra.
 STEP, PLACES, RAYS_A_PLACE = 2, 4, 8
-# Halves of the windows that are tried, nodes.
+# Candidate half widths of the smoothing window, nodes.
 WIDTHS = (0, 1, 2, 4, 8)
-# Nodes on either side over which a window's success is judged, and what single rays may find where none did so far.
+# Half widths, nodes, over which the prediction error and the single-ray variance are averaged.
 JUDGED, PROMISED = 2, 8
-# Nodes send rays in so many turns at most, and in each so many times as many as they have sent.
+# Most turns of gather rays, and largest growth of a node's rays in a turn.
 TURNS, GROWTH = 6, 8
-# Rays that are followed at once.
+# Rays traced in one batch.
 BATCH = 64_000
 
 
 @dataclass(frozen=True, kw_only=True)
 class IrradianceCache:
-    """Light that matt surfaces in a picture get from around, lamps and discs left out.
+    """Irradiance of diffuse surfaces in a frame, without lamps and discs.
 
     Parameters
     ----------
     stage
         The scene.
     nodes
-        Where it is known.
+        Points at which it is computed.
     change
-        What surroundings change of the irradiance of an open sky, shape (row, col, band), W m-2 nm-1.
+        Irradiance minus that of an unoccluded sky, shape (row, col, band), W m-2 nm-1.
     variance
-        Estimated square of the error of its signal, for a surface that reflects all light, shape (row, col).
+        Estimated squared error of the signal of a white surface, shape (row, col).
     rays
-        Rays that each node sent, shape (row, col).
+        Gather rays of each node, shape (row, col).
     fine
         Whether each pixel is a node.
     """
@@ -65,18 +64,18 @@ class IrradianceCache:
     fine: bool = False
 
     def at(self, points: ShadingPoints, row: Array, col: Array) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-        """Return which points can share, and the irradiance that they get, shape (sharing point, band).
+        """Return which points have a cached irradiance, and that irradiance, shape (cached point, band).
 
         Parameters
         ----------
         points
-            Places that rays meet.
+            Points that rays meet.
         row, col
-            Coordinates of those rays in the picture, shape (point,), whole numbers at the corners of pixels.
+            Image coordinates of those rays, shape (point,), integers at the corners of pixels.
         """
         at = (np.floor(row), np.floor(col)) if self.fine else (row / STEP - 0.5, col / STEP - 0.5)
         light, has = self.nodes.between(self.change, *at, points.place_m, points.normal)
-        shares = np.flatnonzero(has & points.matt)
+        shares = np.flatnonzero(has & points.is_diffuse)
         light = light[shares]
         if not self.stage.lighting.environment_map.dark:
             light += self.stage.lighting.environment_map.irradiance(points.normal[shares])
@@ -87,43 +86,42 @@ def build_irradiance_cache(
     stage: SpectralScene,
     view: Viewpoint,
     effort: IntegratorSettings,
-    known: Array,
+    sky_control_fraction: Array,
     *,
     rays: int,
-    most: int,
-    allowed: Callable[[Array], Array] | None,
+    max_rays: int,
+    error_limit: Callable[[Array], Array] | None,
     weight: Array,
     seed: int,
     run: Run,
     fine: bool = False,
 ) -> IrradianceCache:
-    """Return the light that the surfaces of a picture gather.
+    """Return the irradiance cache of a frame.
 
     Parameters
     ----------
     stage, view, effort
-        The scene, the camera, and how far light is followed.
-    known
+        Scene, camera and integrator settings.
+    sky_control_fraction
         Share of the open sky that is taken as known, see `ShadingPoints.known`, shape (row, col).
-    rays, most
-        Rays of each node at first, and at most.
-    allowed
-        Variance that a pixel's signal may have, by its signal: over the nodes, variances over this are 1 in the mean.
-        None: no node gets more rays.
+    rays, max_rays
+        First and most rays of each node.
+    error_limit
+        Allowed variance of a pixel's signal, as a function of the signal: the mean of variance over limit is 1 over the
+        nodes. None: no node gets more rays.
     weight
         Signal of each band's radiance, shape (band,).
     seed, run
-        Seed, and what does parts of the work.
+        Seed, and the runner of jobs.
     fine
-        Whether each pixel is a node, which sends its rays from places all over the pixel: for shadows narrower than
-        two pixels.
+        Whether each pixel is a node with ray origins spread over the pixel: for shadows narrower than two pixels.
     """
     step = 1 if fine else STEP
-    seen = _trace_nodes(stage, view, known, step)
-    white = seen.points.whitened()
+    seen = _trace_nodes(stage, view, sky_control_fraction, step)
+    white = seen.points.on_white_surface()
     places = _Places(stage, view, seen, white, fine)
     grid = Nodes.of(seen.row, seen.col, seen.shape, white.place_m, white.normal, white.face)
-    budget = None if allowed is None else _Budget.of(stage, seen.points, effort, allowed, weight)
+    budget = None if error_limit is None else _Budget.of(stage, seen.points, effort, error_limit, weight)
     light = np.zeros((2, len(white), stage.bands), np.float32)
     sent, half, turn = np.zeros(len(white), np.int64), np.full(len(white), max(rays // 2, 1)), 0
     while True:
@@ -141,7 +139,7 @@ def build_irradiance_cache(
         if budget is None or turn == TURNS:
             break
         excess = budget.excess(smooth[seen.row, seen.col], variance[seen.row, seen.col])
-        half = _further(grid, excess, sent, most // 2)
+        half = _further(grid, excess, sent, max_rays // 2)
         if not half.any():
             break
     change = _smooth(grid, grid.spread(light.mean(axis=0)), width, run)
@@ -152,7 +150,7 @@ def build_irradiance_cache(
 
 @dataclass(frozen=True)
 class _NodePoints:
-    """Points on matt surfaces, and the rows and columns of the nodes that see them."""
+    """Points on diffuse surfaces, and the rows and columns of their nodes."""
 
     points: ShadingPoints
     row: NDArray[np.int64]
@@ -160,22 +158,24 @@ class _NodePoints:
     shape: tuple[int, int]
 
 
-def _trace_nodes(stage: SpectralScene, view: Viewpoint, known: Array, step: int) -> _NodePoints:
-    """Look along the middles of nodes."""
+def _trace_nodes(stage: SpectralScene, view: Viewpoint, sky_control_fraction: Array, step: int) -> _NodePoints:
+    """Trace the centres of nodes."""
     shape = (-(-view.shape[0] // step), -(-view.shape[1] // step))
     row, col = (axis.ravel() for axis in np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"))
     origin, towards = view.rays(step * (row + 0.5), step * (col + 0.5))
     hit = stage.surfaces.tracer.hits(origin, towards)
     met = hit.met
-    share = known[np.minimum(step * row[met], view.shape[0] - 1), np.minimum(step * col[met], view.shape[1] - 1)]
+    share = sky_control_fraction[
+        np.minimum(step * row[met], view.shape[0] - 1), np.minimum(step * col[met], view.shape[1] - 1)
+    ]
     points = stage.points(hit, origin, towards, met, share)
-    kept = np.flatnonzero(points.matt)
+    kept = np.flatnonzero(points.is_diffuse)
     return _NodePoints(points.some(kept), row[met[kept]], col[met[kept]], shape)
 
 
 @dataclass(frozen=True)
 class _Places:
-    """Where nodes, given by their numbers, send rays from: their middles or, finely, places all over their pixels."""
+    """Ray origins of nodes: their centres or, for fine nodes, points spread over their pixels."""
 
     stage: SpectralScene
     view: Viewpoint
@@ -184,11 +184,11 @@ class _Places:
     fine: bool
 
     def each(self, rays: int) -> int:
-        """How many places so many rays of a node come from."""
+        """Return the number of origins of a node's rays."""
         return gcd(rays, max(PLACES, rays // RAYS_A_PLACE)) if self.fine else 1
 
     def of(self, nodes: NDArray[np.int64], each: int, rng: np.random.Generator) -> ShadingPoints:
-        """Return so many places of some nodes, one node after the other; the middle where another surface is met."""
+        """Return `each` origins of some nodes, node by node; the centre where another surface is met."""
         start = rng.random((2, len(nodes), 1))
         nodes = np.repeat(nodes, each)
         middle = self.white.some(nodes)
@@ -209,9 +209,9 @@ class _Places:
 
 @dataclass(frozen=True)
 class _Budget:
-    """How far the signal of nodes may err: their own reflectance and direct light decide."""
+    """Error limit of the nodes' signal, from their reflectance and direct light."""
 
-    allowed: Callable[[Array], Array]
+    error_limit: Callable[[Array], Array]
     reflected: Array
     besides: Array
 
@@ -221,55 +221,55 @@ class _Budget:
         stage: SpectralScene,
         points: ShadingPoints,
         effort: IntegratorSettings,
-        allowed: Callable[[Array], Array],
+        error_limit: Callable[[Array], Array],
         weight: Array,
     ) -> "_Budget":
-        # Of light as white as the weights, as the field's errors are stated.
-        reflected = stage.bsdfs.matt(points) @ weight / max(float(weight.sum()), 1e-30)
+        # Mean reflectance over the sensor's weights, in which the cache's errors are stated.
+        reflected = stage.bsdfs.diffuse_brdf(points) @ weight / max(float(weight.sum()), 1e-30)
         sky = (
             0.0
             if stage.lighting.environment_map.dark
             else stage.lighting.environment_map.irradiance(points.normal) @ weight
         )
         direct = lamp_and_disc_radiance(stage, points, effort, np.random.default_rng(0)).total() @ weight
-        return cls(allowed, reflected, direct + reflected * sky)
+        return cls(error_limit, reflected, direct + reflected * sky)
 
     def excess(self, change: Array, variance: Array) -> Array:
-        """Return the variances of nodes over what is allowed, for changes of their irradiance's signal."""
+        """Return the variances of nodes over their limit, given the signal of their irradiance change."""
         signal = np.maximum(self.besides + self.reflected * change, 0.0)
-        spread, limit = self.reflected**2 * variance, self.allowed(signal)
-        # What came out dark and is allowed nothing asks for nothing: no rays would do.
+        spread, limit = self.reflected**2 * variance, self.error_limit(signal)
+        # Where the limit is zero, as in the dark, no number of rays reaches it: none are requested.
         return np.divide(spread, limit, out=np.zeros_like(spread), where=limit > 0.0)
 
 
-def _further(grid: Nodes, excess: Array, sent: NDArray[np.int64], most: int) -> NDArray[np.int64]:
-    """How many rays more each node sends, a power of two or none.
+def _further(grid: Nodes, excess: Array, sent: NDArray[np.int64], max_rays: int) -> NDArray[np.int64]:
+    """Return the additional rays of each node, a power of two or zero.
 
     Parameters
     ----------
     grid
         The nodes.
     excess
-        Variance of each node over what is allowed, shape (node,).
-    sent, most
-        Rays that it has sent, shape (node,), and may send in all.
+        Variance of each node over its limit, shape (node,).
+    sent, max_rays
+        Rays of each node so far, shape (node,), and most rays.
 
     Notes
     -----
-    n as the root of the variance v of single rays brings the mean of v/n to 1 by the fewest rays (Neyman, 1934). What a
-    few rays tell of v is not trusted for more than `GROWTH` times as many. What the most rays could not mend, as where
-    light comes by way of a place that a lamp almost touches, is not made up for by others. A node whose rays met
-    nothing rare expects what nodes around it expect on average.
+    n proportional to the root of the single-ray variance v brings the mean of v/n to 1 with the fewest rays (Neyman,
+    1934). The estimate of v from few rays is used for at most `GROWTH` times as many. The excess of nodes at the limit
+    of rays is not compensated by other nodes. A node uses at least the mean variance of its neighbourhood, because its
+    rays may have missed rare bright light.
     """
-    # Sums that run along the picture leave a hair below zero where nothing varies.
-    single = np.clip(excess * sent, 0.0, most)
+    # Running sums leave small negative values where nothing varies.
+    single = np.clip(excess * sent, 0.0, max_rays)
     single = np.maximum(single, grid.near(grid.spread(single), PROMISED)[grid.row, grid.col])
     if not sent.size or (single / sent).mean() <= 1.0:
         return np.zeros_like(sent)
-    wanted = np.minimum(np.sqrt(single) * np.sqrt(single).mean(), np.minimum(GROWTH * sent, most))
+    wanted = np.minimum(np.sqrt(single) * np.sqrt(single).mean(), np.minimum(GROWTH * sent, max_rays))
     more = wanted - sent
     step = 2 ** np.round(np.log2(np.maximum(more, 1.0))).astype(np.int64)
-    return np.where(more >= 0.5 * sent, np.where(sent + step > most, step // 2, step), 0)
+    return np.where(more >= 0.5 * sent, np.where(sent + step > max_rays, step // 2, step), 0)
 
 
 def _gather(
@@ -281,7 +281,7 @@ def _gather(
     seed: list[int],
     run: Run,
 ) -> NDArray[np.float32]:
-    """Gather at nodes: what surroundings change of an open sky's irradiance, shape (node, band)."""
+    """Gather at nodes: irradiance minus that of an unoccluded sky, shape (node, band)."""
     sky, places = stage.lighting.environment_map, start_from.each(even.rays)
 
     def gather_part(start: int) -> NDArray[np.float32]:
@@ -300,33 +300,32 @@ def _gather(
 
 
 def _smooth(grid: Nodes, values: NDArray[np.float32], width: NDArray[np.int64], run: Run) -> NDArray[np.float32]:
-    """Return values of nodes evened out over their windows, and what that loses of the whole put back evenly.
+    """Return values of nodes smoothed over their windows, plus the smoothed residual.
 
     Notes
     -----
-    Windows chosen by noisy values keep away from what only few rays find: it would count for too few nodes. The mean of
-    what is lost, over windows that no noise chose, is as noisy as the widest fit and knows no such choice (twicing,
-    Tukey 1977).
+    Windows chosen from noisy values avoid rare bright light, which biases the mean. The residual, smoothed over the
+    largest window, restores it (twicing, Tukey 1977).
     """
-    evened = grid.fitted(values, width, run).astype(np.float32)
-    evened += grid.fitted(values - evened, np.full(width.shape, WIDTHS[-1]), run)
+    evened = grid.smooth(values, width, run).astype(np.float32)
+    evened += grid.smooth(values - evened, np.full(width.shape, WIDTHS[-1]), run)
     return evened
 
 
 def _windows(
     grid: Nodes, signals: NDArray[np.float64], run: Run
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-    """Choose each node's window by how well either half foretells the other; the square of what is missed; the fit.
+    """Choose each node's window by cross-validation of the two halves; return it, its squared error and the fit.
 
     Notes
     -----
-    (A - B)^2 / 2 is the variance of a half; a fit of A misses B by its own error and by B's noise. Both halves together
-    have half of the noise, which is most of what is missed; never less than the noise that so many nodes leave.
+    (A - B)^2 / 2 is the variance of a half; a fit of A deviates from B by its error and by B's noise. The mean of both
+    halves has half of the error, and at least the noise of a mean over the window.
     """
     noise = grid.near(0.5 * (signals[..., 0] - signals[..., 1]) ** 2, JUDGED)
     best, width, fit = np.full(noise.shape, np.inf), np.zeros(noise.shape, np.int64), np.zeros(noise.shape)
     for half_width in WIDTHS:
-        smooth = grid.fitted(signals, np.full(noise.shape, half_width), run) if half_width else signals
+        smooth = grid.smooth(signals, np.full(noise.shape, half_width), run) if half_width else signals
         missed = grid.near(0.5 * ((smooth - signals[..., ::-1]) ** 2).sum(axis=-1), JUDGED) - noise
         better = missed < best
         best[better], width[better], fit[better] = missed[better], half_width, smooth[better].mean(axis=-1)

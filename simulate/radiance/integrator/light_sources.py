@@ -1,4 +1,4 @@
-"""What lights a scene, on the bands that are computed: lamps, discs of sun and moon, glowing surfaces, and the sky."""
+"""Light sources on the bands of a rendering: sky, lamps, discs of sun and moon, and emitting surfaces."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,40 +16,40 @@ Array = NDArray[np.floating]
 
 @dataclass(frozen=True)
 class LampPattern:
-    """Where a lamp shines.
+    """Intensity distribution of a lamp in the scene.
 
     Parameters
     ----------
     distribution
-        Share of its light per solid angle, in its own frame.
+        Fraction of its light per solid angle, in the lamp's frame.
     frame
-        That frame's axes in the scene's, as rows, shape (3, 3).
+        Axes of that frame in scene coordinates, as rows, shape (3, 3).
     """
 
     distribution: Distribution
     frame: NDArray[np.float64]
 
     def __call__(self, direction: Array) -> Array:
-        """Return the share per sr in unit directions (ray, 3) away from the lamp, shape (ray,)."""
+        """Return the fraction per sr in unit directions (ray, 3) away from the lamp, shape (ray,)."""
         return self.distribution.per_sr(direction @ self.frame.T)
 
 
 @dataclass(frozen=True, kw_only=True)
 class LampLight:
-    """A small lamp: a ball that shines into directions as its pattern says.
+    """A small spherical lamp with an intensity distribution.
 
     Parameters
     ----------
     name
         Its name.
     position_m
-        Its middle, shape (3,), m.
+        Its centre, shape (3,), m.
     radius_m
-        Radius of the ball, m; shadows are as soft as that.
+        Radius of the sphere, m; it sets the width of penumbrae.
     spectrum
         Radiant flux, shape (band,), W nm-1.
     pattern
-        Where it goes.
+        Its intensity distribution.
     """
 
     name: str
@@ -68,11 +68,11 @@ class DiscLight:
     name
         "sun" or "moon".
     direction
-        Unit direction to its middle, shape (3,).
+        Unit direction to its centre, shape (3,).
     angular_radius_rad
         Radius, rad.
     irradiance
-        Irradiance of a surface that faces it, shape (band,), W m-2 nm-1.
+        Irradiance at normal incidence, shape (band,), W m-2 nm-1.
     """
 
     name: str
@@ -83,7 +83,7 @@ class DiscLight:
 
 @dataclass(frozen=True)
 class Panels:
-    """Glowing triangles, equally bright from everywhere on their outer side.
+    """Emitting triangles, Lambertian on their outer side.
 
     Parameters
     ----------
@@ -92,13 +92,13 @@ class Panels:
     corners_m, normal
         Their corners, shape (panel, 3, 3), m, and unit normals, shape (panel, 3).
     spectra
-        Radiance of each kind of glow, shape (kind, band), W m-2 sr-1 nm-1.
+        Radiance of each kind of emitter, shape (kind, band), W m-2 sr-1 nm-1.
     kind_of_face
-        Kind of glow of each triangle of the scene, -1 for none, shape (face,).
+        Kind of emitter of each triangle of the scene, -1 for none, shape (face,).
     per_m2_of_face
-        Chance that a draw falls on a square metre of each triangle of the scene, shape (face,), m-2.
+        Sampling density on each triangle of the scene, shape (face,), m-2.
     cumulated
-        Chance that a draw falls on a panel up to each, shape (panel,).
+        Cumulative probability of the panels, shape (panel,).
     """
 
     face: NDArray[np.int64]
@@ -110,7 +110,7 @@ class Panels:
     cumulated: NDArray[np.float64]
 
     def draw(self, count: int, rng: np.random.Generator) -> tuple[NDArray[np.int64], Array]:
-        """Draw panels, by their power, and a place on each, evenly: numbers (count,) and places (count, 3), m."""
+        """Draw panels by power and a uniform point on each: indices (count,) and positions (count, 3), m."""
         panel = np.minimum(np.searchsorted(self.cumulated, rng.random(count), side="right"), len(self.face) - 1)
         root, v = np.sqrt(rng.random(count))[:, None], rng.random(count)[:, None]
         a, b, c = (self.corners_m[panel, i] for i in range(3))
@@ -119,7 +119,7 @@ class Panels:
 
 @dataclass(frozen=True, kw_only=True)
 class Lighting:
-    """All light of a scene.
+    """All light sources of a scene.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ class Lighting:
     lamps, discs
         Lamps; sun and moon.
     panels
-        Glowing surfaces, or None.
+        Emitting surfaces, or None.
     """
 
     environment_map: EnvironmentMap
@@ -138,7 +138,7 @@ class Lighting:
 
     @cached_property
     def bright_sky(self) -> SkyImportance | None:
-        """How directions are drawn by the sky's light; None where it is even."""
+        """Importance sampling of the sky; None where it is nearly uniform."""
         return SkyImportance.of(self.environment_map)
 
     @property
@@ -148,14 +148,14 @@ class Lighting:
 
 
 def panels_of(surfaces: Surfaces, kind_of_face: NDArray[np.int64], spectra: NDArray[np.float32]) -> Panels | None:
-    """Return the glowing triangles of surfaces, or None where nothing glows.
+    """Return the emitting triangles of surfaces, or None without any.
 
     Parameters
     ----------
     surfaces
         All surfaces.
     kind_of_face
-        Kind of glow of each triangle, -1 for none, shape (face,).
+        Kind of emitter of each triangle, -1 for none, shape (face,).
     spectra
         Radiance of each kind, shape (kind, band), W m-2 sr-1 nm-1.
     """

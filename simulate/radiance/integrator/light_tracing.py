@@ -1,9 +1,9 @@
-"""Places that lamps light, drawn by the lamps' own light: gathering seldom finds the patch behind a lamp on a wall.
+"""Light tracing: paths started at lamps, for small bright patches that gather rays seldom meet.
 
-A ray is sent from a lamp as it shines, and what it meets is asked whether the place that gathers sees it. Gathering
-finds the same patches, and both share what they send (balance heuristic of Veach and Guibas, 1995), so that neither a
-patch that a lamp almost touches nor one next to the place makes bright specks. It costs two to three rays for each
-that gathers, and is done only for lamps whose light it finds much more surely.
+A ray leaves the lamp by its intensity distribution; the surface that it hits is connected to the gathering point.
+Gather rays sample the same patches, and both are combined by the balance heuristic (Veach and Guibas, 1995), so that
+neither a patch close to the lamp nor one close to the point causes bright outliers. It costs two to three rays for each
+gather ray and is used only for lamps for which it reduces the variance strongly.
 """
 
 from dataclasses import dataclass
@@ -30,23 +30,23 @@ from simulate.radiance.integrator.light_sources import LampLight
 from simulate.radiance.integrator.path_states import set_ray_start, uniform
 from simulate.radiance.integrator.shading_points import shading_frames
 
-# A lamp's directions are drawn from so many rings about its axis, each of which holds as much of its light.
+# Rings of equal light about a lamp's axis, from which directions are drawn; samples in both angles that define them.
 RINGS, ANGLES, AROUND = 64, 2000, 24
-# Rays that tell how well gathering finds a lamp's light. It is worth the rays where they would find so large a share of
-# it, or where gathering's values would scatter so many times as much (in their square).
+# Test rays that decide whether a lamp is light-traced: if light tracing would sample this fraction of its light, or if
+# the mean square of the gather estimate is this many times larger.
 TRIED, SHARE, GAIN = 512, 0.7, 20.0
-# What light would find less of than this share is left to gathering alone, and costs it no ray.
+# Below this weight only gather rays sample the light, which saves a shadow ray.
 LEAST = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
 class LightTracingSettings:
-    """How rays are drawn as lamps shine.
+    """Sampling of lamp directions by intensity.
 
     Parameters
     ----------
     worth
-        Whether each lamp is worth it, shape (lamp,).
+        Whether each lamp is light-traced, shape (lamp,).
     falls
         1 less the cosines between rings about the lamps' axes, ascending, shape (lamp, ring + 1).
     """
@@ -56,13 +56,13 @@ class LightTracingSettings:
 
     @classmethod
     def of(cls, lamps: tuple[LampLight, ...], tracer: RayTracer) -> "LightTracingSettings":
-        """Return the draws of lamps among surfaces."""
+        """Return the settings of lamps among surfaces."""
         falls = np.array([_rings(lamp) for lamp in lamps]).reshape(-1, RINGS + 1)
         worth = [_worth(lamp, rings, tracer) for lamp, rings in zip(lamps, falls, strict=True)]
         return cls(worth=np.array(worth, np.bool_), falls=falls)
 
     def arrays(self, lamps: tuple[LampLight, ...], some: NDArray[np.bool_]) -> tuple[NDArray, NDArray, NDArray]:
-        """Return for some of the lamps the chance that each is drawn, these summed up, and the falls."""
+        """Return the probabilities of some of the lamps, their cumulative sums, and the ring limits."""
         power = np.array([float(lamp.spectrum.sum()) for lamp in lamps])[some]
         power[~self.worth[some]] = 0.0
         chance = power / power.sum() if power.sum() > 0.0 else np.zeros(0)
@@ -70,27 +70,27 @@ class LightTracingSettings:
 
 
 def _rings(lamp: LampLight) -> NDArray[np.float64]:
-    """1 less the cosines between rings about a lamp's axis that hold as much light each, shape (ring + 1,)."""
+    """Return 1 minus the cosines of the limits of rings of equal light about a lamp's axis, shape (ring + 1,)."""
     polar = np.pi * np.linspace(0.0, 1.0, ANGLES) ** 2
     turn = 2.0 * np.pi * (np.arange(AROUND) + 0.5) / AROUND
     sine = np.sin(polar)[:, None]
     way = np.stack(np.broadcast_arrays(sine * np.cos(turn), sine * np.sin(turn), np.cos(polar)[:, None]), axis=-1)
     density = lamp.pattern.distribution.per_sr(way.reshape(-1, 3)).reshape(ANGLES, AROUND).mean(axis=1) * sine[:, 0]
     so_far = np.concatenate([[0.0], np.cumsum(0.5 * (density[1:] + density[:-1]) * np.diff(polar))])
-    # A millionth of evenness keeps rings apart where a table is dark.
+    # A uniform part of 1e-6 keeps rings distinct where a table is dark.
     so_far += 1e-6 * so_far[-1] * polar / np.pi
     edge = np.interp(np.linspace(0.0, so_far[-1], RINGS + 1), so_far, polar)
     return 2.0 * np.sin(0.5 * edge) ** 2
 
 
 def _worth(lamp: LampLight, falls: NDArray[np.float64], tracer: RayTracer) -> bool:
-    """Return whether a lamp's light by way of one place to another is found much more surely by rays from the lamp.
+    """Return whether light tracing samples a lamp's light by one reflection much better than gather rays.
 
     Notes
     -----
-    Light is followed from the lamp to such pairs of places. With densities l and g of a first place by light and by
-    gathering, of a radiance L, the share of light is l/(l + g); values of gathering alone have the mean square of L,
-    shared ones that of L g/(l + g).
+    Rays from the lamp give pairs of points. With the densities l and g of the first point by light tracing and by
+    gather rays, and its radiance L, the weight of light tracing is l/(l + g); gather rays alone have the mean square of
+    L, combined ones that of L g/(l + g).
     """
     rng = np.random.default_rng(0)
     ring, along, turn = rng.integers(RINGS, size=TRIED), rng.random(TRIED), 2.0 * np.pi * rng.random(TRIED)
@@ -119,9 +119,9 @@ def _worth(lamp: LampLight, falls: NDArray[np.float64], tracer: RayTracer) -> bo
 
 @numba.njit(**INLINED)
 def light_tracing_weight(beams: Any, lamps: Any, lamp: int, place: Any, normal: Any, by_ray: float) -> float:
-    """Return which share of what a lamp sends by way of a place is found by rays from the lamp.
+    """Return the balance-heuristic weight of light tracing for a lamp's light at a point.
 
-    `by_ray` is the density with which gathering finds the place, m-2.
+    `by_ray` is the density with which gather rays reach the point, m-2.
     """
     chance, _, falls = beams
     if len(chance) == 0 or chance[lamp] == 0.0:
@@ -143,7 +143,7 @@ def light_tracing_weight(beams: Any, lamps: Any, lamp: int, place: Any, normal: 
 
 @numba.njit(**INLINED)
 def _per_sr(falls: Any, fall: float) -> float:
-    """Density with which rings are drawn in a direction, sr-1."""
+    """Return the sampling density of the rings in a direction, sr-1."""
     ring = np.searchsorted(falls, fall, side="right") - 1
     if ring < 0 or ring >= RINGS:
         return 0.0
@@ -152,7 +152,7 @@ def _per_sr(falls: Any, fall: float) -> float:
 
 @numba.njit(**INLINED)
 def _shine(beams: Any, lamps: Any, state: Any, way: Any) -> int:
-    """Draw a lamp, and set a direction as it shines."""
+    """Draw a lamp, and set a direction by its intensity."""
     _, cumulated, falls = beams
     lamp = int(min(np.searchsorted(cumulated, uniform(state), side="right"), len(cumulated) - 1))
     at = uniform(state) * RINGS
@@ -167,24 +167,26 @@ def _shine(beams: Any, lamps: Any, state: Any, way: Any) -> int:
 
 
 @numba.njit(**COMPILED)
-def add_light_traced_paths(scene: Any, coats: Any, lamps: Any, beams: Any, packets: Any, lanes: Any, many: int, state: Any,
-                   found: Any) -> None:  # fmt: skip
-    """Add what places send that lamps light, as far as it is found from there: see `arrivals.add_lamps`."""
+def add_light_traced_paths(
+    scene: Any, bsdfs: Any, lamps: Any, beams: Any, packets: Any, lanes: Any, many: int, state: Any, found: Any
+) -> None:
+    """Add the light-traced part of lamp light by one reflection: the counterpart of `add_lamps`."""
     address, centre, planes, clearance = scene
-    material_of, rho_by_pi, matt = coats
+    material_of, rho_by_pi, is_diffuse = bsdfs
     position, spectrum, there = lamps[0], lamps[2], lanes.place
     for k in range(many):
-        lane = lanes.going[k]
+        lane = lanes.active[k]
         lanes.chosen[lane] = _shine(beams, lamps, state, there[lane])
         set_ray(packets, k, centre, position[lanes.chosen[lane]], there[lane], np.inf)
     intersect(address, packets, many)
     asked = 0
     for slot in range(many):
-        face, lane = triangle_of(packets, slot, planes), lanes.going[slot]
-        if face < 0 or not matt[material_of[face & ROW]]:
+        face, lane = triangle_of(packets, slot, planes), lanes.active[slot]
+        if face < 0 or not is_diffuse[material_of[face & ROW]]:
             continue
-        # The place's own normal is kept: gathering goes on from it. Rays to the lamp take their way's room.
-        up = lanes.toward[lane]
+        # The vertex keeps its normal, from which the path continues; the array of shadow rays is used for the new
+        # normal.
+        up = lanes.target_direction[lane]
         corner, normal = plane_of(planes, face)
         _land(corner, normal, position[lanes.chosen[lane]], there[lane], up)
         lanes.face[lane], lanes.factor[lane] = face, _path_irradiance(lamps, beams, lanes, lane, up)
@@ -194,30 +196,30 @@ def add_light_traced_paths(scene: Any, coats: Any, lamps: Any, beams: Any, packe
                 up[axis] = there[lane, axis] - lanes.start[lane, axis]
             # Slots before this one have been read.
             set_ray(packets, asked, centre, lanes.start[lane], up, SHORT)
-            lanes.asked[asked] = lane
+            lanes.shadow_rays[asked] = lane
             asked += 1
     trace_occlusion(address, packets, asked)
     free = 0
     for slot in range(asked):
         if not is_ray_occluded(packets, slot):
-            lane = lanes.asked[slot]
-            towards_lamp(lamps, lanes.chosen[lane], there[lane], state, lanes.toward[lane])
-            set_ray(packets, free, centre, there[lane], lanes.toward[lane], SHORT)
-            lanes.asked[free] = lane
+            lane = lanes.shadow_rays[slot]
+            towards_lamp(lamps, lanes.chosen[lane], there[lane], state, lanes.target_direction[lane])
+            set_ray(packets, free, centre, there[lane], lanes.target_direction[lane], SHORT)
+            lanes.shadow_rays[free] = lane
             free += 1
     trace_occlusion(address, packets, free)
     for slot in range(free):
         if not is_ray_occluded(packets, slot):
-            lane = lanes.asked[slot]
-            owner, chosen, material = lanes.owner[lane], lanes.chosen[lane], material_of[lanes.face[lane] & ROW]
+            lane = lanes.shadow_rays[slot]
+            owner, chosen, material = lanes.point[lane], lanes.chosen[lane], material_of[lanes.face[lane] & ROW]
             for band in range(found.shape[1]):
                 light = lanes.factor[lane] * spectrum[chosen, band] * rho_by_pi[material, band]
-                found[owner, band] += lanes.leaves[lane, band] * light
+                found[owner, band] += lanes.throughput[lane, band] * light
 
 
 @numba.njit(**INLINED)
 def _land(corner: Any, normal: Any, origin: Any, there: Any, up: Any) -> None:
-    """Go from an origin by a direction to a triangle's plane, and set the normal towards where the ray came from."""
+    """Move a ray to a triangle's plane, and set the normal on the side of its origin."""
     height, slope = 0.0, 0.0
     for axis in range(3):
         height += (corner[axis] - origin[axis]) * normal[axis]
@@ -231,7 +233,7 @@ def _land(corner: Any, normal: Any, origin: Any, there: Any, up: Any) -> None:
 
 @numba.njit(**INLINED)
 def _path_irradiance(lamps: Any, beams: Any, lanes: Any, lane: int, up: Any) -> float:
-    """Irradiance by way of a place over spectrum and rho / pi were nothing between, as its share by light counts it."""
+    """Return the unoccluded, weighted irradiance by a light-traced point over spectrum and rho / pi."""
     there, start, normal, lamp = lanes.place[lane], lanes.start[lane], lanes.normal[lane], lanes.chosen[lane]
     square, cosine, leaving = 0.0, 0.0, 0.0
     for axis in range(3):
@@ -246,5 +248,5 @@ def _path_irradiance(lamps: Any, beams: Any, lanes: Any, lane: int, up: Any) -> 
     share = light_tracing_weight(beams, lamps, lamp, there, up, by_ray)
     if share == 0.0:
         return 0.0
-    # The density by light is by_ray * share / (1 - share), and the light counts share of itself over that.
+    # The density of light tracing is by_ray * weight / (1 - weight); the estimate is weight over that density.
     return lamp_factor(lamps, lamp, there, up) * form * (1.0 - share) / by_ray

@@ -1,4 +1,4 @@
-"""The radiance that leaves surfaces: direct light, the open sky, and what is gathered of the hemisphere around."""
+"""Outgoing radiance of surfaces and radiance along camera rays: direct light, sky, final gather, panes and air."""
 
 from collections.abc import Callable, Iterator
 
@@ -15,7 +15,7 @@ from simulate.radiance.integrator.shading_points import ShadingPoints
 from simulate.radiance.integrator.shading_request import RadianceComponents, ShadingRequest
 from simulate.radiance.integrator.spectral_scene import SpectralScene
 
-# Points whose irradiance by all but lamps and discs is known, and what it is, shape (sharing point, band).
+# Points with a cached irradiance (without lamps and discs), and that irradiance, shape (cached point, band).
 Shared = tuple[NDArray[np.int64], NDArray[np.float32]]
 
 
@@ -31,7 +31,7 @@ def outgoing_radiance(
     depth: int = 0,
     shared: Shared | None = None,
 ) -> RadianceComponents:
-    """Return the radiance that points send to the eye by reflection, in parts of shape (point, band).
+    """Return the reflected outgoing radiance of points, in components of shape (point, band).
 
     Parameters
     ----------
@@ -44,24 +44,24 @@ def outgoing_radiance(
     rng
         Source of chance.
     rays
-        Rays by which each point gathers.
+        Gather rays of each point.
     into
-        Parts to add to, and the place there of each point; new ones if None.
+        Components to add to, and the row of each point there; new ones if None.
     split
-        Whether sources and bounces are kept apart: parts are sources by name, "glow" of panels, "sky", "hidden sky"
-        (what objects take of it, never positive) and "bounce 1 of sun", "bounce 2 of sky" ... by number of
-        reflections elsewhere and by source.
+        Whether sources and bounces are separate components: sources by name, "glow" of panels, "sky", "hidden sky"
+        (the occluded part of the control variate, never positive) and "bounce 1 of sun", "bounce 2 of sky" ... by
+        number of reflections elsewhere and by source.
     depth
-        Bounces between the points and the surface that the eye sees.
+        Bounces between the points and the surface that the camera sees.
     shared
-        Points that gather nothing, because it is known: their part is "shared".
+        Points with a cached irradiance, which do not gather: their component is "shared".
     """
     parts, rows = into or _new(stage, points, split)
     asked = ShadingRequest(points=points, parts=parts, rows=rows, effort=effort, rng=rng, rays=rays, depth=depth)
     _add_direct(stage, asked)
     if shared is not None:
         sharing, irradiance = shared
-        asked.add("shared", sharing, stage.bsdfs.matt(points)[sharing] * irradiance)
+        asked.add("shared", sharing, stage.bsdfs.diffuse_brdf(points)[sharing] * irradiance)
         asked = asked.some(np.setdiff1d(np.arange(len(points)), sharing, assume_unique=True))
     if len(asked.points):
         _add_around(stage, asked)
@@ -93,7 +93,7 @@ def surroundings_radiance(
     stage, points, effort, rng, rays
         As of `outgoing_radiance`.
     even
-        Two even numbers for each ray, from which directions follow; None: drawn.
+        Two quasi-random numbers for each ray, from which directions follow; None: drawn.
     """
     parts, rows = _new(stage, points)
     _add_around(
@@ -112,9 +112,9 @@ def _add_direct(stage: SpectralScene, asked: ShadingRequest) -> None:
     """Add light of lamps and discs."""
     points, rng, reflect = asked.points, asked.rng, (stage.bsdfs, stage.surfaces.tracer)
     through = _between(stage, asked)
-    for disc in asked.effort.kept(stage.lighting.discs):
+    for disc in asked.effort.active_lights(stage.lighting.discs):
         asked.add(disc.name, *direct_lighting.from_disc(points, disc, *reflect, rng))
-    lamps = asked.effort.kept(stage.lighting.lamps)
+    lamps = asked.effort.active_lights(stage.lighting.lamps)
     if asked.depth > 0 and len(lamps) > ASKED_LAMPS:
         for name, found in direct_lighting.from_one_lamp(points, lamps, *reflect, rng, through):
             asked.add(name, *found)
@@ -124,26 +124,26 @@ def _add_direct(stage: SpectralScene, asked: ShadingRequest) -> None:
 
 
 def _between(stage: SpectralScene, asked: ShadingRequest) -> direct_lighting.Through | None:
-    """What air takes between lamps and surfaces that the eye sees."""
-    return stage.air.through if asked.effort.air_between and stage.air.absorbs and asked.depth == 0 else None
+    """Return the transmittance of air between lamps and surfaces that the camera sees, if it is included."""
+    return stage.air.through if asked.effort.path_air and stage.air.absorbs and asked.depth == 0 else None
 
 
 def _add_around(stage: SpectralScene, asked: ShadingRequest) -> None:
-    """Add light of panels, of the sky and of what stands around."""
-    points, effort, light, coats = asked.points, asked.effort, stage.lighting, stage.bsdfs
-    # A gloss needs rays to find even the open sky.
+    """Add light of panels, of the sky and of other surfaces."""
+    points, effort, light, bsdfs = asked.points, asked.effort, stage.lighting, stage.bsdfs
+    # Glossy points need rays even for an unoccluded sky.
     gathers = effort.gathers or bool(points.glossy)
     if light.panels is not None:
         through, sharing = _between(stage, asked), asked.rays if gathers else 0
         tracer = stage.surfaces.tracer
         asked.add(
-            "glow", *direct_lighting.from_panels(points, light.panels, coats, tracer, asked.rng, through, sharing)
+            "glow", *direct_lighting.from_panels(points, light.panels, bsdfs, tracer, asked.rng, through, sharing)
         )
     if not light.environment_map.dark:
-        open_sky = coats.matt(points)
+        open_sky = bsdfs.diffuse_brdf(points)
         open_sky *= light.environment_map.irradiance(points.normal)
-        if effort.hidden_sky:
-            open_sky *= points.known[:, None]
+        if effort.sky_shadowing:
+            open_sky *= points.sky_control_fraction[:, None]
         asked.parts.add("sky", asked.rows, open_sky)
     if not gathers or stage.surfaces.tracer.scene is None:
         return
@@ -151,18 +151,18 @@ def _add_around(stage: SpectralScene, asked: ShadingRequest) -> None:
     def further(there: ShadingPoints, depth: int) -> RadianceComponents:
         return outgoing_radiance(stage, there, effort, asked.rng, rays=1, split=asked.parts.split, depth=depth)
 
-    if asked.parts.split or coats.panes is not None:
+    if asked.parts.split or bsdfs.panes is not None:
         add_by_batches(stage, asked, further)
         return
     if points.glossy:
-        add_by_batches(stage, asked.some(np.flatnonzero(~points.matt)), further)
-        asked = asked.some(np.flatnonzero(points.matt))
+        add_by_batches(stage, asked.some(np.flatnonzero(~points.is_diffuse)), further)
+        asked = asked.some(np.flatnonzero(points.is_diffuse))
     if len(asked.points):
         add_by_paths(stage, asked, further)
 
 
 Array = NDArray[np.floating]
-# What points share of all that they gather, by the numbers of the rays that met them.
+# Cached irradiance of points, by the numbers of the rays that met them.
 Sharing = Callable[[ShadingPoints, NDArray[np.int64]], Shared]
 
 
@@ -173,17 +173,18 @@ def radiance_along(
     effort: IntegratorSettings,
     rng: np.random.Generator,
     *,
-    gathered: int,
-    known: NDArray[np.float32] | None = None,
+    gather_rays: int,
+    sky_control_fraction: NDArray[np.float32] | None = None,
     split: bool = False,
     share: Sharing | None = None,
     behind: int = 0,
 ) -> RadianceComponents:
-    """Return the radiance along rays of unit direction (ray, 3), in parts of shape (ray, band), as `outgoing_radiance.leaving`.
+    """Return the radiance along rays of unit direction (ray, 3), in components as of `outgoing_radiance`.
 
     Besides the sources, parts are "in view": sky and glow that the ray meets, and "air": what air adds on the way, less
-    what it takes of all the rest. Points of rays (their numbers) may `share` what they gather, see `outgoing_radiance.leaving`.
-    Rays that meet a pane go on both ways, through and mirrored; `behind` a few panes they take one by chance.
+    what it takes of all the rest. Points of rays (their numbers) may `share` what they gather, see
+    `outgoing_radiance.leaving`. Rays that meet a pane go on both ways, through and mirrored; `behind` a few panes they
+    take one by chance.
     """
     hit = stage.surfaces.tracer.hits(origin, towards)
     parts = RadianceComponents((len(towards), stage.bands), split=split)
@@ -192,38 +193,40 @@ def radiance_along(
         glass = stage.bsdfs.panes.met(origin, towards, hit.range_m)
         here[glass.which] = False
         for which, start, ways, left, straight in _ways_on(stage.bsdfs.panes, glass, towards, behind, rng):
-            seen = None if known is None else known[which]
+            seen = None if sky_control_fraction is None else sky_control_fraction[which]
             sharing = _of_some(share, which) if straight else None
             onwards = radiance_along(
                 stage, start, ways, effort, rng,
-                gathered=gathered, known=seen, split=split, share=sharing, behind=behind + 1,
+                gather_rays=gather_rays, sky_control_fraction=seen, split=split, share=sharing, behind=behind + 1,
             )  # fmt: skip
             for name, light in onwards.found.items():
                 parts.add(name, which, light * left)
-        if stage.air.absorbs and "air" not in effort.left_out:
+        if stage.air.absorbs and "air" not in effort.neglected:
             _through_air(stage, parts, glass.range_m, towards[glass.which], glass.which)
     met = np.flatnonzero(here & (hit.face != NOTHING))
     away = np.flatnonzero(here & (hit.face == NOTHING))
     parts.add("in view", away, stage.lighting.environment_map.radiance(towards[away]))
-    points = stage.points(hit, origin, towards, met, None if known is None else known[met])
+    points = stage.points(
+        hit, origin, towards, met, None if sky_control_fraction is None else sky_control_fraction[met]
+    )
     glows, glow = stage.emission(points)
     parts.add("in view", met[glows], glow)
     shared = None if share is None else share(points, met)
-    outgoing_radiance(stage, points, effort, rng, rays=gathered, into=(parts, met), shared=shared)
-    if stage.air.absorbs and "air" not in effort.left_out:
+    outgoing_radiance(stage, points, effort, rng, rays=gather_rays, into=(parts, met), shared=shared)
+    if stage.air.absorbs and "air" not in effort.neglected:
         _through_air(stage, parts, hit.range_m[met], towards[met], met)
     return parts
 
 
 def _of_some(share: Sharing | None, which: NDArray[np.int64]) -> Sharing | None:
-    """Share as all rays do, for some of them."""
+    """Restrict a cache look-up to some of the rays."""
     return None if share is None else lambda points, numbers: share(points, which[numbers])
 
 
 def _ways_on(
     panes: Panes, glass: Met, towards: Array, behind: int, rng: np.random.Generator
 ) -> Iterator[tuple[NDArray[np.int64], Array, Array, NDArray[np.float32], bool]]:
-    """Yield ways on from panes: numbers of rays, starts, directions, shares of the light, and whether straight on."""
+    """Yield continuations at panes: ray numbers, starts, directions, fractions of light, and whether transmitted."""
     if not len(glass.which) or behind >= MOST:
         return
     ahead = towards[glass.which]

@@ -1,7 +1,7 @@
-"""Thin panes in the way of light: it goes straight on, weakened, and a part is mirrored. Opaque things know none.
+"""Thin panes of glass: transmission straight through, and specular reflection.
 
-Panes are traced by themselves, so that scenes without any pay nothing. A pane has no thickness: what goes through is
-not moved aside. Two panes closer to each other than the clearance of rays (`trace.CLEARANCE_M`) count as one.
+Panes have a ray tracer of their own, so that scenes without panes lose no time. A pane has no thickness: transmitted
+rays are not displaced. Two panes closer to each other than the clearance of rays (`CLEARANCE_M`) count as one.
 """
 
 from dataclasses import dataclass
@@ -14,9 +14,9 @@ from simulate.radiance.materials import pane_shares
 
 Array = NDArray[np.floating]
 Rows = NDArray[np.int64]
-# Panes that a ray goes through or is mirrored by at most; what is left then is lost.
+# Most panes along a ray; light beyond is lost.
 MOST = 64
-# Behind so many panes rays of the eye take one way by chance; before, both.
+# Camera rays are split at this many panes; behind them one continuation is drawn.
 SPLIT = 3
 
 
@@ -27,15 +27,15 @@ class Met:
     Parameters
     ----------
     which
-        Their numbers, shape (meeting ray,).
+        Indices of the rays, shape (meeting ray,).
     range_m
-        How far away, shape (meeting ray,), m.
+        Distance, shape (meeting ray,), m.
     place_m, normal
-        Where, and the pane's unit normal there, on the side that the ray comes from, shape (meeting ray, 3).
+        Position, and the pane's unit normal on the side of the ray's origin, shape (meeting ray, 3).
     face
         Triangles of the panes.
     mirrored, through
-        Shares of the light, shape (meeting ray, band).
+        Reflected and transmitted fractions, shape (meeting ray, band).
     """
 
     which: Rows
@@ -54,7 +54,7 @@ class Panes:
     Parameters
     ----------
     tracer
-        Their triangles, ready for rays.
+        Ray tracer of their triangles.
     kind_of_face
         Kind of glass of each, shape (face,).
     transmittance
@@ -69,7 +69,7 @@ class Panes:
     refractive_index: tuple[float, ...]
 
     def met(self, origin_m: Array, direction: Array, reach_m: Array) -> Met:
-        """Return which rays of unit direction (ray, 3) meet a pane within reaches (ray,), m, and what it does."""
+        """Return the rays of unit direction (ray, 3) that meet a pane within a distance (ray,), m."""
         hit = self.tracer.hits(origin_m, direction)
         which = np.flatnonzero((hit.face != NOTHING) & (hit.range_m < reach_m))
         face, range_m, along = hit.face[which], hit.range_m[which], direction[which]
@@ -81,22 +81,22 @@ class Panes:
         return Met(which, range_m, place, facing, face, mirrored, through)
 
     def beyond(self, met: Met) -> NDArray[np.float64]:
-        """Return where light goes on that went through, shape (meeting ray, 3), m."""
+        """Return starts of transmitted rays, shape (meeting ray, 3), m."""
         return self.tracer.above(met.face, met.place_m, -met.normal)
 
     def before(self, met: Met) -> NDArray[np.float64]:
-        """Return where light goes on that was mirrored, shape (meeting ray, 3), m."""
+        """Return starts of reflected rays, shape (meeting ray, 3), m."""
         return self.tracer.above(met.face, met.place_m, met.normal)
 
-    def left(self, start_m: Array, way: Array, reach: float | None) -> tuple[Rows, NDArray[np.float32]]:
-        """Return what panes leave of light that goes straight: numbers of rays that meet any, and shares (ray, band).
+    def transmittance_along(self, start_m: Array, way: Array, reach: float | None) -> tuple[Rows, NDArray[np.float32]]:
+        """Return indices of rays that meet panes, and their transmittances (ray, band).
 
         Parameters
         ----------
         start_m, way
             Rays, each of shape (ray, 3).
         reach
-            How far to look, in lengths of the ways; without end if None.
+            Length of the rays, in lengths of the vectors; None: infinite.
         """
         length = np.linalg.norm(way, axis=1)
         ahead = way / np.maximum(length, 1e-300)[:, None]
@@ -125,22 +125,22 @@ class Panes:
 
 @dataclass(frozen=True)
 class Passed:
-    """Rays that met panes, and where they went in the end.
+    """Rays that met panes, and their last segments.
 
     Parameters
     ----------
     which
-        Their numbers, shape (meeting ray,).
+        Indices of the rays, shape (meeting ray,).
     start_m, direction
-        Their last legs, shape (meeting ray, 3).
+        Last segments, shape (meeting ray, 3).
     face, range_m
-        What these hit of opaque things, and how far away.
-    gone_m
-        The ways before the last legs, m.
-    turned
-        Whether a pane mirrored them.
+        Opaque surface that these hit, and distance, m.
+    earlier_length_m
+        Path length before the last segments, m.
+    is_reflected
+        Whether a pane reflected them.
     weight
-        Shares of the light over the chance of the way, shape (meeting ray, band).
+        Fractions of the light over the probability of the path, shape (meeting ray, band).
     """
 
     which: Rows
@@ -148,15 +148,15 @@ class Passed:
     direction: Array
     face: Rows
     range_m: Array
-    gone_m: Array
-    turned: NDArray[np.bool_]
+    earlier_length_m: Array
+    is_reflected: NDArray[np.bool_]
     weight: NDArray[np.float32]
 
 
 def trace_through_panes(
     panes: Panes, tracer: RayTracer, start_m: Array, direction: Array, range_m: Array, rng: np.random.Generator
 ) -> Passed:
-    """Follow rays that meet panes before the opaque thing so far away (ray,): through or mirrored, by chance."""
+    """Follow rays that meet panes before the opaque surface at a range (ray,): transmitted or reflected at random."""
     met = panes.met(start_m, direction, range_m)
     which = met.which
     ends = Passed(
@@ -179,8 +179,8 @@ def trace_through_panes(
         ends.direction[rows] = np.where(
             turns[:, None], reflect_direction(ends.direction[rows], met.normal), ends.direction[rows]
         )
-        ends.gone_m[rows] += met.range_m
-        ends.turned[rows] |= turns
+        ends.earlier_length_m[rows] += met.range_m
+        ends.is_reflected[rows] |= turns
         hit = tracer.hits(ends.start_m[rows], ends.direction[rows])
         ends.face[rows], ends.range_m[rows] = hit.face, hit.range_m
         met = panes.met(ends.start_m[rows], ends.direction[rows], hit.range_m)
@@ -190,7 +190,7 @@ def trace_through_panes(
 
 
 def choose_mirror_rays(met: Met, rng: np.random.Generator) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
-    """Choose by chance which rays are mirrored; return that, and shares of the light over its chance (ray, band)."""
+    """Draw which rays are reflected; return that, and fractions of the light over the probability (ray, band)."""
     back, on = met.mirrored.mean(axis=1), met.through.mean(axis=1)
     chance = back / np.maximum(back + on, 1e-30)
     turns = rng.random(len(chance)) < chance
@@ -199,5 +199,5 @@ def choose_mirror_rays(met: Met, rng: np.random.Generator) -> tuple[NDArray[np.b
 
 
 def reflect_direction(direction: Array, normal: Array) -> NDArray[np.float64]:
-    """Return directions (ray, 3) mirrored by planes of unit normals (ray, 3)."""
+    """Return directions (ray, 3) reflected by planes of unit normals (ray, 3)."""
     return direction - 2.0 * np.einsum("ij,ij->i", direction, normal)[:, None] * normal

@@ -1,4 +1,4 @@
-"""The rays of a wave as compiled loops keep them, and the directions that they take."""
+"""Path states of the compiled path tracer, and the sampling of their directions."""
 
 from typing import Any, NamedTuple
 
@@ -10,7 +10,7 @@ from simulate.radiance.geometry.embree import INLINED, ROW
 from simulate.radiance.geometry.ray_tracer import CLEARANCE_SHARE
 from simulate.radiance.integrator.low_discrepancy import R2
 
-# Rays that are followed together: enough that those which go on fill Embree's packets.
+# Paths traced together: enough that the active ones fill Embree's packets.
 WAVE = 256
 # What each pair of an `Even` stretch adds: to the square of the radius, and to the turn.
 STEP, TURN_X, TURN_Y = float(R2[0]), float(np.cos(2.0 * np.pi * R2[1])), float(np.sin(2.0 * np.pi * R2[1]))
@@ -18,7 +18,7 @@ STEP, TURN_X, TURN_Y = float(R2[0]), float(np.cos(2.0 * np.pi * R2[1])), float(n
 
 @numba.njit(**INLINED)
 def uniform(state: Any) -> float:
-    """Draw an even number in [0, 1): SplitMix64 (Steele, Lea and Flood, 2014)."""
+    """Draw a uniform number in [0, 1): SplitMix64 (Steele, Lea and Flood, 2014)."""
     state[0] += np.uint64(0x9E3779B97F4A7C15)
     z = state[0]
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -28,7 +28,7 @@ def uniform(state: Any) -> float:
 
 @numba.njit(**INLINED)
 def set_direction(normal: Any, u: float, v: float, w: float, way: Any) -> None:
-    """Set a direction from its parts in the frame of a normal, that of `points.frames`."""
+    """Set a direction from its components in the frame of a normal, as `shading_frames`."""
     x, y, z = normal[0], normal[1], normal[2]
     sign = 1.0 if z >= 0.0 else -1.0
     a = -1.0 / (sign + z)
@@ -51,7 +51,7 @@ def in_disc(state: Any) -> tuple[float, float, float]:
 
 @numba.njit(**INLINED)
 def first_even(pair: Any) -> tuple[float, float, float]:
-    """Return a place in the unit disc for two even numbers: its radius squared, the cosine and the sine of its turn."""
+    """Return the point of the unit disc of a quasi-random pair: radius squared, cosine and sine of its angle."""
     turn = 2.0 * np.pi * pair[1]
     return pair[0], np.cos(turn), np.sin(turn)
 
@@ -67,7 +67,7 @@ def next_even(now: Any) -> tuple[float, float, float]:
 
 @numba.njit(**INLINED)
 def by_cosine(normal: Any, foot: Any, way: Any) -> float:
-    """Set a direction by the cosine law, over an even place in the disc (Malley), and return its cosine."""
+    """Set a direction by the cosine law, over a uniform point of the disc (Malley), and return its cosine."""
     radius, cosine = np.sqrt(foot[0]), np.sqrt(max(1.0 - foot[0], 0.0))
     set_direction(normal, radius * foot[1], radius * foot[2], cosine, way)
     return cosine
@@ -85,51 +85,52 @@ def set_ray_start(clearance: Any, centre: Any, face: Any, place: Any, normal: An
 
 
 class PathStates(NamedTuple):
-    """The rays of a wave, a row for each.
+    """The paths of a wave, one a row.
 
     Parameters
     ----------
-    going
-        Numbers of those that go on, in order: how many there are is told besides.
-    asked
-        Numbers of those that ask something of Embree, by the slot of the question.
-    owner, face
-        Point that sent each, and the triangle where it is.
-    weight, leaves
-        Irradiance of the owner for radiance from ahead, and for irradiance of where it is, shape (lane, band).
-    place, start, normal, way, toward
-        Where it is, start above that, the normal towards it, its direction, and room for one towards something that is
-        asked, shape (lane, 3).
-    cosine, last
-        Cosine of the direction to the normal where it set out, and the mean of what the place reflects.
+    active
+        Indices of active paths, in order; their number is passed separately.
+    shadow_rays
+        Indices of paths with a shadow ray, by the slot of the ray.
+    point, face
+        Shading point at which each path starts, and the triangle of its current vertex.
+    weight, throughput
+        Contribution to the irradiance of the start per radiance from ahead, and per irradiance of the current vertex,
+        shape (path, band).
+    place, start, normal, direction, target_direction
+        Current vertex, ray start above it, normal on the side of the path, ray direction, and direction of a shadow
+        ray, shape (path, 3).
+    cosine, reflectance
+        Cosine of the direction at the last vertex, and mean reflectance of the current one.
     factor, chosen
-        Share that a source counts for, and which source.
+        Factor of the chosen source, and its number.
     by_ray
-        Density with which rays find the place, m-2.
+        Density with which paths reach the vertex, m-2.
     """
 
-    going: NDArray[np.int64]
-    asked: NDArray[np.int64]
-    owner: NDArray[np.int64]
+    active: NDArray[np.int64]
+    shadow_rays: NDArray[np.int64]
+    point: NDArray[np.int64]
     face: NDArray[np.int64]
     weight: NDArray[np.float32]
-    leaves: NDArray[np.float32]
+    throughput: NDArray[np.float32]
     place: NDArray[np.float64]
     start: NDArray[np.float64]
     normal: NDArray[np.float64]
-    way: NDArray[np.float64]
-    toward: NDArray[np.float64]
+    direction: NDArray[np.float64]
+    target_direction: NDArray[np.float64]
     cosine: NDArray[np.float64]
-    last: NDArray[np.float64]
+    reflectance: NDArray[np.float64]
     factor: NDArray[np.float64]
     chosen: NDArray[np.int64]
     by_ray: NDArray[np.float64]
 
     @classmethod
     def of(cls, bands: int) -> "PathStates":
-        """Return room for a wave."""
+        """Return empty arrays for a wave."""
 
-        def whole() -> NDArray[np.int64]:
+        def index() -> NDArray[np.int64]:
             return np.zeros(WAVE, np.int64)
 
         def light() -> NDArray[np.float32]:
@@ -139,8 +140,8 @@ class PathStates(NamedTuple):
             return np.zeros((WAVE, *axes))
 
         return cls(
-            going=whole(), asked=whole(), owner=whole(), face=whole(),
-            weight=light(), leaves=light(),
-            place=real(3), start=real(3), normal=real(3), way=real(3), toward=real(3),
-            cosine=real(), last=real(), factor=real(), chosen=whole(), by_ray=real(),
+            active=index(), shadow_rays=index(), point=index(), face=index(),
+            weight=light(), throughput=light(),
+            place=real(3), start=real(3), normal=real(3), direction=real(3), target_direction=real(3),
+            cosine=real(), reflectance=real(), factor=real(), chosen=index(), by_ray=real(),
         )  # fmt: skip

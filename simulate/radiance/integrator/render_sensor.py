@@ -1,4 +1,4 @@
-"""What looks at the radiance: what a pixel makes of it, and how noisy it is; handed in by whoever has a sensor."""
+"""Response and noise of a sensor, as the renderer needs them."""
 
 from dataclasses import dataclass
 
@@ -7,36 +7,36 @@ from numpy.typing import ArrayLike, NDArray
 
 from simulate.radiance.cube import band_widths
 
-# Differences are weighed by the noise, or by so large a share of the signal where that is more. At a tolerance of 10 %
-# light is then right to 1 %, which is better than lamps and materials are known.
+# Differences are compared with the noise, or with this fraction of the signal where that is larger. At a tolerance of
+# 10 % light is then correct to 1 %, better than lamps and materials are specified.
 KNOWN = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
 class RenderSensor:
-    """A sensor as a renderer needs it.
+    """A sensor's response and noise.
 
     Parameters
     ----------
     response_nm, response
         Signal of a pixel and exposure for each W m-2 sr-1 of radiance at wavelengths, linear between them and zero
-        outside, in a unit of its own, such as photoelectrons.
+        outside, in any unit, such as photoelectrons.
     dark_variance
         Variance of a pixel's signal in the dark, in that unit squared.
     variance_per_signal
         Growth of the variance with the signal, in that unit.
-    evened
-        What blur behind the eye's pixels leaves of noise that is independent from pixel to pixel, as a share of its
-        standard deviation.
+    noise_averaging_factor
+        Factor by which blur after the pixels reduces the standard deviation of noise that is independent between
+        pixels.
     name
-        Who looks.
+        Name of the sensor.
     """
 
     response_nm: tuple[float, ...]
     response: tuple[float, ...]
     dark_variance: float
     variance_per_signal: float
-    evened: float = 1.0
+    noise_averaging_factor: float = 1.0
     name: str = "sensor"
 
     def weight(self, wavelength_nm: ArrayLike) -> NDArray[np.float32]:
@@ -50,24 +50,23 @@ class RenderSensor:
         bright = np.maximum(np.asarray(signal, float), 0.0)
         return np.sqrt(self.dark_variance + self.variance_per_signal * bright)
 
-    def grain(self, signal: ArrayLike, *, smooth: bool = False) -> NDArray[np.float64]:
-        """Return the unit in which differences of signals are weighed, in the unit of the signal.
+    def noise_floor(self, signal: ArrayLike, *, smooth: bool = False) -> NDArray[np.float64]:
+        """Return the noise floor that differences of signals are compared with, in the unit of the signal.
 
         Parameters
         ----------
         signal
             Signal of pixels.
         smooth
-            Whether differences are those of many neighbours together: blur leaves these as they are, but evens out the
-            noise that they stand in. What differs by chance from pixel to pixel it evens out like the noise.
+            Whether the differences extend over many pixels: blur does not change these and reduces the noise. Random
+            differences between pixels are reduced like the noise.
 
         Notes
         -----
-        The noise of one frame, and never less than `KNOWN` of the signal: ten times what may change at the usual
-        tolerance.
+        The noise of one frame, at least `KNOWN` of the signal: ten times the change allowed at the usual tolerance.
         """
         bright = np.maximum(np.asarray(signal, float), 0.0)
-        return np.maximum(self.noise(bright) * (self.evened if smooth else 1.0), KNOWN * bright)
+        return np.maximum(self.noise(bright) * (self.noise_averaging_factor if smooth else 1.0), KNOWN * bright)
 
     @property
     def noise_equivalent_radiance(self) -> float:

@@ -1,8 +1,8 @@
-"""The picture of a scene in spectral radiance: rays where they are needed, an estimate of its own error for each pixel.
+"""Renderer: spectral radiance of a scene, with an error estimate for each pixel.
 
-A first look along the middle of each pixel finds what is where (`truth`); a trial finds how much single rays differ and
-decides how many rays a pixel gets (`allotment`). The picture is made of rays drawn afresh. What they themselves differ
-measures the error; where it is more than was to be, pixels get further rays, turn by turn.
+Rays through the pixel centres give the auxiliary layers; a pilot run estimates the variance of single rays and
+allocates the camera rays (`adaptive_sampling`). The rendering uses independent rays. Their variance gives the error;
+pixels above the limit get more rays, turn by turn.
 """
 
 import time
@@ -26,68 +26,72 @@ from simulate.radiance.integrator.spectral_scene import SpectralScene
 from simulate.radiance.integrator.subpixel_sources import add_small_sources
 
 Array = NDArray[np.floating]
-# Rays that are followed at once, gathering counted.
+# Rays traced in one batch, gather rays included.
 BATCH = 48_000
-# Pixels that share nothing gather by so many times as many rays: more where only the sky's shadow is to be found.
+# Factor on the gather rays of pixels outside the cache: larger where only sky shadowing is computed.
 ALONE, ALONE_IN_SHADOW = 2, 8
-# Stretches of a pixel's rays whose means are compared: each is spread over the pixel as evenly as all of them.
+# Slices of a pixel's rays whose means give the variance: each covers the pixel as uniformly as all rays.
 STRETCHES = 8
 
 
 @dataclass(frozen=True)
 class PixelBatch:
-    """Some pixels (numbers in the picture, shape (pixel,)) that get as many rays each, spread over them or not.
+    """Pixels (indices of shape (pixel,)) with the same number of rays, spread over the pixel or not (`together`).
 
-    Where `known` (pixel,) is 1 the open sky's light is taken as known, see `ShadingPoints`. Where surfaces meet, light from
-    around changes within a pixel: `alone`, its rays share none of it and gather more. Each `turn` has other rays.
+    `sky_control_fraction`, shape (pixel,), is that of `ShadingPoints`. Where surfaces meet, irradiance varies within a
+    pixel: with `alone` its rays do not use the cache and gather more. Each `turn` has other rays.
     """
 
     pixels: NDArray[np.int64]
     rays: int
-    known: NDArray[np.float32]
+    sky_control_fraction: NDArray[np.float32]
     together: bool = False
     alone: bool = False
     turn: int = 0
 
 
 def jobs(
-    wanted: NDArray[np.int32], known: NDArray[np.float32], alone: NDArray[np.bool_], gathered: int, turn: int
+    wanted: NDArray[np.int32],
+    sky_control_fraction: NDArray[np.float32],
+    alone: NDArray[np.bool_],
+    gather_rays: int,
+    turn: int,
 ) -> Iterator[PixelBatch]:
-    """Yield the pixels in batches of as many rays each, in the order of the picture, for maps of shape (row, col)."""
+    """Yield batches of pixels with the same number of rays, in frame order, for maps of shape (row, col)."""
     flat = 2 * wanted.ravel() + alone.ravel()
     for kind in np.unique(flat):
         pixels, count = np.flatnonzero(flat == kind), int(kind) // 2
         if not count:
             continue
-        batch = max(1, BATCH // (count * max(gathered, 1)))
+        batch = max(1, BATCH // (count * max(gather_rays, 1)))
         for start in range(0, len(pixels), batch):
             part = pixels[start : start + batch]
-            yield PixelBatch(part, count, known.ravel()[part], alone=bool(kind % 2), turn=turn)
+            yield PixelBatch(part, count, sky_control_fraction.ravel()[part], alone=bool(kind % 2), turn=turn)
 
 
 @dataclass(frozen=True, kw_only=True)
 class PixelBatchRenderer:
-    """All that a part of the picture is made from."""
+    """Renders batches of pixels."""
 
     stage: SpectralScene
     view: Viewpoint
     effort: IntegratorSettings
     weight: NDArray[np.float32]
-    gathered: int
+    gather_rays: int
     seed: int
     field: IrradianceCache | None = None
 
     @property
     def only_shadow(self) -> bool:
-        """Whether of all around only what hides the sky is to be found, which takes so little that none need share."""
-        return self.effort.bounces == 0 and self.stage.lighting.panels is None
+        """Whether only sky shadowing is computed, which is cheap without a cache."""
+        return self.effort.max_bounces == 0 and self.stage.lighting.panels is None
 
     @property
     def gathers_alone(self) -> int:
-        """By how many times as many rays pixels gather that share none."""
+        """Factor on the gather rays of pixels outside the cache."""
         return ALONE_IN_SHADOW if self.only_shadow else ALONE
 
-    def seen(self, job: PixelBatch) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def render(self, job: PixelBatch) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return the pixels' radiance, shape (pixel, band), and the variance of their signal, shape (pixel,)."""
         rng = np.random.default_rng([self.seed, job.rays, int(job.pixels[0]), job.alone, job.turn])
         count, columns = len(job.pixels), self.view.shape[1]
@@ -96,7 +100,7 @@ class PixelBatchRenderer:
         row = (job.pixels[:, None] // columns + spread[..., 0]).ravel()
         col = (job.pixels[:, None] % columns + spread[..., 1]).ravel()
         origin, towards = self.view.rays(row, col)
-        known = np.repeat(job.known, job.rays)
+        sky_control_fraction = np.repeat(job.sky_control_fraction, job.rays)
         share = None if self.field is None or job.alone else partial(_irradiance_from_cache, self.field, row, col)
         light = radiance_along(
             self.stage,
@@ -104,8 +108,8 @@ class PixelBatchRenderer:
             towards,
             self.effort,
             rng,
-            gathered=self.gathered * (self.gathers_alone if job.alone else 1),
-            known=known,
+            gather_rays=self.gather_rays * (self.gathers_alone if job.alone else 1),
+            sky_control_fraction=sky_control_fraction,
             share=share,
         ).total()
         each = (light @ self.weight).reshape(count, job.rays)
@@ -113,7 +117,7 @@ class PixelBatchRenderer:
 
 
 def _variance_of_mean(each: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the variance of the mean of signals (pixel, ray), by means of stretches of them; nan for one ray."""
+    """Return the variance of the mean of signals (pixel, ray), from means of slices; nan for one ray."""
     count, rays = each.shape
     if rays < 2:
         return np.full(count, np.nan, np.float32)
@@ -130,10 +134,10 @@ def _irradiance_from_cache(
 
 
 class Trials:
-    """Follows pixels for trials, a batch at a time, and takes its own time."""
+    """Traces pilot rays in batches, and measures the time."""
 
-    def __init__(self, look: PixelBatchRenderer, known: NDArray[np.float32]) -> None:
-        self._look, self._known = look, known.ravel()
+    def __init__(self, look: PixelBatchRenderer, sky_control_fraction: NDArray[np.float32]) -> None:
+        self._look, self._known = look, sky_control_fraction.ravel()
         self._rays, self._seconds = 0, 0.0
 
     def __call__(self, pixels: NDArray[np.int64], rays: int, *, together: bool = False) -> tuple[Array, Array]:
@@ -141,7 +145,7 @@ class Trials:
         signal, single = np.empty(len(pixels)), np.empty(len(pixels))
         for first in range(0, len(pixels), BATCH // rays):
             part = slice(first, first + BATCH // rays)
-            light, variance = self._look.seen(PixelBatch(pixels[part], rays, self._known[pixels[part]], together))
+            light, variance = self._look.render(PixelBatch(pixels[part], rays, self._known[pixels[part]], together))
             signal[part], single[part] = light @ self._look.weight, variance * rays
         self._rays += rays * len(pixels)
         self._seconds += time.perf_counter() - start
@@ -149,18 +153,19 @@ class Trials:
 
     @property
     def seconds_a_ray(self) -> float:
-        """Time of one ray with all that it gathers, s; 0 before any was followed."""
+        """Time of one camera ray with its gather rays, s; 0 before the first."""
         return self._seconds / max(self._rays, 1)
 
 
-# Side of a tile, px; pixels of each by which it is tried how open the sky is, and rays of each of these.
+# Side of a tile, px; pixels of each that estimate the sky view factor, and rays of each of these.
 TILE, TRIED, TRIES = 4, 2, 4
 
 
 def sky_control_fraction(stage: SpectralScene, view: Viewpoint, seed: int) -> NDArray[np.float32]:
-    """Return the share of the hemisphere that is open before what pixels show, on average over a tile, (row, col).
+    """Return the unoccluded fraction of the hemisphere at the surfaces in view, averaged over a tile, shape (row, col).
 
-    Tried by a few places of each tile, with random numbers of their own.
+    It is the control-variate fraction of the sky, estimated from a few points of each tile with independent random
+    numbers.
     """
     rng = np.random.default_rng([seed, 1])
     tiles, columns, tracer = Tiles.of(view.shape, TILE), view.shape[1], stage.surfaces.tracer
@@ -172,7 +177,7 @@ def sky_control_fraction(stage: SpectralScene, view: Viewpoint, seed: int) -> ND
     points = stage.points(hit, origin, towards, met)
     hidden = np.zeros(len(pixel))
     for _ in range(TRIES):
-        direction, _ = stage.bsdfs.drawn(points, rng.random((len(met), 2)), rng)
+        direction, _ = stage.bsdfs.sample(points, rng.random((len(met), 2)), rng)
         start = tracer.above(points.face, points.place_m, points.normal)
         hidden[met] += tracer.is_occluded(start, direction) / TRIES
     share = hidden.reshape(*tiles.count, TRIED).mean(axis=-1)
@@ -180,15 +185,15 @@ def sky_control_fraction(stage: SpectralScene, view: Viewpoint, seed: int) -> ND
     return (1.0 - share)[down, across].astype(np.float32)
 
 
-# Share of the variance allowed that is left to light that pixels share: it costs most. The rest is for their own rays.
+# Fraction of the allowed variance for the irradiance cache, which costs most; the rest is for the camera rays.
 SHARED_CHANCE = 0.8
-# Times that the error is measured at most.
+# Most turns of camera rays.
 TURNS = 12
 
 
 @dataclass(frozen=True, kw_only=True)
 class Rendering:
-    """A picture and what is known of it.
+    """A rendering with its error estimate.
 
     Parameters
     ----------
@@ -201,9 +206,9 @@ class Rendering:
     rays
         Rays of each pixel, shape (row, col).
     truth
-        What is where.
+        Auxiliary layers.
     below_zero
-        Pixels that chance brought below zero in some band: rays take hidden sky away one by one. They count as dark.
+        Number of pixels with negative radiance in some band, because of the control variate. They are set to zero.
     """
 
     cube: RadianceCube
@@ -226,55 +231,55 @@ def render_scene(
     progress: Callable[[float], None] = lambda share: None,
     announce: Callable[[float], None] = lambda seconds: None,
 ) -> Rendering:
-    """Return the picture of a scene.
+    """Render a scene.
 
     Parameters
     ----------
     stage
-        The scene on bands.
+        The scene on its bands.
     view
         The camera.
     rays, effort
-        How many rays, and how far light is followed.
+        Numbers of rays, and integrator settings.
     weight
         Signal of each band's radiance (`Eye.weight`), in which variances are stated, shape (band,).
     seed
-        Seed: the picture follows from it, whatever runs it.
+        Seed; the rendering does not depend on the number of threads.
     run
-        Does parts of the work, see `workers`.
+        Runs jobs, see `workers`.
     progress
-        Told the share done.
+        Called with the fraction completed.
     announce
-        Told how long it will take in one process, s, by how long the trials took.
+        Called with the expected time in one thread, s, from the time of the pilot.
 
     Notes
     -----
-    Memory is that of two cubes and of `look.BATCH` rays, whatever the number of rays.
+    Memory: two cubes and one batch of rays.
     """
     look = PixelBatchRenderer(
         stage=stage,
         view=view,
         effort=effort,
         weight=np.asarray(weight, np.float32),
-        gathered=rays.gathered,
+        gather_rays=rays.gather_rays,
         seed=seed,
     )
     here = truth(stage, view)
-    known = sky_control_fraction(stage, view, seed)
-    if rays.shared is not None and effort.gathers:
-        look, rays = _sharing(look, rays, rays.shared, known, run)
-    tried = Trials(look, known)
+    control = sky_control_fraction(stage, view, seed)
+    if rays.cache_rays is not None and effort.gathers:
+        look, rays = _sharing(look, rays, rays.cache_rays, control, run)
+    tried = Trials(look, control)
     wanted = allocate_samples(here, rays, tried, seed)
     announce(tried.seconds_a_ray * float(wanted.sum()))
-    alone = here.edges(shadows=False) & (look.field is not None and (rays.fine or look.only_shadow))
+    alone = here.edges(shadows=False) & (look.field is not None and (rays.refine or look.only_shadow))
     seen, done = _Sum(view.shape, stage.bands), 0
     for turn in range(TURNS):
-        batches = list(jobs(wanted, known, alone, rays.gathered, turn))
-        in_all = done + int(wanted.sum())
-        for job, found in zip(batches, run(look.seen, batches), strict=True):
+        batches = list(jobs(wanted, control, alone, rays.gather_rays, turn))
+        total = done + int(wanted.sum())
+        for job, found in zip(batches, run(look.render, batches), strict=True):
             seen.add(job, *found)
             done += len(job.pixels) * job.rays
-            progress(done / in_all)
+            progress(done / total)
         wanted = further(here, rays, *map(seen.of, (seen.radiance @ look.weight, seen.variance, seen.rays)))
         if not wanted.any():
             break
@@ -295,33 +300,33 @@ def render_scene(
 
 
 def _sharing(
-    look: PixelBatchRenderer, rays: SamplingSettings, first: int, known: NDArray[np.float32], run: Run
+    look: PixelBatchRenderer, rays: SamplingSettings, first: int, sky_control_fraction: NDArray[np.float32], run: Run
 ) -> tuple[PixelBatchRenderer, SamplingSettings]:
-    """Have pixels share what they gather, by so many rays of a node at first; their own rays have the rest to err."""
-    fine = rays.fine and not look.only_shadow
+    """Build the irradiance cache, and leave the rest of the allowed variance to the camera rays."""
+    fine = rays.refine and not look.only_shadow
     around = build_irradiance_cache(
         look.stage,
         look.view,
         look.effort,
-        known,
+        sky_control_fraction,
         rays=max(first // 2, 2) if fine else first,
-        most=rays.shared_most,
-        allowed=_part(rays.allowed, SHARED_CHANCE),
+        max_rays=rays.max_cache_rays,
+        error_limit=_part(rays.error_limit, SHARED_CHANCE),
         weight=look.weight,
         seed=look.seed,
         run=run,
         fine=fine,
     )
-    return replace(look, field=around), replace(rays, allowed=_part(rays.allowed, 1.0 - SHARED_CHANCE))
+    return replace(look, field=around), replace(rays, error_limit=_part(rays.error_limit, 1.0 - SHARED_CHANCE))
 
 
-def _part(allowed: Callable[[Array], Array] | None, share: float) -> Callable[[Array], Array] | None:
-    """A share of the variance allowed."""
-    return None if allowed is None else lambda signal: share * allowed(signal)
+def _part(error_limit: Callable[[Array], Array] | None, share: float) -> Callable[[Array], Array] | None:
+    """Return a fraction of the allowed variance."""
+    return None if error_limit is None else lambda signal: share * error_limit(signal)
 
 
 class _Sum:
-    """What turns have found so far: mean radiance (pixel, band), the variance of its signal, and rays (pixel,)."""
+    """Accumulated mean radiance (pixel, band), variance of its signal, and rays (pixel,)."""
 
     def __init__(self, shape: tuple[int, int], bands: int) -> None:
         self._shape = shape
@@ -330,7 +335,7 @@ class _Sum:
         self.rays = np.zeros(shape[0] * shape[1], np.int32)
 
     def add(self, job: PixelBatch, light: NDArray[np.float32], variance: NDArray[np.float32]) -> None:
-        """Add the rays of a job: means and their variances are weighed by rays."""
+        """Add the rays of a batch: means and variances are weighted by rays."""
         pixels = job.pixels
         share = (job.rays / (self.rays[pixels] + job.rays)).astype(np.float32)
         before = np.where(share < 1.0, self.variance[pixels], 0.0)
@@ -339,5 +344,5 @@ class _Sum:
         self.rays[pixels] += job.rays
 
     def of(self, values: NDArray) -> NDArray:
-        """Return values of pixels (pixel,) as a picture."""
+        """Return values of pixels (pixel,) as an image (row, col)."""
         return values.reshape(self._shape)

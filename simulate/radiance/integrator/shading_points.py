@@ -1,4 +1,4 @@
-"""Places on surfaces that send light to an eye, with all that their reflection needs."""
+"""Shading points, and the BSDFs of their materials."""
 
 from dataclasses import dataclass, replace
 
@@ -11,34 +11,34 @@ from simulate.radiance.geometry.surfaces import Surfaces
 from simulate.radiance.integrator.panes import Panes
 
 Array = NDArray[np.floating]
-# Number of a material that reflects all light, beside those of the scene.
+# Number of an additional, perfectly reflecting material.
 WHITE = -1
 
 
 @dataclass(frozen=True)
 class ShadingPoints:
-    """Places on surfaces.
+    """Points on surfaces at which radiance is computed.
 
     Parameters
     ----------
     place_m
-        Where, shape (point, 3), m.
+        Position, shape (point, 3), m.
     face
         Triangle, shape (point,).
     normal
-        Unit normal on the side of the eye, shape (point, 3).
+        Unit normal on the side of the viewer, shape (point, 3).
     outgoing
-        Unit direction to the eye, shape (point, 3).
+        Unit direction to the viewer, shape (point, 3).
     outside
-        Whether the eye sees the outer side of the triangle, shape (point,).
+        Whether the viewer sees the outer side of the triangle, shape (point,).
     material
         Number of its material, shape (point,).
     glossy
-        Points of each surface that is not matt, and how it reflects.
-    known
-        Share of the open sky's light that matt points take as known, and correct for what hides it; the rest is
-        gathered, shape (point,). Any number that chance does not choose gives the same mean: 1 is quiet in the open, 0
-        where little sky is seen.
+        Points of each surface that is not diffuse, and its BRDF.
+    sky_control_fraction
+        Fraction of the unoccluded sky irradiance of diffuse points that serves as control variate; the rest is
+        gathered, shape (point,). Any fraction independent of the samples gives the same mean: 1 has no noise in the
+        open, 0 has least where little sky is visible.
     """
 
     place_m: Array
@@ -48,25 +48,25 @@ class ShadingPoints:
     outside: NDArray[np.bool_]
     material: NDArray[np.int64]
     glossy: tuple[tuple[NDArray[np.int64], Brdf], ...]
-    known: NDArray[np.float32]
+    sky_control_fraction: NDArray[np.float32]
 
     def __len__(self) -> int:
         return len(self.face)
 
     @property
-    def matt(self) -> NDArray[np.bool_]:
-        """Whether each is on a matt surface, shape (point,)."""
+    def is_diffuse(self) -> NDArray[np.bool_]:
+        """Whether each point is on a diffuse surface, shape (point,)."""
         found = np.ones(len(self), np.bool_)
         for which, _ in self.glossy:
             found[which] = False
         return found
 
-    def whitened(self) -> "ShadingPoints":
-        """Return the same places with a matt surface that reflects all light."""
+    def on_white_surface(self) -> "ShadingPoints":
+        """Return the same points on a perfectly reflecting diffuse surface."""
         return replace(self, material=np.full(len(self), WHITE), glossy=())
 
     def some(self, which: NDArray[np.int64]) -> "ShadingPoints":
-        """Return some of the points, each as often as its number is given."""
+        """Return a selection of the points, with repetition."""
         glossy = []
         for of, brdf in self.glossy:
             shines = np.zeros(len(self), bool)
@@ -81,13 +81,13 @@ class ShadingPoints:
             self.outside[which],
             self.material[which],
             tuple(glossy),
-            self.known[which],
+            self.sky_control_fraction[which],
         )
 
 
 @dataclass(frozen=True)
 class BsdfSet:
-    """How each material reflects.
+    """BRDFs of the materials, on bands.
 
     Parameters
     ----------
@@ -96,9 +96,9 @@ class BsdfSet:
     brdfs
         One for each material of the surfaces.
     rho_by_pi
-        rho / pi of the matt ones, and last of `WHITE`, shape (material + 1, band), sr-1.
+        rho / pi of the diffuse ones, and last of `WHITE`, shape (material + 1, band), sr-1.
     panes
-        Panes of glass that light meets on its way; None without any.
+        Panes of glass; None without any.
     """
 
     wavelength_nm: NDArray[np.float64]
@@ -122,9 +122,12 @@ class BsdfSet:
         face: NDArray[np.int64],
         place_m: Array,
         direction: Array,
-        known: NDArray[np.float32] | None = None,
+        sky_control_fraction: NDArray[np.float32] | None = None,
     ) -> ShadingPoints:
-        """Return what rays of unit direction (ray, 3) hit, triangles (ray,) at places (ray, 3), m; None: all known."""
+        """Return shading points for rays of unit direction (ray, 3) that hit triangles (ray,) at positions (ray, 3), m.
+
+        `sky_control_fraction` is the control-variate fraction of the sky; None: 1.
+        """
         normal = surfaces.tracer.normals(face)
         outside = np.einsum("ij,ij->i", normal, direction) < 0.0
         material = surfaces.material_of[face & ROW]
@@ -134,33 +137,33 @@ class BsdfSet:
             if not isinstance(brdf, Lambert) and (material == number).any()
         )
         facing = np.where(outside[:, None], normal, -normal)
-        known = np.ones(len(face), np.float32) if known is None else known
-        return ShadingPoints(place_m, face, facing, -direction, outside, material, glossy, known)
+        sky_control_fraction = np.ones(len(face), np.float32) if sky_control_fraction is None else sky_control_fraction
+        return ShadingPoints(place_m, face, facing, -direction, outside, material, glossy, sky_control_fraction)
 
-    def matt(self, points: ShadingPoints) -> NDArray[np.float32]:
-        """Return rho / pi of matt points and zero for others, shape (point, band), sr-1."""
+    def diffuse_brdf(self, points: ShadingPoints) -> NDArray[np.float32]:
+        """Return rho / pi of diffuse points and zero for others, shape (point, band), sr-1."""
         return self.rho_by_pi[points.material]
 
     def value(self, points: ShadingPoints, incoming: Array) -> NDArray[np.float32]:
         """Return the BRDF of points for unit directions to the light above them, shape (point, band), sr-1."""
-        found = self.matt(points)
+        found = self.diffuse_brdf(points)
         for which, brdf in points.glossy:
             frame = shading_frames(points.normal[which])
             light, eye = within(frame, incoming[which]), within(frame, points.outgoing[which])
             found[which] = brdf.value(light, eye, self.wavelength_nm).T
         return found
 
-    def drawn(self, points: ShadingPoints, cosine: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Return directions of gathering and their density, sr-1: by the cosine law, half of glossy ones by the gloss.
+    def sample(self, points: ShadingPoints, cosine: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+        """Draw gather directions and their density, sr-1: by the cosine law, half of glossy ones by the specular lobe.
 
         Parameters
         ----------
         points
             Where.
         cosine
-            Two even numbers in [0, 1) for each point, shape (point, 2), for the cosine law.
+            Two uniform numbers in [0, 1) for each point, shape (point, 2), for the cosine law.
         rng
-            Source of chance for the gloss.
+            Random generator for the specular lobe.
         """
         frame = shading_frames(points.normal)
         radius, turn = np.sqrt(cosine[:, 0]), 2.0 * np.pi * cosine[:, 1]

@@ -1,4 +1,4 @@
-"""Places whose light is asked for, how it is to be found, and where it is added up."""
+"""Shading requests: points, how their light is to be computed, and the radiance components it is added to."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -13,14 +13,14 @@ from simulate.radiance.integrator.shading_points import ShadingPoints
 
 
 class RadianceComponents:
-    """Light at places (place, band), in parts by name, or all in one where nobody asks.
+    """Radiance (point, band) in components by name, or their sum if not split.
 
     Parameters
     ----------
     shape
-        Places and bands.
+        Points and bands.
     split
-        Whether parts are kept apart.
+        Whether components are stored separately.
     """
 
     def __init__(self, shape: tuple[int, int], *, split: bool = False) -> None:
@@ -28,7 +28,7 @@ class RadianceComponents:
         self.found: dict[str, NDArray[np.float32]] = {}
 
     def add(self, name: str, which: NDArray[np.int64], light: NDArray[np.float32]) -> None:
-        """Add light to a part at some places, each named once."""
+        """Add light to a component at some points, each named once."""
         if not len(which):
             return
         key = name if self.split else ""
@@ -40,7 +40,7 @@ class RadianceComponents:
             self.found[key][which] += light
 
     def total(self) -> NDArray[np.float32]:
-        """Return all parts together."""
+        """Return the sum of all components."""
         return sum(self.found.values(), start=np.zeros(self.shape, np.float32))
 
 
@@ -55,7 +55,7 @@ def bounce_order(name: str) -> tuple[int, str]:
 def sum_by_point(
     light: NDArray[np.float32], which: NDArray[np.int64], rows: NDArray[np.int64], rays: int
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """Add up the light of some rays at their points, which come one after the other: rows of points and light."""
+    """Sum the light of consecutive rays at their points: rows of points, and light."""
     owner = which // rays
     first = np.flatnonzero(np.diff(owner, prepend=-1))
     if len(first) == len(which):
@@ -63,30 +63,30 @@ def sum_by_point(
     return rows[owner[first]], np.add.reduceat(light, first, axis=0)
 
 
-# The light that leaves places which rays met so many bounces before the surface that the eye sees.
+# Outgoing radiance of points at a given number of bounces from the surface that the camera sees.
 Further = Callable[[ShadingPoints, int], RadianceComponents]
 
 
 @dataclass(frozen=True, kw_only=True)
 class ShadingRequest:
-    """Places whose light is asked for.
+    """Points whose outgoing radiance is requested.
 
     Parameters
     ----------
     points
         Where.
     parts, rows
-        What their light is added to, and the place there of each point, shape (point,).
+        Components that the light is added to, and the row of each point there, shape (point,).
     effort
         How far light is followed.
     rng
         Source of chance.
     rays
-        Rays by which each point gathers.
+        Gather rays of each point.
     depth
-        Bounces between the points and the surface that the eye sees.
+        Bounces between the points and the surface that the camera sees.
     even
-        Two even numbers for each ray, from which directions follow; None: drawn.
+        Two quasi-random numbers for each ray, from which directions follow; None: drawn.
     """
 
     points: ShadingPoints
@@ -100,28 +100,32 @@ class ShadingRequest:
 
     @property
     def reflections(self) -> bool:
-        """Whether light is asked for that something else reflects on its way to the points."""
-        return self.depth < self.effort.bounces
+        """Whether indirect light (at least one reflection before the points) is included."""
+        return self.depth < self.effort.max_bounces
 
     @property
     def stretches(self) -> SequenceSlice:
-        """The even numbers, drawn where none are given."""
-        return SequenceSlice.drawn(len(self.points), self.rays, self.rng) if self.even is None else self.even
+        """The quasi-random numbers, drawn where none are given."""
+        return SequenceSlice.random(len(self.points), self.rays, self.rng) if self.even is None else self.even
 
     @cached_property
-    def known(self) -> NDArray[np.float32]:
-        """Share of the sky that points take as known: none where they are not matt, all where nothing may hide it."""
-        return self.points.known * self.points.matt if self.effort.hidden_sky else self.points.matt.astype(np.float32)
+    def sky_control_fraction(self) -> NDArray[np.float32]:
+        """Control-variate fraction of the sky: 0 where not diffuse, 1 where sky shadowing is off."""
+        return (
+            self.points.sky_control_fraction * self.points.is_diffuse
+            if self.effort.sky_shadowing
+            else self.points.is_diffuse.astype(np.float32)
+        )
 
     def some(self, which: NDArray[np.int64]) -> "ShadingRequest":
-        """Return some of the places."""
+        """Return the request for some of the points."""
         even = None if self.even is None else self.even.some(which)
         return replace(self, points=self.points.some(which), rows=self.rows[which], even=even)
 
     def add(self, name: str, which: NDArray[np.int64], light: NDArray[np.float32]) -> None:
-        """Add light to a part at some of the points, each named once."""
+        """Add light to a component at some of the points, each named once."""
         self.parts.add(name, self.rows[which], light)
 
     def add_found(self, name: str, ray: NDArray[np.int64], light: NDArray[np.float32]) -> None:
-        """Add what some rays found to a part: numbers of rays, of which those of a point follow each other."""
+        """Add light of some rays to a component: ray numbers, in which the rays of a point are consecutive."""
         self.parts.add(name, *sum_by_point(light, ray, self.rows, self.rays))

@@ -1,4 +1,4 @@
-"""What sources send to the places where the rays of a wave are, each looked for by name: compiled loops."""
+"""Next-event estimation at the path vertices of a wave: compiled loops over sky, discs, lamps and panels."""
 
 from typing import Any
 
@@ -36,34 +36,36 @@ from simulate.radiance.integrator.shading_points import ShadingPoints
 
 
 @numba.njit(**COMPILED)
-def add_known_sky(irradiance: Any, lanes: Any, many: int, known: Any, hidden_sky: bool, found: Any) -> None:
-    """Add the part of the sky that is taken as known at places."""
+def add_known_sky(
+    irradiance: Any, lanes: Any, many: int, sky_control_fraction: Any, sky_shadowing: bool, found: Any
+) -> None:
+    """Add the control variate of the sky at path vertices."""
     for k in range(many):
-        lane = lanes.going[k]
-        i, up = lanes.owner[lane], lanes.normal[lane]
-        share = float(known[i]) if hidden_sky else 1.0
+        lane = lanes.active[k]
+        i, up = lanes.point[lane], lanes.normal[lane]
+        share = float(sky_control_fraction[i]) if sky_shadowing else 1.0
         if share != 0.0:
-            sky_irradiance(irradiance, up[0], up[1], up[2], share, lanes.leaves[lane], found[i])
+            sky_irradiance(irradiance, up[0], up[1], up[2], share, lanes.throughput[lane], found[i])
 
 
 @numba.njit(**COMPILED)
 def add_discs(scene: Any, discs: Any, packets: Any, lanes: Any, many: int, state: Any, found: Any) -> None:
-    """Add light of sun and moon at places."""
+    """Add light of sun and moon at path vertices."""
     axes, least, light = discs
     for disc in range(len(least)):
         asked = 0
         for k in range(many):
-            lane = lanes.going[k]
+            lane = lanes.active[k]
             up, turn = 1.0 - uniform(state) * (1.0 - least[disc]), 2.0 * np.pi * uniform(state)
             flat = np.sqrt(max(1.0 - up * up, 0.0))
             u, v, factor = flat * np.cos(turn), flat * np.sin(turn), 0.0
             for axis in range(3):
                 way = u * axes[disc, 0, axis] + v * axes[disc, 1, axis] + up * axes[disc, 2, axis]
-                lanes.way[lane, axis] = way
+                lanes.direction[lane, axis] = way
                 factor += way * lanes.normal[lane, axis]
             if factor > 0.0:
-                lanes.chosen[lane], lanes.factor[lane], lanes.asked[asked] = disc, factor, lane
-                set_ray(packets, asked, scene[1], lanes.start[lane], lanes.way[lane], np.inf)
+                lanes.chosen[lane], lanes.factor[lane], lanes.shadow_rays[asked] = disc, factor, lane
+                set_ray(packets, asked, scene[1], lanes.start[lane], lanes.direction[lane], np.inf)
                 asked += 1
         _add_unless_stopped(scene[0], packets, lanes, asked, light, found)
 
@@ -71,7 +73,7 @@ def add_discs(scene: Any, discs: Any, packets: Any, lanes: Any, many: int, state
 @numba.njit(**COMPILED)
 def add_lamps(scene: Any, lamps: Any, beams: Any, most: int, packets: Any, lanes: Any, many: int, state: Any, found: Any
               ) -> None:  # fmt: skip
-    """Add light of lamps at places, less what is found from the lamps: of all if few are asked, else of one drawn."""
+    """Add light of lamps at path vertices, less the light-traced part: of all lamps if few, else of one drawn."""
     draws = len(lamps[0]) > most
     for lamp in range(1 if draws else len(lamps[0])):
         _choose(lamps, lamp, draws, lanes, many, state)
@@ -79,20 +81,20 @@ def add_lamps(scene: Any, lamps: Any, beams: Any, most: int, packets: Any, lanes
             _leave_to_light(scene, lamps, beams, packets, lanes, many)
         asked = 0
         for k in range(many):
-            lane = lanes.going[k]
+            lane = lanes.active[k]
             if lanes.factor[lane] > 0.0:
-                lanes.asked[asked] = lane
-                towards_lamp(lamps, lanes.chosen[lane], lanes.place[lane], state, lanes.way[lane])
-                set_ray(packets, asked, scene[1], lanes.start[lane], lanes.way[lane], SHORT)
+                lanes.shadow_rays[asked] = lane
+                towards_lamp(lamps, lanes.chosen[lane], lanes.place[lane], state, lanes.direction[lane])
+                set_ray(packets, asked, scene[1], lanes.start[lane], lanes.direction[lane], SHORT)
                 asked += 1
         _add_unless_stopped(scene[0], packets, lanes, asked, lamps[2], found)
 
 
 @numba.njit(**COMPILED)
 def _choose(lamps: Any, lamp: int, draws: bool, lanes: Any, many: int, state: Any) -> None:
-    """Set which lamp each place asks, and what it would get of it."""
+    """Set the lamp that each path vertex samples, and its unoccluded irradiance."""
     for k in range(many):
-        lane = lanes.going[k]
+        lane = lanes.active[k]
         one, chance = lamp, 1.0
         if draws:
             one, chance = _draw_lamp(lamps, lanes.place[lane], lanes.normal[lane], uniform(state))
@@ -105,20 +107,20 @@ def _leave_to_light(scene: Any, lamps: Any, beams: Any, packets: Any, lanes: Any
     """Take from what places get the share that `lit_places.add_lit_places` finds: where the lamp's middle sees them."""
     asked = 0
     for k in range(many):
-        lane = lanes.going[k]
+        lane = lanes.active[k]
         if lanes.factor[lane] <= 0.0:
             continue
         lamp, place = lanes.chosen[lane], lanes.place[lane]
         if light_tracing_weight(beams, lamps, lamp, place, lanes.normal[lane], lanes.by_ray[lane]) > 0.0:
             for axis in range(3):
-                lanes.way[lane, axis] = lamps[0][lamp, axis] - lanes.start[lane, axis]
-            lanes.asked[asked] = lane
-            set_ray(packets, asked, scene[1], lanes.start[lane], lanes.way[lane], SHORT)
+                lanes.direction[lane, axis] = lamps[0][lamp, axis] - lanes.start[lane, axis]
+            lanes.shadow_rays[asked] = lane
+            set_ray(packets, asked, scene[1], lanes.start[lane], lanes.direction[lane], SHORT)
             asked += 1
     trace_occlusion(scene[0], packets, asked)
     for slot in range(asked):
         if not is_ray_occluded(packets, slot):
-            lane = lanes.asked[slot]
+            lane = lanes.shadow_rays[slot]
             lamp, place = lanes.chosen[lane], lanes.place[lane]
             share = light_tracing_weight(beams, lamps, lamp, place, lanes.normal[lane], lanes.by_ray[lane])
             lanes.factor[lane] *= 1.0 - share
@@ -126,14 +128,14 @@ def _leave_to_light(scene: Any, lamps: Any, beams: Any, packets: Any, lanes: Any
 
 @numba.njit(**COMPILED)
 def add_panels(scene: Any, panels: Any, packets: Any, lanes: Any, many: int, state: Any, found: Any) -> None:
-    """Add light of a glowing surface at places, from a place on it that is drawn by power, as `direct.from_panels`."""
+    """Add light of an emitting surface at path vertices, from a point drawn by power, as `direct.from_panels`."""
     address, centre, _, clearance = scene
     cumulated, faces, corners, normals, per_m2, kind, spectra = panels
     asked = 0
     for k in range(many):
-        lane = lanes.going[k]
+        lane = lanes.active[k]
         panel = min(np.searchsorted(cumulated, uniform(state), side="right"), len(cumulated) - 1)
-        root, v, face, way = np.sqrt(uniform(state)), uniform(state), faces[panel], lanes.way[lane]
+        root, v, face, way = np.sqrt(uniform(state)), uniform(state), faces[panel], lanes.direction[lane]
         square, cosine, leaving = 0.0, 0.0, 0.0
         for axis in range(3):
             a, b, c = corners[panel, 0, axis], corners[panel, 1, axis], corners[panel, 2, axis]
@@ -151,7 +153,7 @@ def add_panels(scene: Any, panels: Any, packets: Any, lanes: Any, many: int, sta
         set_ray_start(clearance, centre, face, way, normals[panel], way)
         for axis in range(3):
             way[axis] -= lanes.start[lane, axis]
-        lanes.asked[asked] = lane
+        lanes.shadow_rays[asked] = lane
         set_ray(packets, asked, centre, lanes.start[lane], way, SHORT)
         asked += 1
     _add_unless_stopped(address, packets, lanes, asked, spectra, found)
@@ -159,13 +161,13 @@ def add_panels(scene: Any, panels: Any, packets: Any, lanes: Any, many: int, sta
 
 @numba.njit(**COMPILED)
 def add_glow(panels: Any, planes: Any, lanes: Any, many: int, sent: int, found: Any) -> None:
-    """Add the glow of what rays have met, the share that is theirs: the counterpart of `add_panels`.
+    """Add the emission of what rays have met with its multiple-importance weight: the counterpart of `add_panels`.
 
-    `sent` rays came from the place where each set out, by the cosine law.
+    `sent` rays left the vertex where each started, by the cosine law.
     """
     per_m2, kind, spectra = panels[4], panels[5], panels[6]
     for k in range(many):
-        lane = lanes.going[k]
+        lane = lanes.active[k]
         face = lanes.face[lane]
         if kind[face & ROW] < 0:
             continue
@@ -173,53 +175,57 @@ def add_glow(panels: Any, planes: Any, lanes: Any, many: int, sent: int, found: 
         square, leaving = 0.0, 0.0
         for axis in range(3):
             square += (lanes.place[lane, axis] - lanes.start[lane, axis]) ** 2
-            leaving -= lanes.way[lane, axis] * normal[axis]
+            leaving -= lanes.direction[lane, axis] * normal[axis]
         if leaving <= 0.0:
             continue
         own = sent * lanes.cosine[lane] / np.pi
         share = own / (own + per_m2[face & ROW] * square / leaving)
         for band in range(found.shape[1]):
-            found[lanes.owner[lane], band] += share * lanes.weight[lane, band] * spectra[kind[face & ROW], band]
+            found[lanes.point[lane], band] += share * lanes.weight[lane, band] * spectra[kind[face & ROW], band]
 
 
 @numba.njit(**COMPILED)
 def _add_unless_stopped(address: Any, packets: Any, lanes: Any, asked: int, spectra: Any, found: Any) -> None:
-    """Add light of the chosen sources of rays that ask, and that reach them."""
+    """Add light of the chosen sources along shadow rays that are not occluded."""
     trace_occlusion(address, packets, asked)
     for slot in range(asked):
         if not is_ray_occluded(packets, slot):
-            lane = lanes.asked[slot]
-            owner, chosen, factor = lanes.owner[lane], lanes.chosen[lane], lanes.factor[lane]
+            lane = lanes.shadow_rays[slot]
+            owner, chosen, factor = lanes.point[lane], lanes.chosen[lane], lanes.factor[lane]
             for band in range(found.shape[1]):
-                found[owner, band] += lanes.leaves[lane, band] * factor * spectra[chosen, band]
+                found[owner, band] += lanes.throughput[lane, band] * factor * spectra[chosen, band]
 
 
 @numba.njit(**COMPILED)
-def add_bright(scene: Any, sky: Any, packets: Any, lanes: Any, many: int, known: Any, state: Any, found: Any) -> None:
+def add_bright(
+    scene: Any, sky: Any, packets: Any, lanes: Any, many: int, sky_control_fraction: Any, state: Any, found: Any
+) -> None:
     """Add the share of the sky that is looked for by its brightness, see `Stage._add_bright_sky`."""
     radiance, _, _, cumulated, per_sr, sines = sky
     asked = 0
     for k in range(many):
-        lane = lanes.going[k]
-        way, up = lanes.way[lane], lanes.normal[lane]
+        lane = lanes.active[k]
+        way, up = lanes.direction[lane], lanes.normal[lane]
         bright_way(cumulated, sines, uniform(state), uniform(state), uniform(state), way)
         cosine = way[0] * up[0] + way[1] * up[1] + way[2] * up[2]
         if cosine > 0.0:
             lanes.factor[lane] = cosine / (cosine / np.pi + bright_density(per_sr, way[0], way[1], way[2]))
-            lanes.asked[asked] = lane
+            lanes.shadow_rays[asked] = lane
             set_ray(packets, asked, scene[1], lanes.start[lane], way, np.inf)
             asked += 1
     trace_occlusion(scene[0], packets, asked)
     for slot in range(asked):
-        lane = lanes.asked[slot]
-        i, way = lanes.owner[lane], lanes.way[lane]
-        share = -float(known[i]) if is_ray_occluded(packets, slot) else 1.0 - float(known[i])
-        sky_light(radiance, way[0], way[1], way[2], share * lanes.factor[lane], lanes.leaves[lane], found[i])
+        lane = lanes.shadow_rays[slot]
+        i, way = lanes.point[lane], lanes.direction[lane]
+        share = (
+            -float(sky_control_fraction[i]) if is_ray_occluded(packets, slot) else 1.0 - float(sky_control_fraction[i])
+        )
+        sky_light(radiance, way[0], way[1], way[2], share * lanes.factor[lane], lanes.throughput[lane], found[i])
 
 
 @numba.njit(**INLINED)
 def _draw_lamp(lamps: Any, place: Any, normal: Any, even: float) -> tuple[int, float]:
-    """Draw one of several lamps by what it might give, and return it with its chance; zero where none gives any."""
+    """Draw one lamp by its unoccluded irradiance, and return it with its probability; zero if no lamp gives light."""
     sums, total = lamps[3], 0.0
     for lamp in range(len(sums)):
         total += lamp_factor(lamps, lamp, place, normal) * sums[lamp]
@@ -237,42 +243,44 @@ def _draw_lamp(lamps: Any, place: Any, normal: Any, even: float) -> tuple[int, f
 
 
 def sky_residual_irradiance(
-    points: ShadingPoints, even: SequenceSlice, dome: EnvironmentMap, tracer: RayTracer
+    points: ShadingPoints, even: SequenceSlice, environment: EnvironmentMap, tracer: RayTracer
 ) -> NDArray[np.float32]:
-    """Return the irradiance that rays add to the part of the sky that is taken as known, shape (point, band).
+    """Return the irradiance of the sky minus its control variate, shape (point, band).
+
+    Half the time of the path tracer, for scenes in which only sky shadowing is computed.
 
     Parameters
     ----------
     points
-        Places, whose `known` says how much of the sky counts already.
+        Points, with their control-variate fraction of the sky.
     even
-        Two numbers for each ray of each point: directions follow by the cosine law.
+        Two quasi-random numbers for each ray of each point: directions follow by the cosine law.
     environment_map, tracer
         The sky, and what may hide it.
 
     Notes
     -----
-    pi/rays times the sum of (1 - known) L where a ray is free and of -known L where it is not.
+    pi/rays times the sum of (1 - c) L over visible directions and of -c L over occluded ones, c the fraction.
     """
-    bands = dome.radiance_table.shape[2]
+    bands = environment.radiance_table.shape[2]
     found = np.zeros((len(points), bands), np.float32)
     if tracer.scene is not None:
         start = tracer.above(points.face, points.place_m, points.normal)
         room = (new_packets(PACKET), np.zeros(PACKET, np.int64), np.zeros((PACKET, 3)), np.ones(bands, np.float32))
-        scene, here = (tracer.scene.address, tracer.scene.centre_m), (start, points.normal, points.known)
-        _add_sky(scene, here, (even.start, even.rays), dome.radiance_table, room, found)
+        scene, here = (tracer.scene.address, tracer.scene.centre_m), (start, points.normal, points.sky_control_fraction)
+        _add_sky(scene, here, (even.start, even.rays), environment.radiance_table, room, found)
     return found
 
 
 @numba.njit(**COMPILED)
 def _add_sky(scene: Any, points: Any, even: Any, table: Any, room: Any, found: Any) -> None:
     address, centre = scene
-    place, normal, known = without_reference_count(points)
+    place, normal, sky_control_fraction = without_reference_count(points)
     begin, each = without_reference_count(even)
     table, found = without_reference_count(table), without_reference_count(found)
     packets, owner, ways, whole = without_reference_count(room)
     i, ray, now = 0, 0, (0.0, 1.0, 0.0)
-    # Rays of all places one after the other, so that packets are full however few rays each place has.
+    # Rays of consecutive points share packets, so that packets are full however few rays each point has.
     while i < len(place):
         asked = 0
         while asked < PACKET and i < len(place):
@@ -286,6 +294,6 @@ def _add_sky(scene: Any, points: Any, even: Any, table: Any, room: Any, found: A
         trace_occlusion(address, packets, asked)
         for slot in range(asked):
             one, way = owner[slot], ways[slot]
-            share = -known[one] if is_ray_occluded(packets, slot) else 1.0 - known[one]
+            share = -sky_control_fraction[one] if is_ray_occluded(packets, slot) else 1.0 - sky_control_fraction[one]
             if share != 0.0:
                 sky_light(table, way[0], way[1], way[2], share * np.pi / each, whole, found[one])

@@ -1,4 +1,4 @@
-"""A scene on bands, ready for light: what reflects, what shines, and the air between."""
+"""A scene on the bands of a rendering: surfaces, BSDFs, light sources and air."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,22 +21,22 @@ if TYPE_CHECKING:
 
 
 Array = NDArray[np.floating]
-# What gases leave is kept at ranges of 2^(n / NODES) m, from 1 m on; shorter ways lose nothing to them.
+# Gas transmittance is tabulated at ranges of 2^(n / NODES) m from 1 m; shorter paths lose nothing to gases.
 NODES, OCTAVES = 16, 20
 
 
 @dataclass(frozen=True)
 class Air:
-    """Air of a scene.
+    """Air of a scene, on bands.
 
     Parameters
     ----------
     extinction_per_m
         Extinction by haze and molecules, shape (band,), m-1; None: no air.
     gas_transmittance
-        What gases leave over ways of 2^(n / `NODES`) m, shape (length, band).
+        Gas transmittance over paths of 2^(n / `NODES`) m, shape (length, band).
     endless
-        Radiance of endless ways by direction; None where nothing lights the air.
+        Radiance of an infinite path by direction; None for unlit air.
     """
 
     extinction_per_m: NDArray[np.float32] | None = None
@@ -45,19 +45,20 @@ class Air:
 
     @property
     def absorbs(self) -> bool:
-        """Whether it takes any light."""
+        """Whether there is air."""
         return self.extinction_per_m is not None
 
     def through(self, range_m: Array) -> NDArray[np.float32]:
-        """Return what ways of some lengths (ray,), m, let through, shape (ray, band)."""
+        """Return the transmittance of paths of given lengths (ray,), m, shape (ray, band)."""
         return self._particle_transmittance(range_m) * self._gas_transmittance(range_m)
 
     def change_of(self, light: NDArray[np.float32], range_m: Array, direction: Array) -> NDArray[np.float32]:
-        """Return what ways of some lengths along unit directions (ray, 3) add to light (ray, band), and take from it.
+        """Return the change of light (ray, band) along paths in unit directions (ray, 3): path radiance minus losses.
 
         Notes
         -----
-        Added is J (1 - T of haze and molecules) T of gases over half the way, see `Atmosphere.path_radiance`.
+        The path radiance is J (1 - T of haze and molecules) (T of gases over half the path), see
+        `Atmosphere.path_radiance`.
         """
         left = self._particle_transmittance(range_m)
         change = left * self._gas_transmittance(range_m)
@@ -76,7 +77,7 @@ class Air:
         return np.exp(depth, out=depth)
 
     def _gas_transmittance(self, range_m: Array) -> NDArray[np.float32]:
-        """What gases leave, interpolated in the logarithm of the length, shape (ray, band)."""
+        """Interpolate the gas transmittance in the logarithm of the length, shape (ray, band)."""
         table = self.gas_transmittance
         assert table is not None
         place = np.clip(NODES * np.log2(np.maximum(range_m, 1.0)), 0.0, len(table) - 1.0)
@@ -88,7 +89,7 @@ class Air:
 
 
 def air(lit: "Atmosphere", wavelength_nm: NDArray[np.float64]) -> Air:
-    """Return an atmosphere on bands (band,), nm."""
+    """Tabulate an atmosphere on bands (band,), nm."""
     lengths = 2.0 ** (np.arange(NODES * OCTAVES + 1) / NODES)
     light = lit.light
     return Air(
@@ -100,16 +101,16 @@ def air(lit: "Atmosphere", wavelength_nm: NDArray[np.float64]) -> Air:
 
 @dataclass(frozen=True, kw_only=True)
 class SpectralScene:
-    """A scene on bands, ready for light.
+    """A scene on the bands of a rendering.
 
     Parameters
     ----------
     surfaces, bsdfs
-        Surfaces and how they reflect.
+        Surfaces and their BSDFs.
     lighting
-        What lights them.
+        Light sources.
     air
-        What air does on the way.
+        Attenuation and path radiance of air.
     """
 
     surfaces: Surfaces
@@ -124,12 +125,12 @@ class SpectralScene:
 
     @cached_property
     def beams(self) -> LightTracingSettings:
-        """How rays are drawn as lamps shine."""
+        """Sampling of lamp directions by intensity."""
         return LightTracingSettings.of(self.lighting.lamps, self.surfaces.tracer)
 
     @property
     def bright_sky(self) -> SkyImportance | None:
-        """How bright sky is looked for by name; not through panes, which only gathering knows."""
+        """Importance sampling of the sky; None with panes, which next-event estimation does not handle."""
         return self.lighting.bright_sky if self.bsdfs.panes is None else None
 
     def points(
@@ -138,24 +139,24 @@ class SpectralScene:
         origin_m: Array,
         direction: Array,
         which: NDArray[np.int64],
-        known: NDArray[np.float32] | None = None,
+        sky_control_fraction: NDArray[np.float32] | None = None,
     ) -> ShadingPoints:
-        """Return what some of the rays of unit direction (ray, 3) hit.
+        """Return the shading points of some of the rays of unit direction (ray, 3).
 
         Parameters
         ----------
         hit, origin_m, direction
-            All rays, and what they hit.
+            All rays, and their hits.
         which
-            Numbers of the rays asked for, which hit something, shape (point,).
-        known
+            Indices of the requested rays, which hit a surface, shape (point,).
+        sky_control_fraction
             Of these points, see `ShadingPoints`, shape (point,); None: all known.
         """
         place = origin_m[which] + hit.range_m[which, None] * direction[which]
-        return self.bsdfs.points(self.surfaces, hit.face[which], place, direction[which], known)
+        return self.bsdfs.points(self.surfaces, hit.face[which], place, direction[which], sky_control_fraction)
 
     def emission(self, points: ShadingPoints) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-        """Return the points that glow and their own radiance towards the eye, shape (glowing point, band)."""
+        """Return the indices of emitting points and their emitted radiance, shape (emitting point, band)."""
         panels = self.lighting.panels
         if panels is None:
             return np.zeros(0, np.int64), np.zeros((0, self.bands), np.float32)

@@ -1,6 +1,7 @@
-"""Lamps, sun and moon in the picture: too small for rays to meet, they are laid on the pixels that they cover.
+"""Visible discs of lamps, sun and moon, which rays would miss: added to the pixels by exact coverage.
 
-So are their images in panes of glass: a source mirrored by the plane of a pane, where the way there meets that pane.
+Their images in panes of glass are added likewise: the source reflected at the plane of a pane, where the path meets
+that pane.
 """
 
 from dataclasses import dataclass
@@ -15,24 +16,24 @@ from simulate.radiance.integrator.panes import Panes, reflect_direction
 from simulate.radiance.integrator.spectral_scene import SpectralScene
 
 Array = NDArray[np.floating]
-# Shares that are smaller than this part of the largest are rounding.
+# Fractions below this part of the largest are rounding errors.
 ROUNDING = 1e-9
 
 
 def coverage(row: Array, col: Array, shape: tuple[int, int]) -> NDArray[np.float64]:
-    """Return the share of each pixel that a polygon covers, shape (row, col).
+    """Return the fraction of each pixel that a polygon covers, shape (row, col).
 
     Parameters
     ----------
     row, col
-        Its corners in turn, whole numbers at the corners of pixels, shape (corner,).
+        Its corners in order, integers at the corners of pixels, shape (corner,).
     shape
-        Pixels, from (0, 0) on; the polygon may reach beyond.
+        Pixels, from (0, 0); the polygon may extend beyond them.
 
     Notes
     -----
-    Green's theorem: each piece of the outline within a pixel adds its height times what lies to its right in the pixel,
-    and its whole height to all pixels to the right.
+    Green's theorem: each segment of the outline within a pixel adds its height times the width to its right in that
+    pixel, and its full height to all pixels to the right.
     """
     place = np.clip(np.stack([row, col], axis=1) + 0.0, -1.0, np.add(shape, 1.0))
     start, end = _pieces(place)
@@ -45,12 +46,12 @@ def coverage(row: Array, col: Array, shape: tuple[int, int]) -> NDArray[np.float
     np.add.at(height, (line, pixel), rise * (pixel + 1.0 - at))
     np.add.at(height, (line, pixel + 1), rise * (at - pixel))
     share = np.abs(np.cumsum(height, axis=1)[:, :-1])
-    # Sums of what cancels leave a hair.
+    # Cancelling sums leave rounding errors.
     return np.where(share > ROUNDING * share.max(initial=0.0), np.minimum(share, 1.0), 0.0)
 
 
 def _pieces(corner: Array) -> tuple[Array, Array]:
-    """Cut the sides of a polygon (corner, 2) where they cross whole numbers: starts and ends, shape (piece, 2)."""
+    """Split the sides of a polygon (corner, 2) at pixel borders: starts and ends, shape (segment, 2)."""
     side = np.roll(corner, -1, axis=0) - corner
     edge, along = [np.arange(len(corner))], [np.zeros(len(corner))]
     for axis in (0, 1):
@@ -67,25 +68,25 @@ def _pieces(corner: Array) -> tuple[Array, Array]:
     return start, np.roll(start, -1, axis=0)
 
 
-# Corners of the polygon that stands for a disc. Its pixels are covered by exact areas; what hides parts of them is
-# asked at so many places of each pixel, and of the whole disc at least and at most.
+# Corners of the polygon that represents a disc; shadow rays for each covered pixel, and for a disc, at least and at
+# most.
 CORNERS, PLACES_A_PIXEL, FEWEST_PLACES, MOST_PLACES = 128, 64, 1024, 65536
 GOLDEN_TURN = np.pi * (3.0 - 5.0**0.5)
-# Panes whose planes differ by less are one: directions of normals, and distances, m.
+# Decimals to which planes of panes must agree to be one: normals, and distances, m.
 SAME = 6
-# Ways to a pane end so far before and behind it, m, where it is asked whether there is one.
+# Half length of the test ray that finds a pane at a point of its plane, m.
 CLOSE_M = 1e-3
 
 
 def add_small_sources(stage: SpectralScene, view: Viewpoint, radiance: NDArray[np.float32]) -> None:
-    """Add what the camera sees of lamps, sun and moon to the radiance of pixels, shape (pixel, band).
+    """Add the directly visible lamps, sun and moon to the radiance of pixels, shape (pixel, band).
 
-    Those whose light on surfaces is left out are seen all the same: what lights little may yet dazzle.
+    Sources whose light on surfaces is neglected are included, because they may still dazzle.
 
     Notes
     -----
-    A disc of irradiance E at the lens and solid angle W is evenly bright, E / W, and a pixel has so much of that as the
-    disc covers of its solid angle, by the exact area of a polygon.
+    A disc of irradiance E at the lens and solid angle W has the radiance E / W; a pixel gets that times the fraction of
+    its solid angle that the disc covers, by the exact area of a polygon.
     """
     planes: list[_Plane | None] = [None, *(_planes(stage.bsdfs.panes) if stage.bsdfs.panes is not None else ())]
     for exposure in view.exposures():
@@ -104,11 +105,11 @@ def _add_disc(
 ) -> None:
     """Add a source, or its image in a plane of panes, to the rows of an exposure."""
     eye = exposure.eye_m
-    # The eye's own image looks at the source as the eye looks at the source's image.
+    # The reflected lens sees the source as the lens sees the source's image.
     from_m = eye if plane is None else eye - 2.0 * plane.height(eye) * plane.normal
     if plane is not None and isinstance(source, LampLight) and plane.height(source.position_m) * plane.height(eye) <= 0:
         return
-    # A camera within a lamp, as within a ring of diodes, does not see it.
+    # A camera inside a lamp, as inside a ring of diodes, does not see it.
     if isinstance(source, LampLight) and np.linalg.norm(source.position_m - from_m) <= source.radius_m:
         return
     swollen = 2.0 * np.pi / CORNERS / np.sin(2.0 * np.pi / CORNERS)
@@ -121,7 +122,7 @@ def _add_disc(
         return
     covered = coverage(row, col, (exposure.rows, columns)).ravel()
     pixel = np.flatnonzero(covered)
-    # Of a disc within a pixel the solid angle of its place counts, not that of the pixel's middle.
+    # For a disc within a pixel the solid angle at its position counts, not at the pixel's centre.
     middle = pixel // columns + 0.5, pixel % columns + 0.5
     place = np.clip(middle[0], row.min(), row.max()), np.clip(middle[1], col.min(), col.max())
     here, there = (view.solid_angle_sr(exposure.picture_row + at[0], at[1]) for at in (place, middle))
@@ -140,9 +141,9 @@ def _add_disc(
 
 
 def _means(place: Array, share: NDArray[np.float32], middle: Array) -> NDArray[np.float32]:
-    """Return mean shares of pixels by the places in them, or by the nearest place, shape (pixel, band or 1).
+    """Return mean fractions of pixels from the points in them, or from the nearest point, shape (pixel, band or 1).
 
-    Places (place, 2) and middles of pixels (pixel, 2) are coordinates (row, col).
+    Points (point, 2) and centres of pixels (pixel, 2) are coordinates (row, col).
     """
     if (share == share[0]).all():
         return share[:1]
@@ -160,16 +161,16 @@ def _means(place: Array, share: NDArray[np.float32], middle: Array) -> NDArray[n
 
 
 def _places(source: DiscLight | LampLight, eye: Array, within: Array, turn: Array) -> Array:
-    """Return ways from an eye to places of a source, shape (place, 3): of a disc of unit length.
+    """Return vectors from the lens to points of a source, shape (point, 3); of unit length for sun and moon.
 
     Parameters
     ----------
     source, eye
-        What is looked at, and from where, m.
+        The source, and the lens position, m.
     within
-        Share of the disc's area closer to its middle than each place.
+        Fraction of the disc's area closer to its centre than each point.
     turn
-        Angle about the middle, rad.
+        Angle about the centre, rad.
     """
     if isinstance(source, DiscLight):
         middle, radius, length = source.direction, 1.0, 1.0 - within * (1.0 - np.cos(source.angular_radius_rad))
@@ -178,14 +179,14 @@ def _places(source: DiscLight | LampLight, eye: Array, within: Array, turn: Arra
         middle = source.position_m - eye
         radius, length, across = source.radius_m, np.ones(len(turn)), np.sqrt(within)
     frame = direct_lighting.shading_frames((middle / np.linalg.norm(middle))[None])[0]
-    beside = np.cos(turn)[:, None] * frame[0] + np.sin(turn)[:, None] * frame[1]
-    return length[:, None] * middle + radius * across[:, None] * beside
+    offset = np.cos(turn)[:, None] * frame[0] + np.sin(turn)[:, None] * frame[1]
+    return length[:, None] * middle + radius * across[:, None] * offset
 
 
 def _source_transmittance(
     stage: SpectralScene, eye: Array, way: Array, source: DiscLight | LampLight
 ) -> NDArray[np.float32]:
-    """Return what arrives of places of a source past surfaces and through panes, shape (place, band or 1)."""
+    """Return the transmittance to points of a source past surfaces and through panes, shape (point, band or 1)."""
     reach = None if isinstance(source, DiscLight) else direct_lighting.SHORT
     start = np.broadcast_to(eye, way.shape)
     share = (~stage.surfaces.tracer.is_occluded(start, way, reach)).astype(np.float32)[:, None]
@@ -197,7 +198,7 @@ def _source_transmittance(
 
 
 def _irradiance(stage: SpectralScene, source: DiscLight | LampLight, eye: Array) -> NDArray[np.float32]:
-    """Irradiance by a source, were nothing in the way but air, shape (band,)."""
+    """Return the irradiance by a source through air alone, shape (band,)."""
     if isinstance(source, DiscLight):
         return source.irradiance
     middle = source.position_m - eye
@@ -207,7 +208,7 @@ def _irradiance(stage: SpectralScene, source: DiscLight | LampLight, eye: Array)
 
 
 def _solid_angle_sr(source: DiscLight | LampLight, eye: Array) -> float:
-    """Solid angle of a source's disc from an eye, 4 pi sin^2 of half of its radius, sr."""
+    """Return the solid angle of a source's disc, 4 pi sin^2 of half its angular radius, sr."""
     radius = (
         source.angular_radius_rad
         if isinstance(source, DiscLight)
@@ -217,20 +218,20 @@ def _solid_angle_sr(source: DiscLight | LampLight, eye: Array) -> float:
 
 
 def _weaken(panes: Panes, start: Array, way: Array, reach: float | None, light: NDArray[np.float32]) -> None:
-    which, left = panes.left(start, way, reach)
+    which, left = panes.transmittance_along(start, way, reach)
     light[which] *= left
 
 
 @dataclass(frozen=True)
 class _Plane:
-    """A plane that holds panes: unit normal, distance from the origin along it, and the panes' triangles."""
+    """A plane of panes: unit normal, distance from the origin along it, and the panes' triangles."""
 
     normal: Array
     offset_m: float
     faces: NDArray[np.int64]
 
     def height(self, place_m: Array) -> float:
-        """Height of a place over the plane, m."""
+        """Return the height of a position above the plane, m."""
         return float(place_m @ self.normal) - self.offset_m
 
 
@@ -246,7 +247,7 @@ def _planes(panes: Panes) -> list[_Plane]:
 
 
 def _image_directions(way: Array, plane: _Plane | None) -> Array:
-    """Unit directions in which ways are seen, by way of a plane's mirror if there is one."""
+    """Return unit directions of vectors, reflected at a plane if there is one."""
     unit = way / np.linalg.norm(way, axis=1, keepdims=True)
     return unit if plane is None else reflect_direction(unit, np.broadcast_to(plane.normal, unit.shape))
 
@@ -254,7 +255,7 @@ def _image_directions(way: Array, plane: _Plane | None) -> Array:
 def _image_transmittance(
     stage: SpectralScene, eye: Array, image_eye: Array, way: Array, plane: _Plane, source: DiscLight | LampLight
 ) -> NDArray[np.float32]:
-    """Return what arrives of places of an image, past all that is on both legs of its way, shape (place, band)."""
+    """Return the transmittance to points of an image, over both segments of its path, shape (point, band)."""
     panes, tracer = stage.bsdfs.panes, stage.surfaces.tracer
     assert panes is not None
     share = np.zeros((len(way), stage.bands), np.float32)
@@ -268,7 +269,7 @@ def _image_transmittance(
     which, back = near.which[near_plane], near.mirrored[near_plane]
     foot, way, rest = foot[which], way[which], (1.0 - leg[which])[:, None] * way[which]
     start = np.broadcast_to(eye, foot.shape)
-    # Where the light leaves the pane it starts a little before it, on the eye's side.
+    # The reflected segment starts at a small distance from the pane, on the side of the lens.
     side = np.sign(np.einsum("ij,j->i", start - foot, plane.normal))[:, None] * plane.normal
     above = foot + CLOSE_M * side
     reach = None if isinstance(source, DiscLight) else direct_lighting.SHORT

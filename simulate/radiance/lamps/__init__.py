@@ -1,1 +1,1 @@
-"""Lamps: their spectra, and where they shine."""
+"""Lamps: spectra and intensity distributions."""

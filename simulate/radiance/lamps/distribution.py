@@ -1,4 +1,4 @@
-"""Where a lamp shines: intensity over direction in the lamp's own frame, whose z is its axis."""
+"""Lamps and their intensity distributions, in the lamp's frame with the axis as z."""
 
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -12,10 +12,10 @@ from simulate.radiance.spectrum import SourceSpectrum
 
 
 class Distribution(Protocol):
-    """Share of a lamp's light per solid angle."""
+    """Fraction of a lamp's light per solid angle."""
 
     def per_sr(self, direction: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Return the share of the flux per sr in directions (ray, 3), shape (ray,); its integral is 1."""
+        """Return the fraction of the flux per sr in directions (ray, 3), shape (ray,); its integral is 1."""
         ...
 
 
@@ -30,7 +30,7 @@ class Isotropic:
 
 @dataclass(frozen=True, kw_only=True)
 class Cosine:
-    """A matt emitting surface: the cosine of the angle from the axis."""
+    """A Lambertian emitter: the cosine of the angle from the axis."""
 
     def per_sr(self, direction: NDArray[np.floating]) -> NDArray[np.float64]:
         """Return cos/pi, sr-1, zero behind."""
@@ -44,7 +44,7 @@ class SpotBeam:
     Parameters
     ----------
     half_angle_deg
-        Where intensity has fallen to half, degrees from the axis.
+        Angle from the axis at half intensity, degrees.
     """
 
     half_angle_deg: float
@@ -65,7 +65,7 @@ class SpotBeam:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MeasuredDistribution:
-    """Measured intensities, as goniophotometers give and IES files hold.
+    """Measured intensities, as in goniophotometer and IES files.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ class MeasuredDistribution:
         return self._total
 
     def per_sr(self, direction: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Return the share of the flux per sr, linear in both angles between the table's."""
+        """Return the fraction of the flux per sr, linear in both angles between the table's."""
         polar = np.rad2deg(np.arccos(np.clip(direction[:, 2], -1.0, 1.0)))
         azimuth = np.rad2deg(np.arctan2(direction[:, 1], direction[:, 0])) % 360.0
         return self._candela(polar, azimuth) / self._total
@@ -147,14 +147,14 @@ class MeasuredDistribution:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Lamp:
-    """A lamp without a place: scenes put it somewhere.
+    """Spectrum and intensity distribution of a lamp, without a position.
 
     Parameters
     ----------
     flux
         Radiant flux, W over wavelength (`spectrum`).
     distribution
-        Where it goes, in the lamp's frame: z is its axis.
+        Intensity distribution in the lamp's frame, z along its axis.
     """
 
     flux: SourceSpectrum
@@ -168,7 +168,8 @@ class Lamp:
         direction
             Unit vectors away from the lamp in its frame, shape (ray, 3).
         wavelength_nm
-            The whole spectral grid, shape (band,), nm; a line's power lies in the bands around it (`SourceSpectrum.on`).
+            The whole spectral grid, shape (band,), nm; a line's power lies in the bands around it
+            (`SourceSpectrum.on`).
         """
         return self.flux.on(wavelength_nm)[:, None] * self.distribution.per_sr(direction)
 

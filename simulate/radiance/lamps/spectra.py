@@ -117,7 +117,7 @@ def scale_to(
     if not whole > 0.0:
         needed = "have visible light to be scaled to lumens (state watts)" if unit == "lumens" else "have some power"
         raise BadInput(f"the spectrum of a lamp must {needed}, got none in {name}")
-    return found.scaled(asked / whole)
+    return found.scale(asked / whole)
 
 
 def _narrow(wavelength_nm: float, width_nm: float) -> SourceSpectrum:

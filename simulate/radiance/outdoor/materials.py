@@ -1,4 +1,4 @@
-"""A material of a scene by name, by its numbers, as measured, or as a pane of glass: a table of the scene's file."""
+"""Materials of a scene, and the layers below their surfaces: tables of a scene's file."""
 
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
@@ -17,7 +17,7 @@ WINDOW_GLASS = 1.52
 
 @dataclass(frozen=True, kw_only=True)
 class MaterialSpec:
-    """A material by name: from the shelf of those that ship, or by its numbers; it may glow.
+    """A material: from the library, by its parameters, measured, or a pane of glass; it may emit light.
 
     Parameters
     ----------
@@ -32,12 +32,12 @@ class MaterialSpec:
         of library and numbers.
     pane_transmittance
         Transmittance at normal incidence of a thin pane of glass, for each wavelength or one for all, in place of
-        library and numbers: its surfaces mirror and let through light on both sides (`materials.pane`), by the
-        `refractive_index` given or that of window glass. Each triangle of its object is a whole pane.
+        library and parameters: it reflects and transmits on both sides, by the `refractive_index` given or that of
+        window glass. Each triangle of its object is a complete pane.
     glow_lm_per_m2
-        Luminous exitance of a surface that glows, lm/m2; its spectrum is that of `lamp`.
+        Luminous exitance of an emitting surface, lm/m2; its spectrum is that of `lamp`.
     lamp
-        Kind of lamp whose spectrum the glow has.
+        Kind of lamp that gives the spectrum of the emission.
     slab
         What lies below the surface, for its temperature: a label of the scene's slabs or a name in
         `simulate.thermal.temperatures`; None: that of the library entry.
@@ -67,7 +67,7 @@ class MaterialSpec:
             )
         if not self.glow_lm_per_m2 >= 0.0:
             raise BadInput(f"glow_lm_per_m2 must not be negative, got {self.glow_lm_per_m2:g} of {self.label!r}")
-        if any(self.made.transmittance):
+        if any(self.material.transmittance):
             raise BadInput(
                 f"out of doors light goes through panes alone (pane_transmittance), got {self.label!r} of another kind"
             )
@@ -106,8 +106,8 @@ class MaterialSpec:
         return np.interp(wavelength_nm, self.wavelength_nm, each)
 
     @cached_property
-    def made(self) -> Material:
-        """The material; of a measured one only what glows."""
+    def material(self) -> Material:
+        """The material; of a measured one without its BRDF."""
         if self.library is not None:
             return material(self.library)
         return Material(
@@ -209,11 +209,6 @@ class Slab:
         must_be_a_share(self, *(name for name in SHARES if getattr(self, name) is not None))
         must_not_be_negative(self, "wind_coefficient", "back_w_m2_k")
         must_be_positive(self, "emissivity")
-
-    @property
-    def prescribed(self) -> bool:
-        """Whether its temperature is prescribed."""
-        return not self.layer
 
     def parameters(self) -> dict[str, Parameter]:
         """Return every number by its name, such as "layer 1 thickness_mm", with its source and standing."""

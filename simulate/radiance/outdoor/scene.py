@@ -1,4 +1,4 @@
-"""A scene out of doors: its tables together, and what one must know of the other."""
+"""Description of an outdoor scene: camera, objects, lamps, and the tables of a scene's file."""
 
 import math
 from dataclasses import dataclass, field
@@ -14,21 +14,21 @@ from simulate.radiance.outdoor.surroundings import Sky, Weather, Where
 
 @dataclass(frozen=True, kw_only=True)
 class SceneCamera:
-    """Where the camera stands; its lens and pixels are the sensor's.
+    """Pose of the camera; its lens and pixels are the sensor's.
 
     Parameters
     ----------
     position_m
-        Place of the lens (east, north, up), m.
+        Position of the lens (east, north, up), m.
     look_at_m
-        A place on its axis, m.
+        A point on its axis, m.
     roll_deg
-        Turn about the axis, clockwise as the camera sees it, deg.
+        Rotation about the axis, clockwise as the camera sees it, deg.
     distortion_fraction
         Radial distortion of the rays at the corner; the sensor's lens has its own, so it is 0 unless a cube is made for
         something else.
     scan
-        Motion of a line scanner; without it the camera frames.
+        Motion of a line scanner; None for a framing camera.
     """
 
     position_m: tuple[float, float, float]
@@ -48,7 +48,7 @@ NARROW = "narrow-band"
 
 @dataclass(frozen=True, kw_only=True)
 class LampPlacement:
-    """A lamp at a place.
+    """Spectrum, position and beam of a lamp.
 
     Parameters
     ----------
@@ -62,19 +62,19 @@ class LampPlacement:
     lumens
         Luminous flux, lm; without lumens and watts that of its photometric file.
     watts
-        Radiant flux, W, in place of lumens: for what shines unseen.
+        Radiant flux, W, in place of lumens, for infrared lamps.
     wavelength_nm, width_nm
-        Of a narrow band: its middle, and its width at half of its height, 0 for a line, nm.
+        Of a narrow band: its centre and full width at half maximum, 0 for a line, nm.
     aim_m
-        Place at which its axis points, m; straight down without one.
+        Point on its axis, m; without one it shines straight down.
     beam
-        "isotropic", "cosine" (a matt emitter), "spot", or a photometric .ies file relative to the scene's.
+        "isotropic", "cosine" (a Lambertian emitter), "spot", or a photometric .ies file relative to the scene's.
     heading_deg
-        Where the plane C0 of a photometric file lies, clockwise from north, deg.
+        Azimuth of the plane C0 of a photometric file, clockwise from north, deg.
     half_angle_deg
-        Of a spot: where its intensity has fallen to half, deg from the axis.
+        Of a spot: angle from the axis at half intensity, deg.
     radius_m
-        Radius of what shines, m.
+        Radius of the emitter, m.
     temperature_k
         Of an incandescent lamp, K.
     near_infrared_share
@@ -97,10 +97,10 @@ class LampPlacement:
     near_infrared_share: float | None = None
 
     def __post_init__(self) -> None:
-        if self.beam not in BEAMS and not self.measured:
+        if self.beam not in BEAMS and not self.has_photometric_file:
             raise BadInput(f"a beam must be one of {', '.join(BEAMS)} or an .ies file, got {self.beam!r}")
         given = [power for power in (self.lumens, self.watts) if power is not None]
-        if len(given) == 2 or not (given or self.measured):
+        if len(given) == 2 or not (given or self.has_photometric_file):
             raise BadInput(
                 "a lamp must have either lumens or watts, or neither with a photometric file, got "
                 f"{'both' if given else 'none'} of {self.label!r}"
@@ -115,7 +115,7 @@ class LampPlacement:
             raise BadInput(f"a lamp must aim at another place than its own, got {self.label!r}")
 
     @property
-    def measured(self) -> bool:
+    def has_photometric_file(self) -> bool:
         """Whether its beam is a photometric file."""
         return self.beam.lower().endswith(".ies")
 
@@ -217,25 +217,24 @@ class Object(Pose):
 
 @dataclass(frozen=True, kw_only=True)
 class OutdoorScene:
-    """A scene out of doors.
+    """An outdoor scene.
 
     Parameters
     ----------
     name
         Its name.
     camera
-        Where one looks from.
+        Pose of the camera.
     place
-        Where and when it is; without a place there is no sky, only lamps.
+        Location and time; without a place there is no sky, only lamps.
     weather
-        What the air is like. Without a place there is no air unless a weather is given: that takes light of lamps and
-        scatters none back.
+        The air. Without a place there is no air unless a weather is given, which then only attenuates.
     sky
-        What shines in the sky of a place.
+        Natural light of a place.
     material, object, lamp, slab
         Tables of materials, objects, lamps and slabs.
     folder
-        Where its files lie.
+        Folder of its files.
     """
 
     name: str

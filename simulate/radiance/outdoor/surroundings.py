@@ -1,4 +1,4 @@
-"""Where and when a scene is, what the air is like there and how bright the sky: tables of a scene's file."""
+"""Location, time, weather and natural light of a scene: tables of a scene's file."""
 
 from dataclasses import dataclass
 from datetime import datetime
@@ -11,7 +11,7 @@ ConvectionLaw = Literal["buoyant", "mcadams", "watmuff", "constant"]
 
 @dataclass(frozen=True, kw_only=True)
 class Where:
-    """Place and time.
+    """Location and time.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ class Where:
 
     @property
     def moment(self) -> datetime:
-        """The time, which knows its offset from UTC."""
+        """The time, with its offset from UTC."""
         try:
             moment = datetime.fromisoformat(self.time)
         except ValueError:
@@ -50,7 +50,7 @@ class Weather:
     Parameters
     ----------
     visibility_km
-        Distance at which a black thing keeps 2 % of its contrast, km.
+        Distance at which a black object has a contrast of 2 %, km.
     relative_humidity
         0 to 1, dimensionless.
     temperature_c

@@ -1,4 +1,4 @@
-"""Where sun and moon stand over a place at a time, how far they are, and how the moon is lit."""
+"""Ephemeris of sun and moon for an observer: directions, distances, phase, libration and eclipses."""
 
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -15,7 +15,7 @@ FIRST_YEAR, LAST_YEAR = 1900, 2100
 
 @dataclass(frozen=True, kw_only=True)
 class ObserverLocation:
-    """A place on the ground.
+    """Location of an observer.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ class Ephemeris:
 
     @property
     def sunlit_share(self) -> float:
-        """Share of the sun that the moon's centre sees past the earth, 0 in the umbra of an eclipse, dimensionless."""
+        """Fraction of the sun visible from the moon's centre, 0 in the umbra of the earth, dimensionless."""
         to_earth = np.array([0.0, 0.0, -EARTH_RADIUS_KM]) - self.moon.position_km
         to_sun = self.sun.position_km - self.moon.position_km
         sun, earth = (
@@ -115,7 +115,7 @@ class Ephemeris:
 
     @property
     def sun_share(self) -> float:
-        """Share of the sun's disc that the moon leaves free at the place, dimensionless."""
+        """Fraction of the sun's disc that the moon does not cover for the observer, dimensionless."""
         apart = np.deg2rad(angle_deg(self.sun.position_km, self.moon.position_km))
         return visible_disc_fraction(self.sun.angular_radius_rad, self.moon.angular_radius_rad, float(apart))
 
@@ -182,7 +182,7 @@ def angle_deg(one: NDArray[np.floating], other: NDArray[np.floating]) -> float:
 
 
 def visible_disc_fraction(radius: float, cover_radius: float, apart: float) -> float:
-    """Return the share of a disc that another in front of it leaves free; radii and distance in rad."""
+    """Return the fraction of a disc that another one in front of it does not cover; radii and distance in rad."""
     if apart >= radius + cover_radius:
         return 1.0
     if apart <= abs(radius - cover_radius):

@@ -1,4 +1,4 @@
-"""The moon's light by the ROLO model: disc reflectance over phase, libration and wavelength."""
+"""Spectra of sun and moon, the latter by the ROLO model, and their discs as light sources."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -114,7 +114,7 @@ def moon_spectrum(
     E = A Omega / pi E_sun / (d_sun/AU)^2 (384,400 km / d_moon)^2, Omega 6.4177e-5 sr.
     """
     share = SOLID_ANGLE_SR / np.pi * (STANDARD_KM / moon_distance_km) ** 2
-    return sun_spectrum(sun_distance_au).filtered(lambda nm: share * moon_reflectance(nm, *geometry))
+    return sun_spectrum(sun_distance_au).multiply(lambda nm: share * moon_reflectance(nm, *geometry))
 
 
 def moonlight(at: Ephemeris) -> SourceSpectrum:
@@ -128,7 +128,7 @@ def moonlight(at: Ephemeris) -> SourceSpectrum:
         moon_distance_km=at.moon.distance_km,
         sun_distance_au=float(np.linalg.norm(from_sun)) / AU_KM,
     )
-    return light.scaled(at.sunlit_share)
+    return light.scale(at.sunlit_share)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -162,7 +162,7 @@ class Disc:
 
     @property
     def visible_share(self) -> float:
-        """Share of the disc over a level horizon, dimensionless: a disc half set gives half its light."""
+        """Fraction of the disc above a level horizon, dimensionless."""
         height = np.clip(np.deg2rad(self.elevation_deg) / self.angular_radius_rad, -1.0, 1.0)
         return float(0.5 + (np.arcsin(height) + height * np.sqrt(1.0 - height**2)) / np.pi)
 
@@ -172,10 +172,10 @@ class Disc:
         Parameters
         ----------
         wavelength_nm
-            The whole spectral grid, shape (band,), nm.
+            The complete spectral grid, shape (band,), nm.
         """
         grid = require_grid(wavelength_nm)
-        # Bands of gases are narrower than those of pictures may be: they are followed before bands are made.
+        # Absorption bands of gases are narrower than spectral bands: transmittance is applied before averaging.
         air, height = self.atmosphere, self.elevation_deg
-        left = self.extraterrestrial.filtered(lambda nm: air.slant_transmittance(height, nm)[:, 0])
+        left = self.extraterrestrial.multiply(lambda nm: air.slant_transmittance(height, nm)[:, 0])
         return self.visible_share * left.on(grid)

@@ -1,4 +1,4 @@
-"""The sky as a scene's light: sun, moon, what the air makes of them, airglow, stars, towns."""
+"""Sky radiance: sun and moon, scattered light, twilight, airglow, zodiacal light, stars and towns."""
 
 from dataclasses import dataclass, field, replace
 from datetime import datetime
@@ -34,11 +34,11 @@ class NightSky:
     towns
         Glow of towns.
     ground_albedo
-        Of the land around, which lights the sky from below.
+        Albedo of the surrounding land, which lights the sky from below.
 
     Notes
     -----
-    Directions have x east, y north, z up. Clouds are not there: an overcast sky is a weather of its own.
+    Directions have x east, y north, z up. There are no clouds.
     """
 
     atmosphere: Atmosphere = field(default_factory=Atmosphere)
@@ -96,7 +96,7 @@ class NightSky:
         direction
             Unit vectors, shape (path, 3); below the horizon there is no sky and the radiance is zero.
         wavelength_nm
-            The whole spectral grid, shape (band,), nm.
+            The complete spectral grid, shape (band,), nm.
         """
         grid = require_grid(wavelength_nm)
         total = self._night_radiance(direction, grid)
@@ -157,7 +157,7 @@ class NightSky:
         """Return the radiance of an endless path lit by one body; the sky it makes has the diffuse irradiance known."""
         depth, molecules = scattering.scattering_parts(self.atmosphere, grid)
         # Followed through the narrow bands of gases before it is put on the grid.
-        diffuse = body.extraterrestrial.filtered(
+        diffuse = body.extraterrestrial.multiply(
             lambda nm: scattering.diffuse_share(self.atmosphere, body.elevation_deg, nm, self.ground_albedo)
         )
         per_shape = diffuse.on(grid) / scattering.level_irradiance(body.direction, depth, molecules)
@@ -170,9 +170,9 @@ class NightSky:
         dark = dark_sky()
         return sum_spectra(
             [
-                dark.airglow.scaled(self.airglow),
-                dark.zodiacal.scaled(self.zodiacal),
-                dark.starlight.scaled(self.starlight),
+                dark.airglow.scale(self.airglow),
+                dark.zodiacal.scale(self.zodiacal),
+                dark.starlight.scale(self.starlight),
             ]
         )
 
@@ -224,7 +224,7 @@ class NightSky:
 
 
 def _bodies(at: Ephemeris, air: Atmosphere) -> tuple[Disc, ...]:
-    sunlight = sun_spectrum(at.sun.distance_km / AU_KM).scaled(at.sun_share)
+    sunlight = sun_spectrum(at.sun.distance_km / AU_KM).scale(at.sun_share)
     return tuple(
         Disc(
             name=name,

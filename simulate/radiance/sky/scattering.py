@@ -1,4 +1,4 @@
-"""Sunlight and moonlight scattered by the air: how much comes down, and how it is spread over the sky."""
+"""Scattering of sunlight and moonlight by the atmosphere: diffuse irradiance and angular distribution."""
 
 from functools import lru_cache
 

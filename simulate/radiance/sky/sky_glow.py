@@ -1,4 +1,4 @@
-"""The moonless sky: airglow, zodiacal light, stars, each of its own spectrum and its own law over the sky."""
+"""Moonless sky (airglow, zodiacal light, stars), twilight, and glow of towns: spectra and angular distributions."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -80,7 +80,7 @@ def dark_sky() -> DarkSky:
 
 def _share(whole: SourceSpectrum, shape: NDArray[np.floating], luminance_share: float) -> SourceSpectrum:
     one = SourceSpectrum(wavelength_nm=whole.wavelength_nm, density=shape)
-    return one.scaled(luminance_share * whole.lumens / one.lumens)
+    return one.scale(luminance_share * whole.lumens / one.lumens)
 
 
 def _continuum() -> SourceSpectrum:
@@ -173,7 +173,7 @@ def twilight_shape(direction: NDArray[np.floating], towards: tuple[float, float,
 
 @dataclass(frozen=True, kw_only=True)
 class TownGlow:
-    """Lamp light that the air over a town sends back.
+    """Lamp light scattered by the air above a town.
 
     Parameters
     ----------
@@ -188,7 +188,7 @@ class TownGlow:
 
     Notes
     -----
-    exp(-h/height) exp(-(azimuth difference/half width)^2): a likeness, not a computation of the light.
+    exp(-h/height) exp(-(azimuth difference/half width)^2), an empirical shape.
     """
 
     azimuth_deg: float

@@ -16,7 +16,7 @@ from simulate.radiance.lamps.distribution import Isotropic
 
 NM = np.array([500.0, 600.0])
 UP = (0.0, 0.0, 1.0)
-DIRECT = IntegratorSettings(bounces=0)
+DIRECT = IntegratorSettings(max_bounces=0)
 # The sky that is equally bright everywhere, and the one that is three times as bright overhead.
 UNIFORM = lambda way: np.ones((2, len(way)))  # noqa: E731
 OVERCAST = lambda way: np.ones((2, 1)) * (1.0 + 2.0 * way[:, 2]) / 3.0  # noqa: E731
@@ -72,13 +72,13 @@ def disc_light(direction, radius_rad=0.00465, irradiance=1.0) -> DiscLight:
 
 
 def irradiance(
-    stage: SpectralScene, places, normal, *, seed=1, effort=DIRECT, rays=16, known=1.0
+    stage: SpectralScene, places, normal, *, seed=1, effort=DIRECT, rays=16, sky_control_fraction=1.0
 ) -> NDArray[np.floating]:
     """Return the irradiance of places (place, 3) on surfaces with a normal, looked at along it, shape (place,)."""
     places = np.atleast_2d(np.asarray(places, float))
     normals = np.broadcast_to(np.asarray(normal, float), places.shape)
     hit = stage.surfaces.tracer.hits(places + 1e-2 * normals, -normals)
-    share = np.full(len(places), known, np.float32)
+    share = np.full(len(places), sky_control_fraction, np.float32)
     points = stage.bsdfs.points(stage.surfaces, hit.face, places, -normals, share)
     light = outgoing_radiance(stage, points, effort, np.random.default_rng(seed), rays=rays).total()[:, 0]
     return light / stage.bsdfs.rho_by_pi[points.material, 0]

@@ -41,7 +41,7 @@ def spread(left: float, right: float) -> np.ndarray:
 
 def test_rays_are_as_the_root_of_the_variance_and_bring_its_mean_to_what_is_allowed():
     variance = spread(0.04, 1.0)
-    rays = SamplingSettings(most=10_000, edge=2, allowed=lambda signal: np.full_like(signal, ALLOWED))
+    rays = SamplingSettings(max_rays=10_000, edge=2, error_limit=lambda signal: np.full_like(signal, ALLOWED))
     wanted = allocate_samples(halves(), rays, tried(variance), 1)
     plain = ~halves().edges()
     left, right = (wanted[plain & (halves().object == side)] for side in (0, 1))
@@ -53,15 +53,15 @@ def test_rays_are_as_the_root_of_the_variance_and_bring_its_mean_to_what_is_allo
 
 
 def test_where_nothing_differs_and_where_nobody_asks_pixels_get_the_fewest():
-    for rays in (SamplingSettings(allowed=lambda signal: np.full_like(signal, ALLOWED)), SamplingSettings()):
+    for rays in (SamplingSettings(error_limit=lambda signal: np.full_like(signal, ALLOWED)), SamplingSettings()):
         wanted = allocate_samples(halves(), rays, tried(spread(0.0, 0.0)), 1)
-        assert set(wanted[~halves().edges()]) == {rays.fewest}
+        assert set(wanted[~halves().edges()]) == {rays.min_rays}
         assert set(wanted[halves().edges()]) == {rays.edge}
 
 
 def test_at_edges_only_what_lies_apart_is_evened_out_by_rays_that_are_spread():
     edges = halves().edges()
-    rays = SamplingSettings(most=10_000, edge=2, allowed=lambda signal: np.full_like(signal, ALLOWED))
+    rays = SamplingSettings(max_rays=10_000, edge=2, error_limit=lambda signal: np.full_like(signal, ALLOWED))
     grain = allocate_samples(halves(), rays, tried(spread(1.0, 1.0)), 1)
     assert np.ptp(grain) == 0, "rays that differ at the same place do so at edges as elsewhere"
 
@@ -72,13 +72,13 @@ def test_at_edges_only_what_lies_apart_is_evened_out_by_rays_that_are_spread():
     assert step[edges].max() < 0.8 * grain[edges].min()
 
 
-@pytest.mark.parametrize("limit", [{"most": 16}, {"most": 10_000, "in_all": 10_000}])
+@pytest.mark.parametrize("limit", [{"max_rays": 16}, {"max_rays": 10_000, "total_rays": 10_000}])
 def test_limits_are_kept_and_what_is_missing_goes_to_nobody(limit):
-    rays = SamplingSettings(edge=2, allowed=lambda signal: np.full_like(signal, 1e-6), **limit)
+    rays = SamplingSettings(edge=2, error_limit=lambda signal: np.full_like(signal, 1e-6), **limit)
     wanted = allocate_samples(halves(), rays, tried(spread(0.0, 1.0)), 1)
-    assert wanted.max() <= rays.most
-    assert wanted.sum() < 1.2 * (rays.in_all or np.inf)
-    assert set(wanted[:, :24].ravel()) == {rays.fewest}
+    assert wanted.max() <= rays.max_rays
+    assert wanted.sum() < 1.2 * (rays.total_rays or np.inf)
+    assert set(wanted[:, :24].ravel()) == {rays.min_rays}
 
 
 def test_rare_bright_rays_are_found_by_longer_trials():
@@ -89,14 +89,14 @@ def test_rare_bright_rays_are_found_by_longer_trials():
         pixels.append(len(pixel))
         return np.ones(len(pixel)), np.where(rng.random(len(pixel)) < 0.01, 100.0, 0.0)
 
-    rays = SamplingSettings(most=10_000, edge=2, allowed=lambda signal: np.full_like(signal, ALLOWED))
+    rays = SamplingSettings(max_rays=10_000, edge=2, error_limit=lambda signal: np.full_like(signal, ALLOWED))
     wanted = allocate_samples(halves(), rays, specks, 1)
     assert len(pixels) > 5
     assert wanted.sum() == pytest.approx(100 * wanted.size, rel=0.5)
 
 
 def test_rays_go_on_until_the_error_measured_is_what_was_allowed():
-    rays = SamplingSettings(most=100_000, edge=2, allowed=lambda signal: np.full_like(signal, ALLOWED))
+    rays = SamplingSettings(max_rays=100_000, edge=2, error_limit=lambda signal: np.full_like(signal, ALLOWED))
     single, signal = spread(0.1, 40.0), np.ones(SHAPE)
     sent, turns = np.full(SHAPE, 8, np.int32), 0
     while (more := further(halves(), rays, signal, single / sent, sent)).any():
@@ -111,7 +111,7 @@ def test_rays_go_on_until_the_error_measured_is_what_was_allowed():
 
 
 def test_a_pixel_that_met_nothing_bright_goes_on_with_those_around_it_that_did():
-    rays = SamplingSettings(most=100_000, edge=2, allowed=lambda signal: np.full_like(signal, ALLOWED))
+    rays = SamplingSettings(max_rays=100_000, edge=2, error_limit=lambda signal: np.full_like(signal, ALLOWED))
     sent = np.full(SHAPE, 64, np.int32)
     met = np.where(np.random.default_rng(4).random(SHAPE) < 0.1, 100.0 * ALLOWED, 0.0)
     more = further(halves(), rays, np.ones(SHAPE), np.where(halves().object == 0, met, 0.0), sent)
@@ -119,22 +119,22 @@ def test_a_pixel_that_met_nothing_bright_goes_on_with_those_around_it_that_did()
     assert not more[:, 40:].any(), "nor do those of another thing"
 
 
-@pytest.mark.parametrize("limit", [{"most": 64}, {"most": 10_000, "in_all": 64 * SHAPE[0] * SHAPE[1]}])
+@pytest.mark.parametrize("limit", [{"max_rays": 64}, {"max_rays": 10_000, "total_rays": 64 * SHAPE[0] * SHAPE[1]}])
 def test_no_limit_is_broken_for_the_errors_sake(limit):
-    rays = SamplingSettings(edge=2, allowed=lambda signal: np.full_like(signal, ALLOWED), **limit)
+    rays = SamplingSettings(edge=2, error_limit=lambda signal: np.full_like(signal, ALLOWED), **limit)
     sent = np.full(SHAPE, 64, np.int32)
     assert not further(halves(), rays, np.ones(SHAPE), np.ones(SHAPE), sent).any()
 
 
 def test_differences_are_weighed_by_noise_or_by_a_share_of_the_signal():
     eye = RenderSensor(response_nm=(500.0,), response=(1.0,), dark_variance=4.0, variance_per_signal=3.0)
-    assert eye.grain(0.0) == 2.0
-    assert eye.grain(20.0) == pytest.approx(8.0)
-    assert eye.grain(1e6) == pytest.approx(KNOWN * 1e6)
-    blurred = replace(eye, evened=0.3)
-    assert blurred.grain(20.0) == eye.grain(20.0), "blur evens what differs by chance like the noise"
-    assert blurred.grain(20.0, smooth=True) == pytest.approx(0.3 * 8.0)
-    assert blurred.grain(1e6, smooth=True) == pytest.approx(KNOWN * 1e6)
+    assert eye.noise_floor(0.0) == 2.0
+    assert eye.noise_floor(20.0) == pytest.approx(8.0)
+    assert eye.noise_floor(1e6) == pytest.approx(KNOWN * 1e6)
+    blurred = replace(eye, noise_averaging_factor=0.3)
+    assert blurred.noise_floor(20.0) == eye.noise_floor(20.0), "blur evens what differs by chance like the noise"
+    assert blurred.noise_floor(20.0, smooth=True) == pytest.approx(0.3 * 8.0)
+    assert blurred.noise_floor(1e6, smooth=True) == pytest.approx(KNOWN * 1e6)
 
 
 def test_the_influence_of_a_part_is_its_size_where_it_is_largest_and_specks_have_none():

@@ -31,11 +31,17 @@ def without(stage: SpectralScene) -> SpectralScene:
     return replace(stage, lighting=lighting)
 
 
-def seen(stage: SpectralScene, count: int, seed: int, known: float, effort: IntegratorSettings):
+def seen(stage: SpectralScene, count: int, seed: int, sky_control_fraction: float, effort: IntegratorSettings):
     origin = np.broadcast_to([0.0, 0.0, 1.0], (count, 3))
-    share = np.full(count, known, np.float32)
+    share = np.full(count, sky_control_fraction, np.float32)
     found = radiance_along(
-        stage, origin, np.broadcast_to(DOWN, (count, 3)), effort, np.random.default_rng(seed), gathered=2, known=share
+        stage,
+        origin,
+        np.broadcast_to(DOWN, (count, 3)),
+        effort,
+        np.random.default_rng(seed),
+        gather_rays=2,
+        sky_control_fraction=share,
     )
     return found.total()[:, 0].astype(float)
 
@@ -59,7 +65,7 @@ def wall(y: float):
 def test_light_of_a_glow_is_that_found_by_gathering_with_less_chance(seed, floor, y, known, bounces, gain):
     parts = [("floor", "floor", plane(60, 60)), ("wall", "wall", wall(y) if y > 0 else inside_out(wall(y)))]
     stage = staged(parts, {"floor": floor, "wall": 0.5}, sky=glow)
-    effort = IntegratorSettings(bounces=bounces)
+    effort = IntegratorSettings(max_bounces=bounces)
     by_name = seen(stage, 6_000, seed, known, effort)
     gathered = seen(without(stage), 24_000, seed + 100, known, effort)
     error = np.hypot(by_name.std() / np.sqrt(len(by_name)), gathered.std() / np.sqrt(len(gathered)))

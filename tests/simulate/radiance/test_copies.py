@@ -85,11 +85,11 @@ def test_shared_copies_are_hit_where_copies_of_their_own_are(shared, monkeypatch
 @pytest.mark.parametrize("place", [(503.0, 1.5, 4.0), (500.9, -1.2, 0.05)])
 def test_light_by_way_of_shared_copies_is_that_of_copies_of_their_own(shared, monkeypatch, finish, place):
     """A lamp high above, and one so close to the floor that its patch is looked for from the lamp."""
-    (origin, towards), effort = rays(12_000), IntegratorSettings(bounces=3)
+    (origin, towards), effort = rays(12_000), IntegratorSettings(max_bounces=3)
 
     def seen(seed):
         stage = site(finish, position_m=place, radius_m=0.01).on(NM)
-        light = radiance_along(stage, origin, towards, effort, np.random.default_rng(seed), gathered=4).total()[:, 0]
+        light = radiance_along(stage, origin, towards, effort, np.random.default_rng(seed), gather_rays=4).total()[:, 0]
         return np.minimum(light, np.percentile(light, 99.5))
 
     one = seen(1)

@@ -46,7 +46,12 @@ def sky_seen(view: Viewpoint) -> np.ndarray:
 
 def test_a_floor_beside_a_long_wall_is_as_bright_as_the_sky_that_it_sees(seed):
     found = render_scene(
-        beside_a_wall(), ABOVE, SamplingSettings(shared=64), IntegratorSettings(bounces=0), weight=WHITE, seed=seed
+        beside_a_wall(),
+        ABOVE,
+        SamplingSettings(cache_rays=64),
+        IntegratorSettings(max_bounces=0),
+        weight=WHITE,
+        seed=seed,
     )
     relative = found.cube.radiance[0] * 2.0 / sky_seen(ABOVE) - 1.0
     assert np.median(np.abs(relative)) < 0.005
@@ -60,10 +65,10 @@ def test_shared_light_knows_its_own_error(seed):
     stage, known, weight = beside_a_wall(), np.zeros(ABOVE.shape, np.float32), np.array([1.0, 0.0])
 
     def shared(rays: int):
-        limits = {"rays": rays, "most": rays}
-        effort = IntegratorSettings(bounces=0)
+        limits = {"rays": rays, "max_rays": rays}
+        effort = IntegratorSettings(max_bounces=0)
         return build_irradiance_cache(
-            stage, ABOVE, effort, known, **limits, allowed=None, weight=weight, seed=seed, run=one_by_one
+            stage, ABOVE, effort, known, **limits, error_limit=None, weight=weight, seed=seed, run=one_by_one
         )
 
     found = shared(16)
@@ -74,12 +79,12 @@ def test_shared_light_knows_its_own_error(seed):
 
 def test_nodes_that_miss_more_than_is_allowed_send_more_rays(seed):
     stage, finer = beside_a_wall(), replace(ABOVE, shape=(288, 60), focal_px=(400.0, 400.0))
-    known, weight, limits = np.ones(finer.shape, np.float32), np.array([1.0, 0.0]), {"rays": 4, "most": 256}
+    known, weight, limits = np.ones(finer.shape, np.float32), np.array([1.0, 0.0]), {"rays": 4, "max_rays": 256}
 
     def shared(share: float):
-        allowed, effort = partial(squared, share), IntegratorSettings(bounces=0)
+        allowed, effort = partial(squared, share), IntegratorSettings(max_bounces=0)
         return build_irradiance_cache(
-            stage, finer, effort, known, **limits, allowed=allowed, weight=weight, seed=seed, run=one_by_one
+            stage, finer, effort, known, **limits, error_limit=allowed, weight=weight, seed=seed, run=one_by_one
         )
 
     strict, middling, loose = shared(1e-4), shared(2e-2), shared(1.0)
@@ -99,12 +104,14 @@ def test_what_few_rays_find_counts_for_the_whole(share, fine, seed):
     parts = [("floor", "m", plane(20, 20)), ("plate", "m", at(plane(0.5, 0.5), 0.0, 0.0, 3.0))]
     stage, below = staged(parts, {"m": 0.5}, sky=UNIFORM), replace(ABOVE, position_m=(0.0, 0.0, 2.0))
     known, weight = np.ones(below.shape, np.float32), np.array([1.0, 0.0])
-    limits = {"rays": 4, "most": 2048, "allowed": partial(squared, share), "fine": fine}
+    limits = {"rays": 4, "max_rays": 2048, "error_limit": partial(squared, share), "fine": fine}
 
     def lost(number: int) -> float:
-        asked = {"known": known, "weight": weight, "seed": 100 * seed + number, "run": one_by_one}
+        asked = {"sky_control_fraction": known, "weight": weight, "seed": 100 * seed + number, "run": one_by_one}
         return (
-            build_irradiance_cache(stage, below, IntegratorSettings(bounces=0), **limits, **asked).change[..., 0].mean()
+            build_irradiance_cache(stage, below, IntegratorSettings(max_bounces=0), **limits, **asked)
+            .change[..., 0]
+            .mean()
             / np.pi
         )
 
@@ -135,12 +142,12 @@ def test_a_pixel_on_a_shadows_slope_is_known_by_as_many_places_as_its_rays_allow
     stage = staged(parts, {"floor": 0.5, "kerb": 0.0}, sky=UNIFORM)
     # One column, so that nodes along the kerb cannot even each other out.
     view = replace(ABOVE, shape=(42, 1), focal_px=(50.0, 50.0))
-    limits = {"rays": 1024, "most": 1024, "allowed": None, "weight": np.array([1.0, 0.0]), "fine": True}
+    limits = {"rays": 1024, "max_rays": 1024, "error_limit": None, "weight": np.array([1.0, 0.0]), "fine": True}
 
     def beside_the_kerb(one: int) -> float:
         known = np.ones(view.shape, np.float32)
         found = build_irradiance_cache(
-            stage, view, IntegratorSettings(bounces=0), known, **limits, seed=one, run=one_by_one
+            stage, view, IntegratorSettings(max_bounces=0), known, **limits, seed=one, run=one_by_one
         )
         return 1.0 + found.change[-1, 0, 0] / np.pi
 
@@ -153,8 +160,8 @@ def test_a_pixel_on_a_shadows_slope_is_known_by_as_many_places_as_its_rays_allow
 def test_a_furnace_of_shared_light_is_evenly_bright(seed):
     stage = staged([("room", "m", inside_out(box(2, 3, 2)))], {"m": 0.6}, glow={"m": 1.0})
     inside = Viewpoint(position_m=(0.1, 0.2, 1.0), forward=(0, 1, 0), shape=(32, 48), focal_px=(40.0, 40.0))
-    effort = IntegratorSettings(bounces=200, roulette_from=3)
-    found = render_scene(stage, inside, SamplingSettings(shared=32), effort, weight=WHITE, seed=seed)
+    effort = IntegratorSettings(max_bounces=200, roulette_depth=3)
+    found = render_scene(stage, inside, SamplingSettings(cache_rays=32), effort, weight=WHITE, seed=seed)
     relative = found.cube.radiance[0] * (1.0 - 0.6) - 1.0
     assert abs(relative.mean()) < 0.005
     assert np.median(np.abs(relative)) < 0.02
@@ -164,7 +171,7 @@ def test_threads_change_no_byte(seed):
     parts = [("floor", "m", plane(40, 40)), ("box", "m", at(box(2, 2, 2), 0, 3, 0))]
     stage = staged(parts, {"m": 0.5}, sky=UNIFORM, lamps=(lamp((0, 0, 3), 3.0, 0.3),))
     view = Viewpoint(position_m=(0, -6, 3), forward=(0, 1, -0.4), shape=(48, 64), focal_px=(60.0, 60.0))
-    rays = SamplingSettings(allowed=lambda signal: (0.02 * signal) ** 2)
+    rays = SamplingSettings(error_limit=lambda signal: (0.02 * signal) ** 2)
     alone = render_scene(stage, view, rays, IntegratorSettings(), weight=WHITE, seed=seed)
     with workers(3) as run:
         together = render_scene(stage, view, rays, IntegratorSettings(), weight=WHITE, seed=seed, run=run)
@@ -185,7 +192,7 @@ def test_evening_out_keeps_slopes_and_mixes_no_surfaces(width, faces):
     nodes = steps(faces)
     row, col = np.meshgrid(np.arange(24.0), np.arange(40.0), indexing="ij")
     slope = np.where(col < 20, 1.0 + 0.2 * row - 0.1 * col, 50.0 + col)[..., None]
-    kept = nodes.fitted(slope, np.full((24, 40), width), one_by_one)
+    kept = nodes.smooth(slope, np.full((24, 40), width), one_by_one)
     assert np.abs(kept - slope).max() < 1e-9
 
 
@@ -221,7 +228,7 @@ def test_light_asked_for_in_parts_and_all_at_once_is_the_same(seed, known):
     points = replace(stage.bsdfs.points(stage.surfaces, face, place, -tilted, share), normal=tilted)
     lit = [
         outgoing_radiance(
-            stage, points, IntegratorSettings(bounces=0), np.random.default_rng(seed), rays=8, split=split
+            stage, points, IntegratorSettings(max_bounces=0), np.random.default_rng(seed), rays=8, split=split
         ).total()
         for split in (True, False)
     ]

@@ -36,8 +36,8 @@ def radiance(folder, range_m, glow=1.0, place="", weather="weather = { visibilit
     path.write_text(SCENE.format(place=place, weather=weather, glow=glow, middle_m=range_m + 0.5))
     stage = BuiltScene(load_scene(path)).on(NM)
     origin = np.array([[0.0, 0.0, 2.0]])
-    effort = IntegratorSettings(bounces=0, hidden_sky=False)
-    return radiance_along(stage, origin, AHEAD, effort, np.random.default_rng(0), gathered=1).total()[0]
+    effort = IntegratorSettings(max_bounces=0, sky_shadowing=False)
+    return radiance_along(stage, origin, AHEAD, effort, np.random.default_rng(0), gather_rays=1).total()[0]
 
 
 @pytest.mark.parametrize("visibility_km", [0.2, 5.0, 23.0])

@@ -56,7 +56,7 @@ def photons_from_the_wall(scene):
     stage = scene.on(grid)
     ahead, eye = np.array([[0.0, 1.0, 0.0]]), np.array([[0.0, 0.0, 2.0]])
     light = radiance_along(
-        stage, eye, ahead, IntegratorSettings(bounces=0), np.random.default_rng(0), gathered=1
+        stage, eye, ahead, IntegratorSettings(max_bounces=0), np.random.default_rng(0), gather_rays=1
     ).total()[0]
     return float(np.sum(light * np.gradient(grid) * np.interp(grid, NM, per_watt)))
 

@@ -17,7 +17,7 @@ from tests.simulate.radiance.staging import agree, at, inside_out, irradiance, l
 FLOOR, ABOVE_M = 0.6, 2.0
 # Places enough that the heavy tail of what batches find is drawn fairly.
 MANY = 100_000
-ONCE = IntegratorSettings(bounces=1)
+ONCE = IntegratorSettings(max_bounces=1)
 
 
 def low_room(lamps, above_m=ABOVE_M):
@@ -49,7 +49,7 @@ def by_the_floor(height_m: float) -> float:
 def at_the_ceiling(stage, effort=ONCE, count=2000):
     """Irradiance of the ceiling above the lamp by all but the lamp itself, by sixteen rays from each of many points."""
     both = irradiance(stage, np.tile([0.0, 0.0, ABOVE_M], (count, 1)), (0, 0, -1), effort=effort)
-    return both - irradiance(stage, [[0.0, 0.0, ABOVE_M]], (0, 0, -1), effort=replace(effort, bounces=0))
+    return both - irradiance(stage, [[0.0, 0.0, ABOVE_M]], (0, 0, -1), effort=replace(effort, max_bounces=0))
 
 
 @pytest.mark.parametrize("height_m", [0.003, 0.03, 0.1])
@@ -68,7 +68,7 @@ def test_light_and_gathering_share_what_both_find(aside_m):
     stage.__dict__["beams"] = replace(stage.beams, worth=np.ones(1, np.bool_))
     place = [aside_m, 0.0, 0.2]
     found = irradiance(stage, np.tile(place, (6000, 1)), (0, 0, -1), effort=ONCE)
-    direct = irradiance(stage, [place], (0, 0, -1), effort=replace(ONCE, bounces=0))
+    direct = irradiance(stage, [place], (0, 0, -1), effort=replace(ONCE, max_bounces=0))
     agree(found - direct, by_the_floor_from(0.1, 0.2, aside_m))
 
 
@@ -98,7 +98,7 @@ def test_what_hides_a_part_of_a_lamp_hides_as_much_of_its_light_from_the_floor(s
 def test_lamps_left_out_are_not_drawn():
     lamps = tuple(replace(lamp((x, 0, 0.03), radius=0.0), name=name) for x, name in ((0.0, "on"), (1.0, "off")))
     stage = low_room(lamps)
-    agree(at_the_ceiling(stage, IntegratorSettings(bounces=1, left_out=frozenset({"off"}))), by_the_floor(0.03))
+    agree(at_the_ceiling(stage, IntegratorSettings(max_bounces=1, neglected=frozenset({"off"}))), by_the_floor(0.03))
 
 
 def test_lamps_far_from_everything_are_left_to_gathering():

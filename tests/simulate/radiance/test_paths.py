@@ -19,8 +19,8 @@ from tests.simulate.radiance.staging import OVERCAST, at, disc_light, inside_out
 
 # A glow of a hundred times the rest around a place 30 degrees high.
 GLOWING = lambda way: np.ones((2, 1)) * (0.2 + 20.0 * np.exp(-(((1.0 - way @ [0.866, 0.0, 0.5]) / 0.02) ** 2)))  # noqa: E731
-ONCE = IntegratorSettings(bounces=1)
-EVEN = {"effort": IntegratorSettings(bounces=3), "sky": OVERCAST, "lamps": (lamp((0, 0, 3), 5.0, 0.2),)}
+ONCE = IntegratorSettings(max_bounces=1)
+EVEN = {"effort": IntegratorSettings(max_bounces=3), "sky": OVERCAST, "lamps": (lamp((0, 0, 3), 5.0, 0.2),)}
 # Things that glow unlike each other; the plate shines upwards, and its underside is dark.
 SHINING = {"beam": 1.0, "box": 3.0, "plate": 20.0}
 UPWARDS = {"beam": 1e-3, "plate": 1.0}
@@ -30,19 +30,19 @@ CLOSE = (lamp((-1.2, 0.6, 0.75), 1.0, 0.1), lamp((0.4, 0.8, 0.5), 1.0, 0.15))
 CASES = {
     "a lamp under an overcast sky": EVEN,
     "one bounce": {**EVEN, "effort": ONCE},
-    "without hidden sky": {**EVEN, "effort": IntegratorSettings(bounces=2, hidden_sky=False)},
+    "without hidden sky": {**EVEN, "effort": IntegratorSettings(max_bounces=2, sky_shadowing=False)},
     "many lamps": {
         **EVEN,
         "sky": None,
         "lamps": tuple(lamp((x, 0.5, 2), 2.0 + x, 0.1) for x in (-2.0, -1.0, 0.0, 1.5)),
     },
     "the sun and a glow around it": {**EVEN, "sky": GLOWING, "lamps": (), "discs": (disc_light((0.866, 0, 0.5)),)},
-    "paths that chance ends": {**EVEN, "effort": IntegratorSettings(bounces=100, roulette_from=1)},
+    "paths that chance ends": {**EVEN, "effort": IntegratorSettings(max_bounces=100, roulette_depth=1)},
     "something glossy": {**EVEN, "gloss": True},
-    "glowing things alone, without bounces": {**DARK, "effort": IntegratorSettings(bounces=0)},
+    "glowing things alone, without bounces": {**DARK, "effort": IntegratorSettings(max_bounces=0)},
     "glowing things alone, one bounce": {**DARK, "effort": ONCE},
     "glowing things under the sky": {**EVEN, "glow": SHINING},
-    "glowing things, paths that chance ends": {**DARK, "effort": IntegratorSettings(bounces=100, roulette_from=1)},
+    "glowing things, paths that chance ends": {**DARK, "effort": IntegratorSettings(max_bounces=100, roulette_depth=1)},
     "a glow by way of the ceiling": {**DARK, "effort": ONCE, "glow": UPWARDS, "ceiling": True},
     "glowing and glossy things": {**EVEN, "glow": SHINING, "gloss": True},
     "lamps close to a plate and half within a box": {
@@ -70,7 +70,7 @@ CASES = {
         **EVEN,
         "sky": None,
         "lamps": CLOSE,
-        "effort": IntegratorSettings(bounces=100, roulette_from=1),
+        "effort": IntegratorSettings(max_bounces=100, roulette_depth=1),
     },
 }
 
@@ -133,7 +133,7 @@ def same_around() -> MeasuredDistribution:
 
 
 def loops_alone(
-    stage: SpectralScene, face: int, place: list[float], up: list[float], even: SequenceSlice, *, hidden_sky: bool
+    stage: SpectralScene, face: int, place: list[float], up: list[float], even: SequenceSlice, *, sky_shadowing: bool
 ) -> np.ndarray:
     """What compiled loops find once around places of which no sky is known, shape (place,)."""
     many = len(even.start)
@@ -145,8 +145,8 @@ def loops_alone(
         np.zeros(many, np.float32),
     )
     found, _ = plain(stage, ONCE, None).irradiance(
-        points, even, known=points.known, hidden_sky=hidden_sky,
-        depth=0, bounces=1, roulette_from=None, asked_lamps=2, seed=1,
+        points, even, sky_control_fraction=points.sky_control_fraction, sky_shadowing=sky_shadowing,
+        depth=0, max_bounces=1, roulette_depth=None, asked_lamps=2, seed=1,
     )  # fmt: skip
     return found[:, 0]
 
@@ -154,8 +154,8 @@ def loops_alone(
 def test_stretches_go_on_where_waves_end(seed):
     """Rays of an open place find the sky where its stretch of even numbers says, however many waves they take."""
     stage = staged([("floor", "floor", plane(12, 12))], {"floor": 0.3}, sky=GLOWING)
-    even = SequenceSlice.drawn(3, WAVE + WAVE // 3, np.random.default_rng(seed))
-    found = loops_alone(stage, 0, [0, 0, 0], [0, 0, 1.0], even, hidden_sky=True)
+    even = SequenceSlice.random(3, WAVE + WAVE // 3, np.random.default_rng(seed))
+    found = loops_alone(stage, 0, [0, 0, 0], [0, 0, 1.0], even, sky_shadowing=True)
     square, turn = np.moveaxis(even.pairs(), -1, 0)
     flat, turn = np.sqrt(square), 2.0 * np.pi * turn
     way = np.stack([flat * np.cos(turn), flat * np.sin(turn), np.sqrt(1.0 - square)], axis=-1)
@@ -167,8 +167,8 @@ def test_no_ray_of_a_full_wave_is_lost(seed):
     """Under a ceiling close to a wide floor all rays find what the floor sends, and its sky is taken as known."""
     parts = [("floor", "floor", plane(400, 400)), ("ceiling", "floor", inside_out(at(plane(1, 1), 0, 0, 0.1)))]
     stage = staged(parts, {"floor": 0.4}, sky=lambda way: np.full((1, len(way)), 2.0))
-    even = SequenceSlice.drawn(5, WAVE, np.random.default_rng(seed))
-    found = loops_alone(stage, 2, [0, 0, 0.1], [0, 0, -1.0], even, hidden_sky=False)
+    even = SequenceSlice.random(5, WAVE, np.random.default_rng(seed))
+    found = loops_alone(stage, 2, [0, 0, 0.1], [0, 0, -1.0], even, sky_shadowing=False)
     np.testing.assert_allclose(found, 0.4 * 2.0 * np.pi, rtol=1e-3)
 
 

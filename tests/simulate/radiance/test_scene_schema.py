@@ -4,11 +4,11 @@ import json
 from importlib import resources
 
 import pytest
-from tests.labdata.test_serialiser import keeps
 from typer.testing import CliRunner
 
 from charact.cli.application import app
 from labdata.serialiser import read_toml
+from tests.labdata.test_serialiser import keeps
 
 
 def schema(kind):

@@ -105,8 +105,10 @@ def test_a_lamp_whose_light_on_surfaces_is_left_out_is_seen_all_the_same():
     wall = at(upright(shape("plane", (100.0, 100.0))), 0.0, 20.0, 0.0)
     stage = staged([("wall", "grey", wall)], {"grey": 0.5}, lamps=(lamp((0.1, 10.0, 0.1), 3.0),))
     view = Viewpoint(position_m=(0.0, 0.0, 0.0), forward=(0.0, 1.0, 0.0), shape=(12, 16), focal_px=(20.0, 20.0))
-    effort = IntegratorSettings(bounces=0, hidden_sky=False, left_out=frozenset({"lamp"}))
-    seen = render_scene(stage, view, SamplingSettings(shared=None), effort, weight=np.ones(2), seed=1).cube.radiance[0]
+    effort = IntegratorSettings(max_bounces=0, sky_shadowing=False, neglected=frozenset({"lamp"}))
+    seen = render_scene(
+        stage, view, SamplingSettings(cache_rays=None), effort, weight=np.ones(2), seed=1
+    ).cube.radiance[0]
     row, col = (axis.ravel() + 0.5 for axis in np.indices(view.shape))
     at_the_lens = np.sum(seen.ravel() * view.solid_angle_sr(row, col))
     assert np.count_nonzero(seen) == 1

@@ -131,7 +131,7 @@ def test_a_smooth_light_needs_few_bands_and_a_tighter_tolerance_more(sheet):
 def test_spectra_add():
     parts = [spectrum("mercury"), spectrum("low-pressure-sodium", lumens=3.0)]
     assert sum_spectra(parts).lumens == pytest.approx(4.0, rel=1e-3)
-    half = parts[0].filtered(lambda nm: np.full(np.shape(nm), 0.5))
+    half = parts[0].multiply(lambda nm: np.full(np.shape(nm), 0.5))
     assert half.lumens == pytest.approx(0.5)
 
 
