@@ -174,8 +174,8 @@ class Atmosphere:
     Notes
     -----
     Extinction at 550 nm is 3.912/V, molecules included; the rest of it is haze, falling by Kruse's power of wavelength.
-    Single scattering: light scattered out of a path is lost to it, so a picture loses contrast and no sharpness. Air
-    does not bend rays.
+    Single scattering: light scattered out of a path is lost, so that an image loses contrast and not resolution. There
+    is no refraction.
     """
 
     visibility_km: float = 23.0

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from simulate.radiance.cube import RadianceCube
 from simulate.radiance.geometry.ray_tracer import RayTracer, tracer
+from simulate.radiance.integrator.low_discrepancy import R2
 from simulate.radiance.scene import LabScene
 from simulate.radiance.spectrum import planck
 from simulate.radiance.target_mesh import OPEN, TargetMesh
@@ -68,8 +69,6 @@ class TargetView:
 BLOCK = 4
 # Rays in a cell where materials meet: a straight border is then located to better than 1/256 of the cell.
 RAYS = 256
-# The golden and silver ratios' plane sequence fills a cell evenly (Roberts' R2 sequence).
-_R2 = np.array([0.7548776662466927, 0.5698402909980532])
 # Distance from a plate at which transmitted rays (behind it) and shadow rays (before it) start.
 CLEARANCE_M = 1e-4
 MATERIALS = 3
@@ -165,7 +164,7 @@ def _shares(bench: LabSetup, view: TargetView) -> NDArray[np.float32]:
     plain = np.argwhere(blocks.repeat(BLOCK, axis=0).repeat(BLOCK, axis=1) & ~mixed)
     shares[:, plain[:, 0], plain[:, 1]] = _fractions_along(bench, view, plain + 0.5)
     for part in np.array_split(np.argwhere(mixed), max(1, np.count_nonzero(mixed) * RAYS // 2_000_000)):
-        inside = (0.5 + np.arange(1, RAYS + 1)[:, None] * _R2) % 1.0
+        inside = (0.5 + np.arange(1, RAYS + 1)[:, None] * R2) % 1.0
         many = _fractions_along(bench, view, (part[:, None, :] + inside).reshape(-1, 2))
         shares[:, part[:, 0], part[:, 1]] = many.reshape(2 * MATERIALS, len(part), RAYS).mean(axis=2)
     return shares

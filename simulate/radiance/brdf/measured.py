@@ -26,9 +26,9 @@ class MeasuredTable:
     wavelength_nm
         Wavelengths, ascending, shape (band,), nm; constant outside.
     polar_deg
-        Angles from the normal of light and eye alike, ascending from 0 to 90, shape (polar,), degrees.
+        Angles of light and viewer from the normal, ascending from 0 to 90, shape (polar,), degrees.
     azimuth_deg
-        Azimuth between light and eye, ascending from 0 (both on one side) to 180 (the mirror's side), degrees.
+        Azimuth between light and viewer, ascending from 0 (both on one side) to 180 (specular side), degrees.
     table
         f, sr-1, shape (band, polar of light, polar of eye, azimuth).
 

@@ -208,7 +208,7 @@ def base_value(
     Parameters
     ----------
     first_in, first_out
-        Albedo of the first layer towards light and eye, dimensionless.
+        Albedo of the first layer towards light and viewer, dimensionless.
     first_mean
         Its cosine-weighted mean, dimensionless.
     base

@@ -244,7 +244,7 @@ def intersect(scene, packets, many):
 
 @numba.njit(**INLINED)
 def trace_occlusion(scene, packets, many):
-    """Find which of the first so many rays are stopped: `is_ray_occluded` tells."""
+    """Trace the first `many` shadow rays; `is_ray_occluded` returns the results."""
     for packet in range((many + PACKET - 1) >> BITS):
         rays = _prepare_packet(packets, packet, many)
         _occluded(rays + 4 * VALID * PACKET, scene, rays, 0)

@@ -13,9 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulate.radiance.integrator.auxiliary_layers import AuxiliaryLayers
-
-# Tiles along the shorter side of a small frame, whose pixels have less in common.
-FEWEST = 16
+from simulate.radiance.integrator.integrator_settings import LIMITS
 
 
 @dataclass(frozen=True)
@@ -36,7 +34,7 @@ class Tiles:
     @classmethod
     def of(cls, shape: tuple[int, int], side: int) -> "Tiles":
         """Return tiles of a side, px, or smaller ones in a small frame."""
-        return cls(shape, int(np.clip(min(shape) // FEWEST, 1, side)))
+        return cls(shape, int(np.clip(min(shape) // LIMITS.min_tiles, 1, side)))
 
     @property
     def count(self) -> tuple[int, int]:
@@ -74,23 +72,10 @@ def with_neighbours(grid: NDArray[np.floating]) -> NDArray[np.floating]:
 
 
 Array = NDArray[np.floating]
-# Side of a tile, px; pilot pixels in each tile, additional ones at edges, and rays of each pilot pixel.
-TILE, TRIED, TRIED_EDGES, TRIES = 8, 4, 2, 2
-# The pilot costs this fraction of the rays that it allocates, in at most this many rounds: rare bright rays need many.
-TRIAL_SHARE, ROUNDS = 0.1, 1024
-# Least pilot rays of a small rendering: a bright object that one gather ray in a hundred meets must be found.
-FEWEST_TRIALS = 4096
-# Variance of the mean of n rays at an edge over v n^(-3/2): 1.3 where a straight line crosses a pixel, more where
-# several edges meet or the pilot missed one; measured in the scenes of `benchmarks.radiance`.
-LINE = 2.0
 # Objects beyond this number use the pilot rays of another object.
 OBJECTS = 255
 # Kind of the pilot rays at edges that go to the same point of the pixel; other edge rays are kind 0.
 TOGETHER = OBJECTS + 1
-# Largest growth of a pixel's rays in one turn; and the smallest useful addition, as 1/n of the rays traced.
-GROWTH, LEAST_GROWTH = 4, 8
-# Numbers of rays are rounded to powers of 2^(1/2), so that pixels can be traced in batches of equal size.
-STEPS_PER_DOUBLING = 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,15 +142,17 @@ def allocate_samples(
     if rays.error_limit is None:
         return least.astype(np.int32)
     tried = _Tried(here, edges, rays.error_limit)
-    rng, tiles = np.random.default_rng([seed, 0]), Tiles.of(edges.shape, TILE)
+    rng, tiles = np.random.default_rng([seed, 0]), Tiles.of(edges.shape, LIMITS.pilot_tile_px)
     edge = np.flatnonzero(edges)
-    for round_number in range(1, ROUNDS + 1):
-        at_edges = np.concatenate([tiles.one_of_each(rng.permutation(edge)) for _ in range(TRIED_EDGES)])
-        pixel = np.concatenate([tiles.some_pixels(TRIED, rng), at_edges])
-        tried.add(pixel, *trial(pixel, TRIES))
-        tried.add(at_edges, *trial(at_edges, TRIES, together=True), together=True)
+    for round_number in range(1, LIMITS.max_pilot_rounds + 1):
+        at_edges = np.concatenate([tiles.one_of_each(rng.permutation(edge)) for _ in range(LIMITS.pilot_edge_pixels)])
+        pixel = np.concatenate([tiles.some_pixels(LIMITS.pilot_pixels, rng), at_edges])
+        tried.add(pixel, *trial(pixel, LIMITS.pilot_rays))
+        tried.add(at_edges, *trial(at_edges, LIMITS.pilot_rays, together=True), together=True)
         wanted = _distribute_rays(*tried.variances(), least, rays)
-        if round_number * TRIES * len(pixel) >= max(TRIAL_SHARE * wanted.sum(), FEWEST_TRIALS):
+        if round_number * LIMITS.pilot_rays * len(pixel) >= max(
+            LIMITS.pilot_fraction * wanted.sum(), LIMITS.min_pilot_rays
+        ):
             break
     return wanted
 
@@ -185,8 +172,8 @@ def further(
     Notes
     -----
     Variances of single rays are pooled over nearby pixels of the same object, edges separately, so that no pixel stops
-    because its own rays missed a bright source. Rays grow at most `GROWTH`-fold, because the variance of a few rays is
-    a poor estimate where bright rays are rare.
+    because its own rays missed a bright source. Rays grow at most `LIMITS.max_ray_growth`-fold, because the variance of
+    a few rays is a poor estimate where bright rays are rare.
     """
     if rays.error_limit is None or not np.isfinite(variance).all():
         return np.zeros_like(sent)
@@ -197,9 +184,9 @@ def further(
     pooled = _Tried(here, here.edges(), lambda signal: np.ones(signal.shape))
     pooled.add(np.arange(sent.size), signal.ravel(), (excess * sent.astype(float)).ravel(), weight=sent.ravel())
     wanted = _distribute_rays(pooled.variance(), np.zeros(sent.shape), sent, rays)
-    more = (np.minimum(wanted, np.minimum(GROWTH * sent, rays.max_rays)) - sent).astype(float)
+    more = (np.minimum(wanted, np.minimum(LIMITS.max_ray_growth * sent, rays.max_rays)) - sent).astype(float)
     # A single additional ray would give no variance.
-    return np.where(more * LEAST_GROWTH >= sent, _steps(more, np.full_like(sent, 2), rays.max_rays), 0)
+    return np.where(more * LIMITS.min_growth_divisor >= sent, _steps(more, np.full_like(sent, 2), rays.max_rays), 0)
 
 
 def _distribute_rays(
@@ -225,8 +212,8 @@ def _distribute_rays(
 
 def _steps(rays: Array, least: NDArray[np.integer], max_rays: int) -> NDArray[np.int32]:
     """Round numbers of rays to the nearest step, between the least and the most."""
-    step = np.round(STEPS_PER_DOUBLING * np.log2(np.maximum(rays, 1.0)))
-    return np.clip(np.round(2.0 ** (step / STEPS_PER_DOUBLING)), least, max_rays).astype(np.int32)
+    step = np.round(LIMITS.ray_steps_per_doubling * np.log2(np.maximum(rays, 1.0)))
+    return np.clip(np.round(2.0 ** (step / LIMITS.ray_steps_per_doubling)), least, max_rays).astype(np.int32)
 
 
 class _Tried:
@@ -244,7 +231,7 @@ class _Tried:
         self._object = 1 + (here.object + 1) % OBJECTS
         self._kind = np.where(edges, 0, self._object)
         self._edges, self._allowed = edges, error_limit
-        self._tiles = Tiles.of(edges.shape, TILE)
+        self._tiles = Tiles.of(edges.shape, LIMITS.pilot_tile_px)
         # Number of pilot pixels, sums of their signals and of their variances.
         self._sums = np.zeros((3, OBJECTS + 2, *self._tiles.count))
 
@@ -275,7 +262,7 @@ class _Tried:
         down, across = self._tiles.of_pixels
         at_edge, together = share[0, down, across], share[TOGETHER, down, across]
         plain = np.where(self._edges, together, share[self._object, down, across])
-        return plain, np.where(self._edges, LINE * np.maximum(at_edge - together, 0.0), 0.0)
+        return plain, np.where(self._edges, LIMITS.edge_variance_factor * np.maximum(at_edge - together, 0.0), 0.0)
 
     def _shares(self) -> Array:
         """Return single-ray variances over their limit, by kind and tile."""

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulate.radiance.geometry.ray_tracer import RayTracer
+from simulate.radiance.integrator.compiled_light_sources import SHORT
 from simulate.radiance.integrator.light_sources import DiscLight, LampLight, Panels
 from simulate.radiance.integrator.shading_points import BsdfSet, ShadingPoints, shading_frames
 
@@ -17,8 +18,6 @@ Array = NDArray[np.floating]
 Through = Callable[[Array], NDArray[np.float32]]
 # Indices of illuminated points, and their outgoing radiance, shape (point, band).
 Lit = tuple[NDArray[np.int64], NDArray[np.float32]]
-# Shadow rays end before their source, at this fraction of the distance.
-SHORT = 1.0 - 1e-4
 
 
 def from_disc(

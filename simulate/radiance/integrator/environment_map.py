@@ -6,13 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from simulate.radiance.integrator.integrator_settings import LIMITS
 from simulate.radiance.integrator.low_discrepancy import fraction
 
 Array = NDArray[np.floating]
 # Cells of the radiance table, in height and azimuth; step between the normals of the irradiance table.
 HEIGHTS, AROUND, NORMAL_STEP_DEG = 90, 120, 4.0
-# Samples across a cell of the table in the irradiance sum.
-INSIDE = 1
 
 
 @dataclass(frozen=True)
@@ -82,7 +81,7 @@ def _irradiance(table: NDArray[np.float32]) -> NDArray[np.float32]:
     bands = table.shape[2]
     if not table.any():
         return np.zeros((2, 2, bands), np.float32)
-    rows, columns = INSIDE * HEIGHTS, AROUND
+    rows, columns = HEIGHTS, AROUND
     sine = (np.arange(rows) + 0.5) / rows
     directions = _directions(np.arcsin(sine), 2.0 * np.pi * (np.arange(columns) + 0.5) / columns)
     sample_sr = 2.0 * np.pi / len(directions)
@@ -128,10 +127,6 @@ def _interpolate(table: NDArray[np.float32], down: Array, across: Array) -> NDAr
     return upper
 
 
-# Sampling by brightness pays from this mean square over squared mean of the radiance over the hemisphere.
-UNEVEN = 2.0
-
-
 @dataclass(frozen=True)
 class SkyImportance:
     """Sampling probabilities of the cells of the environment map, by their light.
@@ -157,7 +152,7 @@ class SkyImportance:
         sine = np.sin(np.linspace(0.0, 0.5 * np.pi, len(mean) + 1))
         cell_sr = np.broadcast_to(np.diff(sine)[:, None] * 2.0 * np.pi / mean.shape[1], mean.shape)
         light = mean * cell_sr
-        if 2.0 * np.pi * (mean * light).sum() < UNEVEN * light.sum() ** 2:
+        if 2.0 * np.pi * (mean * light).sum() < LIMITS.min_sky_contrast * light.sum() ** 2:
             return None
         chance = light / light.sum()
         return cls(np.cumsum(chance.ravel()), chance / cell_sr)

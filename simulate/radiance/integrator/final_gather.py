@@ -16,7 +16,7 @@ from simulate.radiance.geometry.ray_tracer import NOTHING, Hits
 from simulate.radiance.integrator import direct_lighting
 from simulate.radiance.integrator.compiled_light_sources import disc_arrays, lamp_arrays, panel_arrays, sky_arrays
 from simulate.radiance.integrator.environment_map import SkyImportance
-from simulate.radiance.integrator.integrator_settings import ASKED_LAMPS, IntegratorSettings
+from simulate.radiance.integrator.integrator_settings import LIMITS, IntegratorSettings
 from simulate.radiance.integrator.panes import Passed, trace_through_panes
 from simulate.radiance.integrator.path_tracer import LEAST_CHANCE, MOST_CHANCE, CompiledScene
 from simulate.radiance.integrator.shading_points import BsdfSet, ShadingPoints
@@ -258,7 +258,7 @@ def add_by_paths(stage: SpectralScene, asked: ShadingRequest, further: Further) 
         depth=asked.depth,
         max_bounces=effort.max_bounces,
         roulette_depth=effort.roulette_depth,
-        asked_lamps=ASKED_LAMPS,
+        asked_lamps=LIMITS.max_sampled_lamps,
         seed=int(asked.rng.integers(1 << 63)),
     )
     for behind in np.unique(back.depth).tolist():

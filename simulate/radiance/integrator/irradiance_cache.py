@@ -16,24 +16,13 @@ from numpy.typing import NDArray
 
 from simulate.radiance.geometry.viewpoint import Viewpoint
 from simulate.radiance.integrator.cache_smoothing import Nodes, all_alike
-from simulate.radiance.integrator.integrator_settings import IntegratorSettings, Run
+from simulate.radiance.integrator.integrator_settings import LIMITS, IntegratorSettings, Run
 from simulate.radiance.integrator.low_discrepancy import R2, SequenceSlice, fraction, low_discrepancy_points
 from simulate.radiance.integrator.outgoing_radiance import lamp_and_disc_radiance, surroundings_radiance
 from simulate.radiance.integrator.shading_points import ShadingPoints
 from simulate.radiance.integrator.spectral_scene import SpectralScene
 
 Array = NDArray[np.floating]
-# Pixels between nodes. Where each pixel is a node: least ray origins in it, and most rays from each, because the number
-# of origins limits the accuracy in a penumbra.
-STEP, PLACES, RAYS_A_PLACE = 2, 4, 8
-# Candidate half widths of the smoothing window, nodes.
-WIDTHS = (0, 1, 2, 4, 8)
-# Half widths, nodes, over which the prediction error and the single-ray variance are averaged.
-JUDGED, PROMISED = 2, 8
-# Most turns of gather rays, and largest growth of a node's rays in a turn.
-TURNS, GROWTH = 6, 8
-# Rays traced in one batch.
-BATCH = 64_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,7 +62,11 @@ class IrradianceCache:
         row, col
             Image coordinates of those rays, shape (point,), integers at the corners of pixels.
         """
-        at = (np.floor(row), np.floor(col)) if self.fine else (row / STEP - 0.5, col / STEP - 0.5)
+        at = (
+            (np.floor(row), np.floor(col))
+            if self.fine
+            else (row / LIMITS.cache_step_px - 0.5, col / LIMITS.cache_step_px - 0.5)
+        )
         light, has = self.nodes.between(self.change, *at, points.place_m, points.normal)
         shares = np.flatnonzero(has & points.is_diffuse)
         light = light[shares]
@@ -116,7 +109,7 @@ def build_irradiance_cache(
     fine
         Whether each pixel is a node with ray origins spread over the pixel: for shadows narrower than two pixels.
     """
-    step = 1 if fine else STEP
+    step = 1 if fine else LIMITS.cache_step_px
     seen = _trace_nodes(stage, view, sky_control_fraction, step)
     white = seen.points.on_white_surface()
     places = _Places(stage, view, seen, white, fine)
@@ -136,7 +129,7 @@ def build_irradiance_cache(
         signals = np.stack([grid.spread(part @ weight) for part in light], axis=2).astype(np.float64)
         width, variance, smooth = _windows(grid, signals, run)
         turn += 1
-        if budget is None or turn == TURNS:
+        if budget is None or turn == LIMITS.max_cache_turns:
             break
         excess = budget.excess(smooth[seen.row, seen.col], variance[seen.row, seen.col])
         half = _further(grid, excess, sent, max_rays // 2)
@@ -185,7 +178,7 @@ class _Places:
 
     def each(self, rays: int) -> int:
         """Return the number of origins of a node's rays."""
-        return gcd(rays, max(PLACES, rays // RAYS_A_PLACE)) if self.fine else 1
+        return gcd(rays, max(LIMITS.min_ray_origins, rays // LIMITS.max_rays_per_origin)) if self.fine else 1
 
     def of(self, nodes: NDArray[np.int64], each: int, rng: np.random.Generator) -> ShadingPoints:
         """Return `each` origins of some nodes, node by node; the centre where another surface is met."""
@@ -257,16 +250,16 @@ def _further(grid: Nodes, excess: Array, sent: NDArray[np.int64], max_rays: int)
     Notes
     -----
     n proportional to the root of the single-ray variance v brings the mean of v/n to 1 with the fewest rays (Neyman,
-    1934). The estimate of v from few rays is used for at most `GROWTH` times as many. The excess of nodes at the limit
-    of rays is not compensated by other nodes. A node uses at least the mean variance of its neighbourhood, because its
-    rays may have missed rare bright light.
+    1934). The estimate of v from few rays is used for at most `LIMITS.max_cache_growth` times as many. The excess of
+    nodes at the limit of rays is not compensated by other nodes. A node uses at least the mean variance of its
+    neighbourhood, because its rays may have missed rare bright light.
     """
     # Running sums leave small negative values where nothing varies.
     single = np.clip(excess * sent, 0.0, max_rays)
-    single = np.maximum(single, grid.near(grid.spread(single), PROMISED)[grid.row, grid.col])
+    single = np.maximum(single, grid.near(grid.spread(single), LIMITS.variance_half_width)[grid.row, grid.col])
     if not sent.size or (single / sent).mean() <= 1.0:
         return np.zeros_like(sent)
-    wanted = np.minimum(np.sqrt(single) * np.sqrt(single).mean(), np.minimum(GROWTH * sent, max_rays))
+    wanted = np.minimum(np.sqrt(single) * np.sqrt(single).mean(), np.minimum(LIMITS.max_cache_growth * sent, max_rays))
     more = wanted - sent
     step = 2 ** np.round(np.log2(np.maximum(more, 1.0))).astype(np.int64)
     return np.where(more >= 0.5 * sent, np.where(sent + step > max_rays, step // 2, step), 0)
@@ -294,7 +287,7 @@ def _gather(
             light -= sky.irradiance(here.normal)
         return light.reshape(len(part), places, -1).mean(axis=1)
 
-    count = max(1, BATCH // even.rays)
+    count = max(1, LIMITS.cache_batch_rays // even.rays)
     found = list(run(gather_part, list(range(0, len(nodes), count))))
     return np.concatenate(found) if found else np.zeros((0, stage.bands), np.float32)
 
@@ -308,7 +301,7 @@ def _smooth(grid: Nodes, values: NDArray[np.float32], width: NDArray[np.int64], 
     largest window, restores it (twicing, Tukey 1977).
     """
     evened = grid.smooth(values, width, run).astype(np.float32)
-    evened += grid.smooth(values - evened, np.full(width.shape, WIDTHS[-1]), run)
+    evened += grid.smooth(values - evened, np.full(width.shape, LIMITS.smoothing_half_widths[-1]), run)
     return evened
 
 
@@ -322,11 +315,11 @@ def _windows(
     (A - B)^2 / 2 is the variance of a half; a fit of A deviates from B by its error and by B's noise. The mean of both
     halves has half of the error, and at least the noise of a mean over the window.
     """
-    noise = grid.near(0.5 * (signals[..., 0] - signals[..., 1]) ** 2, JUDGED)
+    noise = grid.near(0.5 * (signals[..., 0] - signals[..., 1]) ** 2, LIMITS.error_half_width)
     best, width, fit = np.full(noise.shape, np.inf), np.zeros(noise.shape, np.int64), np.zeros(noise.shape)
-    for half_width in WIDTHS:
+    for half_width in LIMITS.smoothing_half_widths:
         smooth = grid.smooth(signals, np.full(noise.shape, half_width), run) if half_width else signals
-        missed = grid.near(0.5 * ((smooth - signals[..., ::-1]) ** 2).sum(axis=-1), JUDGED) - noise
+        missed = grid.near(0.5 * ((smooth - signals[..., ::-1]) ** 2).sum(axis=-1), LIMITS.error_half_width) - noise
         better = missed < best
         best[better], width[better], fit[better] = missed[better], half_width, smooth[better].mean(axis=-1)
     return width, 0.5 * np.maximum(best, noise / (2.0 * width + 1.0) ** 2), fit

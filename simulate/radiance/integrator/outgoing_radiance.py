@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from simulate.radiance.geometry.ray_tracer import NOTHING
 from simulate.radiance.integrator import direct_lighting
 from simulate.radiance.integrator.final_gather import add_by_batches, add_by_paths
-from simulate.radiance.integrator.integrator_settings import ASKED_LAMPS, IntegratorSettings
+from simulate.radiance.integrator.integrator_settings import LIMITS, IntegratorSettings
 from simulate.radiance.integrator.low_discrepancy import SequenceSlice
-from simulate.radiance.integrator.panes import MOST, SPLIT, Met, Panes, choose_mirror_rays, reflect_direction
+from simulate.radiance.integrator.panes import Met, Panes, choose_mirror_rays, reflect_direction
 from simulate.radiance.integrator.shading_points import ShadingPoints
 from simulate.radiance.integrator.shading_request import RadianceComponents, ShadingRequest
 from simulate.radiance.integrator.spectral_scene import SpectralScene
@@ -71,7 +71,7 @@ def outgoing_radiance(
 def lamp_and_disc_radiance(
     stage: SpectralScene, points: ShadingPoints, effort: IntegratorSettings, rng: np.random.Generator
 ) -> RadianceComponents:
-    """Return what points send to the eye of lamps and discs alone, as `outgoing_radiance`."""
+    """Return the outgoing radiance by lamps and discs alone, as `outgoing_radiance`."""
     parts, rows = _new(stage, points)
     _add_direct(stage, ShadingRequest(points=points, parts=parts, rows=rows, effort=effort, rng=rng, rays=0))
     return parts
@@ -86,7 +86,7 @@ def surroundings_radiance(
     rays: int,
     even: SequenceSlice | None = None,
 ) -> RadianceComponents:
-    """Return what points send to the eye of all but lamps and discs, as `outgoing_radiance`.
+    """Return the outgoing radiance by all light but lamps and discs, as `outgoing_radiance`.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def _add_direct(stage: SpectralScene, asked: ShadingRequest) -> None:
     for disc in asked.effort.active_lights(stage.lighting.discs):
         asked.add(disc.name, *direct_lighting.from_disc(points, disc, *reflect, rng))
     lamps = asked.effort.active_lights(stage.lighting.lamps)
-    if asked.depth > 0 and len(lamps) > ASKED_LAMPS:
+    if asked.depth > 0 and len(lamps) > LIMITS.max_sampled_lamps:
         for name, found in direct_lighting.from_one_lamp(points, lamps, *reflect, rng, through):
             asked.add(name, *found)
     else:
@@ -181,10 +181,9 @@ def radiance_along(
 ) -> RadianceComponents:
     """Return the radiance along rays of unit direction (ray, 3), in components as of `outgoing_radiance`.
 
-    Besides the sources, parts are "in view": sky and glow that the ray meets, and "air": what air adds on the way, less
-    what it takes of all the rest. Points of rays (their numbers) may `share` what they gather, see
-    `outgoing_radiance.leaving`. Rays that meet a pane go on both ways, through and mirrored; `behind` a few panes they
-    take one by chance.
+    Apart from the sources, components are "in view" (sky and emission that the ray meets) and "air" (path radiance less
+    the light that air removes from all other components). `share` gives the cached irradiance of points by ray number.
+    Rays that meet a pane continue both transmitted and reflected; after a few panes (`behind`) one of both at random.
     """
     hit = stage.surfaces.tracer.hits(origin, towards)
     parts = RadianceComponents((len(towards), stage.bands), split=split)
@@ -227,10 +226,10 @@ def _ways_on(
     panes: Panes, glass: Met, towards: Array, behind: int, rng: np.random.Generator
 ) -> Iterator[tuple[NDArray[np.int64], Array, Array, NDArray[np.float32], bool]]:
     """Yield continuations at panes: ray numbers, starts, directions, fractions of light, and whether transmitted."""
-    if not len(glass.which) or behind >= MOST:
+    if not len(glass.which) or behind >= LIMITS.max_panes:
         return
     ahead = towards[glass.which]
-    by_chance = choose_mirror_rays(glass, rng) if behind >= SPLIT else None
+    by_chance = choose_mirror_rays(glass, rng) if behind >= LIMITS.max_pane_splits else None
     for turns, start, ways, left in (
         (False, panes.beyond(glass), ahead, glass.through),
         (True, panes.before(glass), reflect_direction(ahead, glass.normal), glass.mirrored),
@@ -244,5 +243,5 @@ def _ways_on(
 def _through_air(
     stage: SpectralScene, parts: RadianceComponents, range_m: Array, towards: Array, met: NDArray[np.int64]
 ) -> None:
-    """Add what the air adds on the way, and take what it takes of all the rest."""
+    """Add the path radiance of air, and subtract the light that it removes from all other components."""
     parts.add("air", met, stage.air.change_of(parts.total()[met], range_m, towards))

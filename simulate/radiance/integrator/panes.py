@@ -10,14 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulate.radiance.geometry.ray_tracer import NOTHING, RayTracer
+from simulate.radiance.integrator.integrator_settings import LIMITS
 from simulate.radiance.materials import pane_shares
 
 Array = NDArray[np.floating]
 Rows = NDArray[np.int64]
-# Most panes along a ray; light beyond is lost.
-MOST = 64
-# Camera rays are split at this many panes; behind them one continuation is drawn.
-SPLIT = 3
 
 
 @dataclass(frozen=True)
@@ -103,7 +100,7 @@ class Panes:
         rest = np.full(len(way), np.inf) if reach is None else reach * length
         share = np.ones((len(way), self.transmittance.shape[1]), np.float32)
         rows, start, touched = np.arange(len(way)), np.asarray(start_m, float), np.zeros(len(way), bool)
-        for _ in range(MOST):
+        for _ in range(LIMITS.max_panes):
             met = self.met(start, ahead[rows], rest[rows])
             rows = rows[met.which]
             if not len(rows):
@@ -170,7 +167,7 @@ def trace_through_panes(
         np.ones((len(which), panes.transmittance.shape[1]), np.float32),
     )
     rows = np.arange(len(which))
-    for _ in range(MOST):
+    for _ in range(LIMITS.max_panes):
         if not len(rows):
             return ends
         turns, share = choose_mirror_rays(met, rng)

@@ -40,7 +40,7 @@ def set_direction(normal: Any, u: float, v: float, w: float, way: Any) -> None:
 
 @numba.njit(**INLINED)
 def in_disc(state: Any) -> tuple[float, float, float]:
-    """Draw an even place in the unit disc, as `first_even`: by chance, without a sine."""
+    """Draw a uniform point of the unit disc, in the form of `first_even`, by rejection."""
     square, x, y = 2.0, 1.0, 0.0
     while square > 1.0:
         x, y = 2.0 * uniform(state) - 1.0, 2.0 * uniform(state) - 1.0

@@ -17,7 +17,7 @@ from simulate.radiance.cube import RadianceCube
 from simulate.radiance.geometry.viewpoint import Viewpoint
 from simulate.radiance.integrator.adaptive_sampling import SamplingSettings, Tiles, allocate_samples, further
 from simulate.radiance.integrator.auxiliary_layers import AuxiliaryLayers, truth
-from simulate.radiance.integrator.integrator_settings import IntegratorSettings, Run, one_by_one
+from simulate.radiance.integrator.integrator_settings import LIMITS, IntegratorSettings, Run, one_by_one
 from simulate.radiance.integrator.irradiance_cache import IrradianceCache, build_irradiance_cache
 from simulate.radiance.integrator.low_discrepancy import R2, fraction
 from simulate.radiance.integrator.outgoing_radiance import Shared, radiance_along
@@ -26,12 +26,6 @@ from simulate.radiance.integrator.spectral_scene import SpectralScene
 from simulate.radiance.integrator.subpixel_sources import add_small_sources
 
 Array = NDArray[np.floating]
-# Rays traced in one batch, gather rays included.
-BATCH = 48_000
-# Factor on the gather rays of pixels outside the cache: larger where only sky shadowing is computed.
-ALONE, ALONE_IN_SHADOW = 2, 8
-# Slices of a pixel's rays whose means give the variance: each covers the pixel as uniformly as all rays.
-STRETCHES = 8
 
 
 @dataclass(frozen=True)
@@ -63,7 +57,7 @@ def jobs(
         pixels, count = np.flatnonzero(flat == kind), int(kind) // 2
         if not count:
             continue
-        batch = max(1, BATCH // (count * max(gather_rays, 1)))
+        batch = max(1, LIMITS.batch_rays // (count * max(gather_rays, 1)))
         for start in range(0, len(pixels), batch):
             part = pixels[start : start + batch]
             yield PixelBatch(part, count, sky_control_fraction.ravel()[part], alone=bool(kind % 2), turn=turn)
@@ -89,7 +83,7 @@ class PixelBatchRenderer:
     @property
     def gathers_alone(self) -> int:
         """Factor on the gather rays of pixels outside the cache."""
-        return ALONE_IN_SHADOW if self.only_shadow else ALONE
+        return LIMITS.sky_shadow_ray_factor if self.only_shadow else LIMITS.uncached_ray_factor
 
     def render(self, job: PixelBatch) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return the pixels' radiance, shape (pixel, band), and the variance of their signal, shape (pixel,)."""
@@ -121,7 +115,7 @@ def _variance_of_mean(each: NDArray[np.float32]) -> NDArray[np.float32]:
     count, rays = each.shape
     if rays < 2:
         return np.full(count, np.nan, np.float32)
-    first = np.arange(min(rays, STRETCHES)) * rays // min(rays, STRETCHES)
+    first = np.arange(min(rays, LIMITS.variance_slices)) * rays // min(rays, LIMITS.variance_slices)
     length = np.diff(first, append=rays)
     apart = np.add.reduceat(each, first, axis=1) / length - each.mean(axis=1, keepdims=True)
     return (length * apart**2).sum(axis=1) / ((len(first) - 1) * rays)
@@ -143,8 +137,8 @@ class Trials:
     def __call__(self, pixels: NDArray[np.int64], rays: int, *, together: bool = False) -> tuple[Array, Array]:
         start = time.perf_counter()
         signal, single = np.empty(len(pixels)), np.empty(len(pixels))
-        for first in range(0, len(pixels), BATCH // rays):
-            part = slice(first, first + BATCH // rays)
+        for first in range(0, len(pixels), LIMITS.batch_rays // rays):
+            part = slice(first, first + LIMITS.batch_rays // rays)
             light, variance = self._look.render(PixelBatch(pixels[part], rays, self._known[pixels[part]], together))
             signal[part], single[part] = light @ self._look.weight, variance * rays
         self._rays += rays * len(pixels)
@@ -157,10 +151,6 @@ class Trials:
         return self._seconds / max(self._rays, 1)
 
 
-# Side of a tile, px; pixels of each that estimate the sky view factor, and rays of each of these.
-TILE, TRIED, TRIES = 4, 2, 4
-
-
 def sky_control_fraction(stage: SpectralScene, view: Viewpoint, seed: int) -> NDArray[np.float32]:
     """Return the unoccluded fraction of the hemisphere at the surfaces in view, averaged over a tile, shape (row, col).
 
@@ -168,27 +158,21 @@ def sky_control_fraction(stage: SpectralScene, view: Viewpoint, seed: int) -> ND
     numbers.
     """
     rng = np.random.default_rng([seed, 1])
-    tiles, columns, tracer = Tiles.of(view.shape, TILE), view.shape[1], stage.surfaces.tracer
-    pixel = tiles.some_pixels(TRIED, rng)
+    tiles, columns, tracer = Tiles.of(view.shape, LIMITS.control_tile_px), view.shape[1], stage.surfaces.tracer
+    pixel = tiles.some_pixels(LIMITS.control_pixels, rng)
     jitter = rng.random((2, len(pixel)))
     origin, towards = view.rays(pixel // columns + jitter[0], pixel % columns + jitter[1])
     hit = tracer.hits(origin, towards)
     met = hit.met
     points = stage.points(hit, origin, towards, met)
     hidden = np.zeros(len(pixel))
-    for _ in range(TRIES):
+    for _ in range(LIMITS.control_rays):
         direction, _ = stage.bsdfs.sample(points, rng.random((len(met), 2)), rng)
         start = tracer.above(points.face, points.place_m, points.normal)
-        hidden[met] += tracer.is_occluded(start, direction) / TRIES
-    share = hidden.reshape(*tiles.count, TRIED).mean(axis=-1)
+        hidden[met] += tracer.is_occluded(start, direction) / LIMITS.control_rays
+    share = hidden.reshape(*tiles.count, LIMITS.control_pixels).mean(axis=-1)
     down, across = tiles.of_pixels
     return (1.0 - share)[down, across].astype(np.float32)
-
-
-# Fraction of the allowed variance for the irradiance cache, which costs most; the rest is for the camera rays.
-SHARED_CHANCE = 0.8
-# Most turns of camera rays.
-TURNS = 12
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -200,9 +184,8 @@ class Rendering:
     cube
         Spectral radiance.
     signal, variance
-        What the eye makes of each pixel, and how far chance may have moved that: an estimate of its variance from
-        stretches of the pixel's own rays, on average too large where objects meet, shape (row, col); what pixels share
-        (`build_irradiance_cache.Field.variance`) comes besides.
+        Sensor signal of each pixel, and its estimated variance from slices of the pixel's rays, shape (row, col): on
+        average too large where objects meet; the variance of the irradiance cache is not included.
     rays
         Rays of each pixel, shape (row, col).
     truth
@@ -273,7 +256,7 @@ def render_scene(
     announce(tried.seconds_a_ray * float(wanted.sum()))
     alone = here.edges(shadows=False) & (look.field is not None and (rays.refine or look.only_shadow))
     seen, done = _Sum(view.shape, stage.bands), 0
-    for turn in range(TURNS):
+    for turn in range(LIMITS.max_turns):
         batches = list(jobs(wanted, control, alone, rays.gather_rays, turn))
         total = done + int(wanted.sum())
         for job, found in zip(batches, run(look.render, batches), strict=True):
@@ -311,13 +294,15 @@ def _sharing(
         sky_control_fraction,
         rays=max(first // 2, 2) if fine else first,
         max_rays=rays.max_cache_rays,
-        error_limit=_part(rays.error_limit, SHARED_CHANCE),
+        error_limit=_part(rays.error_limit, LIMITS.cache_variance_fraction),
         weight=look.weight,
         seed=look.seed,
         run=run,
         fine=fine,
     )
-    return replace(look, field=around), replace(rays, error_limit=_part(rays.error_limit, 1.0 - SHARED_CHANCE))
+    return replace(look, field=around), replace(
+        rays, error_limit=_part(rays.error_limit, 1.0 - LIMITS.cache_variance_fraction)
+    )
 
 
 def _part(error_limit: Callable[[Array], Array] | None, share: float) -> Callable[[Array], Array] | None:

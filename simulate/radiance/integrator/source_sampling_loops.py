@@ -104,7 +104,7 @@ def _choose(lamps: Any, lamp: int, draws: bool, lanes: Any, many: int, state: An
 
 @numba.njit(**COMPILED)
 def _leave_to_light(scene: Any, lamps: Any, beams: Any, packets: Any, lanes: Any, many: int) -> None:
-    """Take from what places get the share that `lit_places.add_lit_places` finds: where the lamp's middle sees them."""
+    """Remove the light-traced part (`add_light_traced_paths`) at vertices that the lamp's centre sees."""
     asked = 0
     for k in range(many):
         lane = lanes.active[k]
@@ -200,7 +200,7 @@ def _add_unless_stopped(address: Any, packets: Any, lanes: Any, asked: int, spec
 def add_bright(
     scene: Any, sky: Any, packets: Any, lanes: Any, many: int, sky_control_fraction: Any, state: Any, found: Any
 ) -> None:
-    """Add the share of the sky that is looked for by its brightness, see `Stage._add_bright_sky`."""
+    """Add the importance-sampled part of the sky, as `final_gather.add_bright_sky`."""
     radiance, _, _, cumulated, per_sr, sines = sky
     asked = 0
     for k in range(many):

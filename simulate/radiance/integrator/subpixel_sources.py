@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 
 from simulate.radiance.geometry.viewpoint import Exposure, Viewpoint
 from simulate.radiance.integrator import direct_lighting
+from simulate.radiance.integrator.integrator_settings import LIMITS
 from simulate.radiance.integrator.light_sources import DiscLight, LampLight
 from simulate.radiance.integrator.panes import Panes, reflect_direction
 from simulate.radiance.integrator.spectral_scene import SpectralScene
 
 Array = NDArray[np.floating]
-# Fractions below this part of the largest are rounding errors.
-ROUNDING = 1e-9
 
 
 def coverage(row: Array, col: Array, shape: tuple[int, int]) -> NDArray[np.float64]:
@@ -47,7 +46,7 @@ def coverage(row: Array, col: Array, shape: tuple[int, int]) -> NDArray[np.float
     np.add.at(height, (line, pixel + 1), rise * (at - pixel))
     share = np.abs(np.cumsum(height, axis=1)[:, :-1])
     # Cancelling sums leave rounding errors.
-    return np.where(share > ROUNDING * share.max(initial=0.0), np.minimum(share, 1.0), 0.0)
+    return np.where(share > LIMITS.coverage_rounding * share.max(initial=0.0), np.minimum(share, 1.0), 0.0)
 
 
 def _pieces(corner: Array) -> tuple[Array, Array]:
@@ -68,14 +67,7 @@ def _pieces(corner: Array) -> tuple[Array, Array]:
     return start, np.roll(start, -1, axis=0)
 
 
-# Corners of the polygon that represents a disc; shadow rays for each covered pixel, and for a disc, at least and at
-# most.
-CORNERS, PLACES_A_PIXEL, FEWEST_PLACES, MOST_PLACES = 128, 64, 1024, 65536
 GOLDEN_TURN = np.pi * (3.0 - 5.0**0.5)
-# Decimals to which planes of panes must agree to be one: normals, and distances, m.
-SAME = 6
-# Half length of the test ray that finds a pane at a point of its plane, m.
-CLOSE_M = 1e-3
 
 
 def add_small_sources(stage: SpectralScene, view: Viewpoint, radiance: NDArray[np.float32]) -> None:
@@ -112,9 +104,9 @@ def _add_disc(
     # A camera inside a lamp, as inside a ring of diodes, does not see it.
     if isinstance(source, LampLight) and np.linalg.norm(source.position_m - from_m) <= source.radius_m:
         return
-    swollen = 2.0 * np.pi / CORNERS / np.sin(2.0 * np.pi / CORNERS)
-    turn = 2.0 * np.pi * np.arange(CORNERS) / CORNERS
-    rim = _image_directions(_places(source, from_m, np.full(CORNERS, swollen), turn), plane)
+    swollen = 2.0 * np.pi / LIMITS.disc_corners / np.sin(2.0 * np.pi / LIMITS.disc_corners)
+    turn = 2.0 * np.pi * np.arange(LIMITS.disc_corners) / LIMITS.disc_corners
+    rim = _image_directions(_places(source, from_m, np.full(LIMITS.disc_corners, swollen), turn), plane)
     row, col, front = view.project(exposure.direction_before_turn(rim))
     columns = view.shape[1]
     row, col = row[front] - exposure.first, col[front]
@@ -127,7 +119,7 @@ def _add_disc(
     place = np.clip(middle[0], row.min(), row.max()), np.clip(middle[1], col.min(), col.max())
     here, there = (view.solid_angle_sr(exposure.picture_row + at[0], at[1]) for at in (place, middle))
     part = (covered[pixel] * here / there).astype(np.float32)[:, None]
-    many = int(np.clip(PLACES_A_PIXEL * covered.sum(), FEWEST_PLACES, MOST_PLACES))
+    many = int(np.clip(LIMITS.disc_rays_per_pixel * covered.sum(), LIMITS.min_disc_rays, LIMITS.max_disc_rays))
     way = _places(source, from_m, (np.arange(many) + 0.5) / many, GOLDEN_TURN * np.arange(many))
     share = (
         _source_transmittance(stage, eye, way, source)
@@ -238,9 +230,9 @@ class _Plane:
 def _planes(panes: Panes) -> list[_Plane]:
     normal = panes.tracer.planes[1]
     offset = np.einsum("ij,ij->i", normal, panes.tracer.corner_m)
-    first = np.argmax(np.abs(normal) > 10.0**-SAME, axis=1)
+    first = np.argmax(np.abs(normal) > 10.0**-LIMITS.plane_decimals, axis=1)
     sign = np.sign(normal[np.arange(len(normal)), first])
-    keys = np.round(sign[:, None] * np.column_stack([normal, offset]), SAME)
+    keys = np.round(sign[:, None] * np.column_stack([normal, offset]), LIMITS.plane_decimals)
     _, kind = np.unique(keys, axis=0, return_inverse=True)
     groups = [np.flatnonzero(kind.ravel() == number) for number in range(kind.max() + 1)]
     return [_Plane(normal[faces[0]], float(offset[faces[0]]), faces) for faces in groups]
@@ -264,14 +256,16 @@ def _image_transmittance(
     way, leg = way[on], height / rises[on]
     foot = image_eye + leg[:, None] * way
     ahead = way / np.linalg.norm(way, axis=1, keepdims=True)
-    near = panes.met(foot - CLOSE_M * ahead, ahead, np.full(len(way), 2.0 * CLOSE_M))
+    near = panes.met(
+        foot - LIMITS.pane_test_length_m * ahead, ahead, np.full(len(way), 2.0 * LIMITS.pane_test_length_m)
+    )
     near_plane = np.isin(near.face, plane.faces)
     which, back = near.which[near_plane], near.mirrored[near_plane]
     foot, way, rest = foot[which], way[which], (1.0 - leg[which])[:, None] * way[which]
     start = np.broadcast_to(eye, foot.shape)
     # The reflected segment starts at a small distance from the pane, on the side of the lens.
     side = np.sign(np.einsum("ij,j->i", start - foot, plane.normal))[:, None] * plane.normal
-    above = foot + CLOSE_M * side
+    above = foot + LIMITS.pane_test_length_m * side
     reach = None if isinstance(source, DiscLight) else direct_lighting.SHORT
     onward = way if isinstance(source, DiscLight) else rest
     clear = ~tracer.is_occluded(start, foot - start, direct_lighting.SHORT) & ~tracer.is_occluded(above, onward, reach)

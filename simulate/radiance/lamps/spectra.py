@@ -14,7 +14,7 @@ SODIUM_D = ((589.0, 2.0 / 3.0), (589.6, 1.0 / 3.0))
 SODIUM_NEAR_INFRARED = ((818.3, 0.36), (819.5, 0.64))
 MERCURY = ((404.7, 0.0852), (435.8, 0.1751), (546.1, 0.2185), (577.0, 0.0978), (579.1, 0.0978))
 MERCURY_COATED = ((404.7, 0.0579), (435.8, 0.1239), (546.1, 0.1605), (577.0, 0.0699), (579.1, 0.0699))
-# Visible power, W, for which the tables stand; near-infrared parts are shares of it.
+# Visible power of the tables, W; near-infrared lines are relative to it.
 COLUMNS = {
     "high-pressure-sodium": ("high_pressure_sodium", ()),
     "mercury": ("mercury", MERCURY),
@@ -35,7 +35,7 @@ KINDS = ("incandescent", "low-pressure-sodium", *COLUMNS)
 COLDEST_K, HOTTEST_K = 1000.0, 20000.0
 # Exitance of a black body over T^4, W m-2 K-4.
 STEFAN_BOLTZMANN = 5.670374419e-8
-# A narrow band is a normal distribution out to so many standard deviations, of so many samples.
+# A narrow band is a normal distribution: range in standard deviations, and samples.
 REACH, SAMPLES = 4.0, 65
 
 

@@ -23,30 +23,49 @@ from simulate.radiance.integrator.shading_request import bounce_order
 from simulate.radiance.integrator.spectral_scene import SpectralScene
 from simulate.radiance.outdoor.built_scene import BuiltScene
 
-# Points of the pilot, camera and gather rays of each; bounces with components of their own, and most bounces.
-TRIAL_PIXELS, TRIAL_RAYS, TRIAL_GATHERED, TRIAL_BOUNCES, TRIAL_LAST = 1600, 2, 4, 4, 24
-# Regions of the frame, down and across, in which influences are computed separately.
-REGIONS = 4
-# Tolerance, as a fraction of the noise floor, below which the fine irradiance cache is used.
-FINE_BELOW = 0.1
-# Fractions of the tolerance for neglected components, for bands, and for the Monte Carlo error.
-SHARE, BANDS, CHANCE = 0.4, 0.2, 0.6
-# Limits of the spectral error of any source's signal; the coarsest is that of the pilot.
-FINEST, COARSEST = 0.0005, 0.005
-# Most rays of a pixel; for exact renderings: most rays, Monte Carlo error, bounces before Russian roulette, and most
-# bounces.
-MOST, EXACT_MOST, EXACT_CHANCE, EXACT_ROULETTE, EXACT_BOUNCES = 4096, 32768, 0.05, 3, 200
-# With few bounces, the last ones carry little light: early Russian roulette takes a fifth of the time.
-EARLY_ROULETTE = 1
-LAST_BOUNCE = f"bounce {TRIAL_BOUNCES} and further"
-# Brightest pixels, per cent, which saturate any sensor and do not affect the choice of bands.
-BRIGHTEST = 0.5
-# Most rays of a rendering, beyond the fewest of each pixel: about a minute on two cores.
-RAYS_IN_ALL = 3_000_000
-# Shorter side of the smallest frame with an irradiance cache, px: twice the largest window.
-SHARED_FROM_PX = 64
-# Cost of a source and of a bounce, s for a million rays and ten bands, measured on one core.
-SOURCE_S, BOUNCE_S = 0.25, 1.5
+
+@dataclass(frozen=True, kw_only=True)
+class RenderLimits:
+    """Parameters of the pilot run, and the division of the error between its causes."""
+
+    # Points of the pilot, camera and gather rays of each; bounces with components of their own, and most bounces.
+    pilot_points: int = 1600
+    pilot_rays: int = 2
+    pilot_gather_rays: int = 4
+    pilot_bounces: int = 4
+    pilot_max_bounces: int = 24
+    # Regions of the frame, down and across, in which influences are computed separately.
+    regions: int = 4
+    # Fractions of the tolerance for neglected components, for bands, and for the Monte Carlo error.
+    neglect_fraction: float = 0.4
+    band_fraction: float = 0.2
+    monte_carlo_fraction: float = 0.6
+    # Tolerance below which the fine irradiance cache is used, as a fraction of the noise floor; shorter side of the
+    # smallest frame with a cache, px: twice the largest smoothing window.
+    fine_cache_tolerance: float = 0.1
+    min_cached_frame_px: int = 64
+    # Limits of the spectral error of any source's signal; the largest is that of the pilot. Brightest pixels, per cent,
+    # which saturate any sensor and do not affect the choice of bands.
+    min_spectral_error: float = 0.0005
+    max_spectral_error: float = 0.005
+    saturated_percent: float = 0.5
+    # Most rays of a pixel, and of a rendering beyond the fewest of each pixel: about a minute on two cores.
+    max_rays: int = 4096
+    total_rays: int = 3_000_000
+    # With few bounces the last ones carry little light: early Russian roulette takes a fifth of the time.
+    early_roulette_depth: int = 1
+    # Exact renderings: most rays of a pixel, Monte Carlo error, first bounce with Russian roulette, and most bounces.
+    exact_max_rays: int = 32768
+    exact_noise_fraction: float = 0.05
+    exact_roulette_depth: int = 3
+    exact_bounces: int = 200
+    # Cost of a source and of a bounce, s for a million rays and ten bands, measured on one core.
+    source_cost_s: float = 0.25
+    bounce_cost_s: float = 1.5
+
+
+RENDER_LIMITS = RenderLimits()
+LAST_BOUNCE = f"bounce {RENDER_LIMITS.pilot_bounces} and further"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,7 +128,9 @@ class RenderSettings:
         """Return the settings as text."""
         few, most, chance = self.rays.min_rays, self.rays.max_rays, self.chance
         follows = self.effort
-        bounces = "to the end, by chance" if follows.max_bounces >= EXACT_BOUNCES else f"{follows.max_bounces}"
+        bounces = (
+            "to the end, by chance" if follows.max_bounces >= RENDER_LIMITS.exact_bounces else f"{follows.max_bounces}"
+        )
         return "\n".join(
             (
                 f"light, by what {self.sensor_name} would notice of it:",
@@ -177,25 +198,31 @@ def choose_render_settings(
     seed
         Seed of the pilot.
     """
-    stage = site.on(site.bands(eye.response_nm, eye.response, COARSEST))
+    stage = site.on(site.bands(eye.response_nm, eye.response, RENDER_LIMITS.max_spectral_error))
     tried = trial(stage, view, eye, seed)
-    chosen = select_effects(_effects(tried, eye, view, stage.bands), SHARE * tolerance)
-    bright = float(np.percentile(tried.signal, 100.0 - BRIGHTEST)) if len(tried.signal) else 0.0
+    chosen = select_effects(_effects(tried, eye, view, stage.bands), RENDER_LIMITS.neglect_fraction * tolerance)
+    bright = float(np.percentile(tried.signal, 100.0 - RENDER_LIMITS.saturated_percent)) if len(tried.signal) else 0.0
     error = float(
-        np.clip(BANDS * tolerance * float(eye.noise_floor(bright, smooth=True)) / max(bright, 1e-30), FINEST, COARSEST)
+        np.clip(
+            RENDER_LIMITS.band_fraction * tolerance * float(eye.noise_floor(bright, smooth=True)) / max(bright, 1e-30),
+            RENDER_LIMITS.min_spectral_error,
+            RENDER_LIMITS.max_spectral_error,
+        )
     )
-    if error < COARSEST:
+    if error < RENDER_LIMITS.max_spectral_error:
         stage = site.on(site.bands(eye.response_nm, eye.response, error))
     plan = EffectSelection(tolerance=tolerance, kept=chosen.kept, left_out=chosen.left_out)
     return RenderSettings(
         wavelength_nm=stage.bsdfs.wavelength_nm,
         spectral_error=error,
         rays=SamplingSettings(
-            max_rays=MOST,
-            total_rays=RAYS_IN_ALL,
+            max_rays=RENDER_LIMITS.max_rays,
+            total_rays=RENDER_LIMITS.total_rays,
             cache_rays=_n_cache_rays(view),
-            refine=tolerance < FINE_BELOW,
-            error_limit=MonteCarloTolerance(eye=eye, noise_floor_fraction=CHANCE * tolerance),
+            refine=tolerance < RENDER_LIMITS.fine_cache_tolerance,
+            error_limit=MonteCarloTolerance(
+                eye=eye, noise_floor_fraction=RENDER_LIMITS.monte_carlo_fraction * tolerance
+            ),
         ),
         effort=_effort(plan),
         plan=plan,
@@ -205,24 +232,26 @@ def choose_render_settings(
 
 def _n_cache_rays(view: Viewpoint) -> int | None:
     """Return the first rays of a cache node; None for a frame smaller than the largest smoothing window."""
-    return SamplingSettings().cache_rays if min(view.shape) >= SHARED_FROM_PX else None
+    return SamplingSettings().cache_rays if min(view.shape) >= RENDER_LIMITS.min_cached_frame_px else None
 
 
 def exact(site: BuiltScene, view: Viewpoint, eye: RenderSensor, seed: int) -> tuple[RenderSettings, SpectralScene]:
     """Return settings that neglect nothing, and the scene on their bands: a slow reference."""
-    stage = site.on(site.bands(eye.response_nm, eye.response, FINEST))
+    stage = site.on(site.bands(eye.response_nm, eye.response, RENDER_LIMITS.min_spectral_error))
     effects = _effects(trial(stage, view, eye, seed), eye, view, stage.bands)
     return RenderSettings(
         wavelength_nm=stage.bsdfs.wavelength_nm,
-        spectral_error=FINEST,
+        spectral_error=RENDER_LIMITS.min_spectral_error,
         rays=SamplingSettings(
             min_rays=4,
             edge=64,
-            max_rays=EXACT_MOST,
+            max_rays=RENDER_LIMITS.exact_max_rays,
             cache_rays=None,
-            error_limit=MonteCarloTolerance(eye=eye, noise_floor_fraction=EXACT_CHANCE),
+            error_limit=MonteCarloTolerance(eye=eye, noise_floor_fraction=RENDER_LIMITS.exact_noise_fraction),
         ),
-        effort=IntegratorSettings(max_bounces=EXACT_BOUNCES, roulette_depth=EXACT_ROULETTE),
+        effort=IntegratorSettings(
+            max_bounces=RENDER_LIMITS.exact_bounces, roulette_depth=RENDER_LIMITS.exact_roulette_depth
+        ),
         plan=EffectSelection(tolerance=0.0, kept=tuple(effects), left_out=()),
         sensor_name=eye.name,
         exact=True,
@@ -240,13 +269,15 @@ def trial(stage: SpectralScene, view: Viewpoint, eye: RenderSensor, seed: int) -
         stage,
         origin,
         towards,
-        IntegratorSettings(max_bounces=TRIAL_LAST, roulette_depth=TRIAL_BOUNCES),
+        IntegratorSettings(max_bounces=RENDER_LIMITS.pilot_max_bounces, roulette_depth=RENDER_LIMITS.pilot_bounces),
         rng,
-        gather_rays=TRIAL_GATHERED,
+        gather_rays=RENDER_LIMITS.pilot_gather_rays,
         split=True,
     ).found
     by_name = {name: place.means(light @ weight) for name, light in found.items()}
-    signal = np.asarray(sum(by_name.values(), start=np.zeros((int(np.prod(place.shape)), TRIAL_RAYS)))).mean(axis=1)
+    signal = np.asarray(
+        sum(by_name.values(), start=np.zeros((int(np.prod(place.shape)), RENDER_LIMITS.pilot_rays)))
+    ).mean(axis=1)
     parts: dict[str, NDArray[np.floating]] = {}
     for name, light in by_name.items():
         for part in _parts_of(name, (*stage.lighting.names, "hidden sky")):
@@ -270,7 +301,7 @@ class _Places:
     @classmethod
     def over(cls, view: Viewpoint) -> "_Places":
         rows, columns = view.shape
-        across = np.sqrt(TRIAL_PIXELS * columns / rows)
+        across = np.sqrt(RENDER_LIMITS.pilot_points * columns / rows)
         many = (max(1, int(across * rows / columns)), max(1, int(across)))
         row, col = (
             axis.ravel()
@@ -284,17 +315,17 @@ class _Places:
         return cls(row, col, spread, row.astype(np.int64) * columns + col.astype(np.int64), view.shape)
 
     def draw(self, rng: np.random.Generator) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-        """Draw rows and columns of `TRIAL_RAYS` rays around each point, (point and ray,)."""
-        jitter = rng.random((2, len(self.row) * TRIAL_RAYS)) - 0.5
+        """Draw rows and columns of `RENDER_LIMITS.pilot_rays` rays around each point, (point and ray,)."""
+        jitter = rng.random((2, len(self.row) * RENDER_LIMITS.pilot_rays)) - 0.5
         row, col = (
-            np.repeat(axis, TRIAL_RAYS) + apart * spread
+            np.repeat(axis, RENDER_LIMITS.pilot_rays) + apart * spread
             for axis, apart, spread in zip((self.row, self.col), jitter, self.spread, strict=True)
         )
         return row, col
 
     def means(self, signal: NDArray[np.floating]) -> NDArray[np.float64]:
         """Return mean signals of each counted point, separately by first and second rays, shape (point, ray)."""
-        each = signal.reshape(-1, TRIAL_RAYS).astype(float)
+        each = signal.reshape(-1, RENDER_LIMITS.pilot_rays).astype(float)
         count = np.bincount(self.pixel, minlength=int(np.prod(self.shape)))
         total = [np.bincount(self.pixel, ray, minlength=len(count)) for ray in each.T]
         return np.stack(total, axis=1) / count[:, None]
@@ -305,7 +336,7 @@ def _parts_of(name: str, sources: tuple[str, ...]) -> tuple[str, ...]:
     order, source = bounce_order(name)
     if order == 0:
         return (name,)
-    last = LAST_BOUNCE if order >= TRIAL_BOUNCES else f"bounce {order}"
+    last = LAST_BOUNCE if order >= RENDER_LIMITS.pilot_bounces else f"bounce {order}"
     return (last, source) if source in sources else (last,)
 
 
@@ -337,7 +368,7 @@ def _effects(tried: PilotEstimate, eye: RenderSensor, view: Viewpoint, bands: in
         if name not in ("in view", "sky")
     }
     # A bounce needs all lower bounces.
-    orders = [f"bounce {order}" for order in range(1, TRIAL_BOUNCES)] + [LAST_BOUNCE]
+    orders = [f"bounce {order}" for order in range(1, RENDER_LIMITS.pilot_bounces)] + [LAST_BOUNCE]
     for order, further in zip(orders[-2::-1], orders[:0:-1], strict=True):
         if further in influence:
             influence[order] = max(influence.get(order, 0.0), influence[further])
@@ -355,10 +386,13 @@ def _influence(part: NDArray[np.floating], shape: tuple[int, int]) -> float:
     the square of their mean would be.
     """
     square = (part[:, 0] * part[:, 1]).reshape(shape)
+    count = RENDER_LIMITS.regions
     regions = [
-        region.mean() for rows in np.array_split(square, REGIONS) for region in np.array_split(rows, REGIONS, axis=1)
+        region.mean()
+        for rows in np.array_split(square, count)
+        for region in np.array_split(rows, count, axis=1)
         if region.size
-    ]  # fmt: skip
+    ]
     return float(np.sqrt(max(0.0, *regions)))
 
 
@@ -367,18 +401,18 @@ def _is_gathered(name: str) -> bool:
 
 
 def _cost(name: str) -> float:
-    return BOUNCE_S if _is_gathered(name) else SOURCE_S
+    return RENDER_LIMITS.bounce_cost_s if _is_gathered(name) else RENDER_LIMITS.source_cost_s
 
 
 def _effort(plan: EffectSelection) -> IntegratorSettings:
     orders = [int(effect.name.split()[1]) for effect in plan.kept if effect.name.startswith("bounce ")]
     out = plan.names
     followed = max(orders, default=0)
-    to_the_end = followed >= TRIAL_BOUNCES
+    to_the_end = followed >= RENDER_LIMITS.pilot_bounces
     return IntegratorSettings(
-        max_bounces=EXACT_BOUNCES if to_the_end else followed,
+        max_bounces=RENDER_LIMITS.exact_bounces if to_the_end else followed,
         sky_shadowing="hidden sky" not in out,
         path_air="air before surfaces" not in out,
         left_out=frozenset(out),
-        roulette_depth=EXACT_ROULETTE if to_the_end else EARLY_ROULETTE,
+        roulette_depth=RENDER_LIMITS.exact_roulette_depth if to_the_end else RENDER_LIMITS.early_roulette_depth,
     )

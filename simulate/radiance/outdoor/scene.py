@@ -126,7 +126,7 @@ METRE: dict[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "in"
 
 @dataclass(frozen=True, kw_only=True)
 class Pose:
-    """How a copy of an object stands.
+    """Pose of a copy of an object.
 
     Parameters
     ----------
@@ -168,11 +168,11 @@ class Object(Pose):
         Of a plane: a picture whose numbers say which of these materials lies where, see
         `simulate.radiance.outdoor.build`; in place of `material`.
     gaps
-        Share of its surface that is open, as between leaves, dimensionless: triangles are left out of every copy alike.
+        Fraction of its surface that is open, as between leaves, dimensionless; all copies omit the same triangles.
     instances
-        Poses of copies; without any it stands once, as its own pose says.
+        Poses of copies; without any there is one object, in its own pose.
     temperature_c, above_air_k
-        Temperature of all of its surface, in place of what its slab gives: constant, C, or above that of the air, K.
+        Temperature of all of its surface, in place of the slab's: constant, C, or excess over that of the air, K.
     heat_w_m2, heat_hours
         Heat that its surface gets from within, W m-2, and from which hour to which of the scene's local time, such as
         [22, 2.5]; without hours always.

@@ -40,14 +40,14 @@ class ObserverLocation:
 
 @dataclass(frozen=True, kw_only=True)
 class Body:
-    """Sun or moon as seen from a place, without refraction.
+    """Sun or moon for an observer, without refraction.
 
     Parameters
     ----------
     direction
         Unit vector: x east, y north, z up.
     distance_km
-        From the place, km.
+        From the observer, km.
     radius_km
         Of the body, km.
     """
@@ -73,13 +73,13 @@ class Body:
 
     @property
     def position_km(self) -> NDArray[np.float64]:
-        """Vector from the place, km."""
+        """Vector from the observer, km."""
         return self.distance_km * np.asarray(self.direction)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ephemeris:
-    """Sun and moon over a place at one time.
+    """Sun and moon for an observer at one time.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ class Ephemeris:
 
     @property
     def phase_deg(self) -> float:
-        """Angle at the moon between sun and place: 0 at full moon, degrees."""
+        """Angle at the moon between sun and observer: 0 at full moon, degrees."""
         return angle_deg(self.sun.position_km - self.moon.position_km, -self.moon.position_km)
 
     @property
@@ -121,7 +121,7 @@ class Ephemeris:
 
 
 def ephemeris(place: ObserverLocation, time: datetime) -> Ephemeris:
-    """Return sun and moon over a place at a time, topocentric and without refraction.
+    """Return sun and moon for an observer at a time, topocentric and without refraction.
 
     Parameters
     ----------

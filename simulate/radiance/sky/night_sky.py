@@ -214,9 +214,9 @@ class NightSky:
         )
 
     def _direct_fraction(self, elevation_deg: NDArray[np.floating], grid: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the share of light from all over that crosses the air without being turned, shape (band, path).
+        """Return the transmittance for isotropic light, shape (band, path).
 
-        Haze scatters forward: only 1 - g of its depth turns light.
+        Haze scatters forward: only 1 - g of its depth counts.
         """
         air = self.atmosphere
         depth = air.molecules_depth(grid) + (1.0 - scattering.ASYMMETRY) * air.haze_depth(grid)

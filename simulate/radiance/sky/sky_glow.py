@@ -84,7 +84,7 @@ def _share(whole: SourceSpectrum, shape: NDArray[np.floating], luminance_share: 
 
 
 def _continuum() -> SourceSpectrum:
-    """Return what the table's bands hold besides the lines: the smoothest broken line with the bands' means."""
+    """Return the continuum of the table without the lines: the smoothest broken line with the bands' means."""
     bands = table("dark_sky")
     start, mean = bands["wavelength_nm"], 1e-9 * bands["radiance_1e-6_w_m2_sr_um"]
     for nm, power in zip(LINES_NM, LINES_W_M2_SR, strict=True):
@@ -131,7 +131,7 @@ def twilight_magnitude(depression_deg: float) -> NDArray[np.float64]:
     """Return the zenith's brightness in U, B, V, R, I, mag arcsec-2, at a depression of the sun of 0 to 20 degrees."""
     if depression_deg < FIRST_DEG:
         return A0 - EARLY_MAG_PER_DEG * (FIRST_DEG - depression_deg)
-    # Beyond 12 degrees the measured sky nears its night level; the glow alone goes on as steeply as there.
+    # Beyond 12 degrees the measured sky approaches its night level; the twilight is extrapolated with the slope there.
     x = min(depression_deg, TANGENT_DEG) - FIRST_DEG
     beyond = max(depression_deg - TANGENT_DEG, 0.0)
     return A0 + A1 * x + A2 * x**2 + beyond * (A1 + 2.0 * A2 * (TANGENT_DEG - FIRST_DEG))
@@ -211,7 +211,7 @@ class TownGlow:
         return spectrum(self.lamp, lumens=self.luminance_cd_m2)
 
     def shape(self, direction: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Return radiance relative to the brightest place for directions (path, 3), shape (path,)."""
+        """Return radiance relative to the maximum for directions (path, 3), shape (path,)."""
         elevation = np.rad2deg(np.arcsin(np.clip(direction[:, 2], 0.0, 1.0)))
         azimuth = np.rad2deg(np.arctan2(direction[:, 0], direction[:, 1])) - self.azimuth_deg
         aside = (azimuth + 180.0) % 360.0 - 180.0

@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from simulate.radiance.integrator.adaptive_sampling import GROWTH, SamplingSettings, allocate_samples, further
+from simulate.radiance.integrator.adaptive_sampling import SamplingSettings, allocate_samples, further
 from simulate.radiance.integrator.auxiliary_layers import AuxiliaryLayers
+from simulate.radiance.integrator.integrator_settings import LIMITS
 from simulate.radiance.integrator.render_sensor import KNOWN, RenderSensor
-from simulate.radiance.outdoor.render_settings import REGIONS, _influence
+from simulate.radiance.outdoor.render_settings import RENDER_LIMITS, _influence
 
 SHAPE = (32, 64)
 ALLOWED = 0.01
@@ -100,7 +101,9 @@ def test_rays_go_on_until_the_error_measured_is_what_was_allowed():
     single, signal = spread(0.1, 40.0), np.ones(SHAPE)
     sent, turns = np.full(SHAPE, 8, np.int32), 0
     while (more := further(halves(), rays, signal, single / sent, sent)).any():
-        assert (sent + more <= 1.5 * GROWTH * sent).all(), "few rays are not trusted for many times as many"
+        assert (sent + more <= 1.5 * LIMITS.max_ray_growth * sent).all(), (
+            "few rays are not trusted for many times as many"
+        )
         sent, turns = sent + more, turns + 1
     assert 2 < turns < 8
     assert np.mean(single / sent) / ALLOWED == pytest.approx(1.0, rel=0.15)
@@ -140,7 +143,7 @@ def test_differences_are_weighed_by_noise_or_by_a_share_of_the_signal():
 def test_the_influence_of_a_part_is_its_size_where_it_is_largest_and_specks_have_none():
     shape, rng = (40, 40), np.random.default_rng(6)
     part = np.zeros(shape)
-    part[: shape[0] // REGIONS, : shape[1] // REGIONS] = 0.3
+    part[: shape[0] // RENDER_LIMITS.regions, : shape[1] // RENDER_LIMITS.regions] = 0.3
     twice = np.repeat(part.reshape(-1, 1), 2, axis=1)
     assert _influence(twice, shape) == pytest.approx(0.3)
     # Each ray in a hundred is a speck of 10: the mean of two rays makes 0.7 of that, their product rarely anything.

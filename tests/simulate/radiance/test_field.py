@@ -10,8 +10,8 @@ from simulate.radiance.geometry.shapes import box, plane
 from simulate.radiance.geometry.viewpoint import Viewpoint
 from simulate.radiance.integrator.adaptive_sampling import SamplingSettings
 from simulate.radiance.integrator.cache_smoothing import Nodes
-from simulate.radiance.integrator.integrator_settings import IntegratorSettings, one_by_one, workers
-from simulate.radiance.integrator.irradiance_cache import STEP, build_irradiance_cache
+from simulate.radiance.integrator.integrator_settings import LIMITS, IntegratorSettings, one_by_one, workers
+from simulate.radiance.integrator.irradiance_cache import build_irradiance_cache
 from simulate.radiance.integrator.low_discrepancy import TILE, low_discrepancy_points
 from simulate.radiance.integrator.outgoing_radiance import outgoing_radiance
 from simulate.radiance.integrator.renderer import render_scene
@@ -72,7 +72,7 @@ def test_shared_light_knows_its_own_error(seed):
         )
 
     found = shared(16)
-    missed = found.change[..., 0] - np.pi * (sky_seen(ABOVE.smaller(STEP)) - 1.0)
+    missed = found.change[..., 0] - np.pi * (sky_seen(ABOVE.smaller(LIMITS.cache_step_px)) - 1.0)
     assert 0.25 < np.mean(missed**2) / found.variance.mean() < 4.0
     assert shared(128).variance.mean() < found.variance.mean() / 4.0
 

@@ -7,7 +7,7 @@ from labdata.errors import BadInput
 from simulate.iiccd.tube_photometry import JOULE_METRE, detection_weights, quantum_efficiency
 from simulate.radiance.cube import band_widths
 from simulate.radiance.lamps.spectra import KINDS, spectrum
-from simulate.radiance.outdoor.render_settings import COARSEST
+from simulate.radiance.outdoor.render_settings import RENDER_LIMITS
 from simulate.radiance.sky.moon import moon_spectrum
 from simulate.radiance.sky.night_sky import NightSky
 from simulate.radiance.spectrum import SourceSpectrum, spectral_grid, sum_spectra
@@ -78,7 +78,7 @@ def detected(light, nm, efficiency):
     """Photons of a rendered light that a detector detects, as lens and detector take them from a picture's bands."""
     fine = np.union1d(nm, np.arange(nm[0], nm[-1], 5.0))
     per_watt = np.interp(fine, nm, efficiency) * fine * 1e-9 / JOULE_METRE
-    grid, _ = spectral_grid([light], fine, per_watt, tolerance=COARSEST)
+    grid, _ = spectral_grid([light], fine, per_watt, tolerance=RENDER_LIMITS.max_spectral_error)
     return light.on(grid) @ detection_weights(grid, nm, efficiency, averaged=True)
 
 
