@@ -96,7 +96,7 @@ def build_irradiance_cache(
     stage, view, effort
         Scene, camera and integrator settings.
     sky_control_fraction
-        Share of the open sky that is taken as known, see `ShadingPoints.known`, shape (row, col).
+        Control-variate fraction of the sky of each pixel, see `ShadingPoints`, shape (row, col).
     rays, max_rays
         First and most rays of each node.
     error_limit

@@ -1,11 +1,10 @@
 """Render settings: bands, rays, bounces and sources for the error that a sensor tolerates.
 
-A pilot run at a few points computes every source and every bounce as a separate component. What a part changes,
-over the grain of a pixel there (`RenderSensor.grain`), root mean square over the sixteenth of the picture where that is
-most, is its influence; parts whose influences stay together below a share of the tolerance are left out. Bands are
-chosen to change no source by more than another share; the rest is left to chance, by which the whole picture may be off
-in its root mean square. Influences are found at the trial's places, so they are estimates and no bounds: something
-small that the trial missed may have more.
+A pilot run at a few points computes every source and every bounce as a separate component. The influence of a component
+is its rms signal over the sensor's noise floor, in the sixteenth of the frame where that is largest; components whose
+influences are together below a fraction of the tolerance are neglected. Another fraction limits the spectral error of
+the bands, the rest is the rms Monte Carlo error of the rendering. Influences are estimates from the pilot's points, not
+bounds: a small object that the pilot missed may have more.
 """
 
 from dataclasses import dataclass
@@ -413,6 +412,6 @@ def _effort(plan: EffectSelection) -> IntegratorSettings:
         max_bounces=RENDER_LIMITS.exact_bounces if to_the_end else followed,
         sky_shadowing="hidden sky" not in out,
         path_air="air before surfaces" not in out,
-        left_out=frozenset(out),
+        neglected=frozenset(out),
         roulette_depth=RENDER_LIMITS.exact_roulette_depth if to_the_end else RENDER_LIMITS.early_roulette_depth,
     )

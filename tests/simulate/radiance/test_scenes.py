@@ -421,7 +421,7 @@ def test_a_lamp_whose_light_arrives_by_reflection_alone_is_kept(tmp_path):
         BuiltScene(scene_of(tmp_path, CAMERA + GREY + parts + shade + lit)), VIEW, eye, 0.1, 1
     )
     kept = {effect.name for effect in plan.plan.kept}
-    assert {"bulb", "bounce 1"} <= kept and "bulb" not in plan.effort.left_out
+    assert {"bulb", "bounce 1"} <= kept and "bulb" not in plan.effort.neglected
 
 
 def test_rays_that_trials_thought_too_few_go_on_until_the_error_is_as_promised(monkeypatch, seed):
