@@ -25,7 +25,7 @@ def render_sensor_of(camera: IntensifiedCamera | SiliconCamera, conditions: Cond
     table = np.asarray(lens.detector_nm, float)
     fine = np.union1d(table, np.arange(table[0], table[-1], STEP_NM))
     relative = np.interp(fine, table, lens.detector_efficiency) / max(lens.detector_efficiency)
-    peak, area_m2, open_s, dark, factor, read, noise_averaging_factor = _numbers(camera, conditions)
+    peak, area_m2, open_s, dark, factor, read, averaging = _numbers(camera, conditions)
     per_watt = peak * relative * fine * 1e-9 / tube_photometry.JOULE_METRE
     response = per_watt * lens.gathering_sr * area_m2 * open_s
     return RenderSensor(
@@ -33,7 +33,7 @@ def render_sensor_of(camera: IntensifiedCamera | SiliconCamera, conditions: Cond
         response=tuple(response),
         dark_variance=factor * dark + read,
         variance_per_signal=factor,
-        noise_averaging_factor=evened,
+        noise_averaging_factor=averaging,
         name=camera.sensor.name if isinstance(camera, IntensifiedCamera) else camera.description.name,
     )
 
@@ -41,7 +41,7 @@ def render_sensor_of(camera: IntensifiedCamera | SiliconCamera, conditions: Cond
 def _numbers(
     camera: IntensifiedCamera | SiliconCamera, conditions: Conditions
 ) -> tuple[float, float, float, float, float, float, float]:
-    """Peak efficiency, area of a pixel, m2, time open, s, dark photoelectrons, F^2, pe^2 of reading, and `noise_averaging_factor`.
+    """Peak efficiency, area of a pixel, m2, time open, s, dark photoelectrons, F^2, pe^2 of reading, and noise averaging.
 
     The light of a photoelectron's pulse falls on several pixels, and its afterglow in several fields.
     """
@@ -58,5 +58,5 @@ def _numbers(
     read = (float(camera.sensor.ccd.read_noise_e) / picture.gain_at_rest_e) ** 2
     factor = picture.plate.excess_noise_factor
     per_pe = (picture.pulses[0] + picture.white) / picture.charge_e
-    noise_averaging_factor = min(1.0, float(np.sqrt(per_pe / factor)))
-    return cathode.quantum_efficiency, area_m2, cathode.open_s, picture.dark_pe, factor, read, evened
+    averaging = min(1.0, float(np.sqrt(per_pe / factor)))
+    return cathode.quantum_efficiency, area_m2, cathode.open_s, picture.dark_pe, factor, read, averaging
