@@ -41,7 +41,7 @@ def render_sensor_of(camera: IntensifiedCamera | SiliconCamera, conditions: Cond
 def _numbers(
     camera: IntensifiedCamera | SiliconCamera, conditions: Conditions
 ) -> tuple[float, float, float, float, float, float, float]:
-    """Peak efficiency, area of a pixel, m2, time open, s, dark photoelectrons, F^2, pe^2 of reading, and noise averaging.
+    """Return peak efficiency, pixel area, m2, time open, s, dark photoelectrons, F^2, read pe^2 and noise averaging.
 
     The light of a photoelectron's pulse falls on several pixels, and its afterglow in several fields.
     """
