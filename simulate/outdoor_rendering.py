@@ -16,13 +16,15 @@ from simulate.iiccd.effect_bounds.noise_budget import NoiseBudget
 from simulate.iiccd.grid import SCENE_MARGIN_PX
 from simulate.iiccd.scene_to_photoelectrons import Camera
 from simulate.iiccd.solid_state import SiliconCamera
+
+pass
+from simulate.radiance.geometry.viewpoint import Viewpoint
+from simulate.radiance.integrator.integrator_settings import workers
+from simulate.radiance.integrator.render_sensor import KNOWN, RenderSensor
+from simulate.radiance.integrator.renderer import Rendering, render_scene
 from simulate.radiance.outdoor.built_scene import BuiltScene
-from simulate.radiance.outdoor.description.scene import OutdoorScene
 from simulate.radiance.outdoor.render_settings import RenderSettings, choose_render_settings, exact
-from simulate.radiance.outdoor.viewpoint import Viewpoint
-from simulate.radiance.transport.render_sensor import KNOWN, RenderSensor
-from simulate.radiance.transport.renderer import Rendering, render_scene
-from simulate.radiance.transport.workers import workers
+from simulate.radiance.outdoor.scene import OutdoorScene
 
 STEP_NM = 5.0
 
@@ -112,7 +114,7 @@ class RenderedView:
     @property
     def chance(self) -> float:
         """Error of the pixels by chance over their grain, root mean square, by the scatter of their own rays."""
-        grain = self.eye.grain(self.picture.signal)
+        grain = self.eye.noise_floor(self.picture.signal)
         return float(np.sqrt(np.mean(np.nan_to_num(self.picture.variance) / grain**2)))
 
     @property
@@ -218,7 +220,7 @@ class OutdoorRendering:
             plan, stage = exact(self.site, view, eye, seed)
         else:
             plan, stage = choose_render_settings(self.site, view, eye, tolerance, seed)
-        rays = replace(plan.rays, edge=PREVIEW_RAYS, most=PREVIEW_RAYS) if preview else plan.rays
+        rays = replace(plan.rays, edge=PREVIEW_RAYS, max_rays=PREVIEW_RAYS) if preview else plan.rays
         count = min(2, os.cpu_count() or 1) if threads is None else threads
         with workers(count) as run:
             found = render_scene(

@@ -30,7 +30,7 @@ from simulate.iiccd import sampler_choice
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.scene_to_photoelectrons import photoelectrons_from_radiance
 from simulate.outdoor_rendering import RenderedView
-from simulate.radiance.transport import render_sensor
+from simulate.radiance.integrator import render_sensor
 
 TABLE = Path(__file__).with_name("tables") / "light_economy.json"
 # One of the sources whose change makes cases old.
@@ -69,7 +69,7 @@ class SelectionOutcome:
         Time taken, s.
     planned_rays, exact_rays
         Rays a pixel, each of which gathers 2 and 4 more.
-    bands, bounces
+    bands, max_bounces
         Of the plan.
     left_out
         What the plan leaves out.
@@ -89,7 +89,7 @@ class SelectionOutcome:
     planned_rays: float
     exact_rays: float
     bands: int
-    bounces: int
+    max_bounces: int
     left_out: tuple[str, ...]
 
     @property
@@ -155,8 +155,7 @@ def _readable(camera: Any, frame: Image) -> Image:
 
 
 def _noise(camera: Any, conditions: Conditions, light: Any, mean_dn: Image, seed: int) -> Image:
-    """Temporal noise of drawn frames, DN; or `render_sensor.KNOWN` of the signal where that is more, as in plans of
-    light."""
+    """Return the temporal noise of drawn frames, DN, or `KNOWN` of the signal where that is larger."""
     if isinstance(camera, IntensifiedCamera):
         stream = sampler_choice.generate_frames(camera, light, conditions, seed=seed)
     else:
@@ -182,7 +181,7 @@ def measure_case(number: int) -> SelectionOutcome:
     """Return what economy did to a case."""
     pair = pair_of(number)
     planned, exact = pair.planned, pair.exact
-    grain = exact.eye.grain(exact.picture.signal)
+    grain = exact.eye.noise_floor(exact.picture.signal)
     return SelectionOutcome(
         number=number,
         light=pair.case.light,
@@ -198,7 +197,7 @@ def measure_case(number: int) -> SelectionOutcome:
         planned_rays=float(planned.picture.rays.mean()),
         exact_rays=float(exact.picture.rays.mean()),
         bands=len(planned.plan.wavelength_nm),
-        bounces=planned.plan.effort.bounces,
+        max_bounces=planned.plan.effort.max_bounces,
         left_out=tuple(sorted(planned.plan.plan.names)),
     )
 

@@ -12,18 +12,17 @@ from labdata.sensors import load_camera
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.scene_to_photoelectrons import camera_from_description
 from simulate.outdoor_rendering import OutdoorRendering, render_sensor_of
-from simulate.radiance.lamps import KINDS
-from simulate.radiance.materials.library import material, material_names
-from simulate.radiance.outdoor.description.camera import SceneCamera
-from simulate.radiance.outdoor.description.lamp_placement import LampPlacement
-from simulate.radiance.outdoor.description.material import MaterialSpec
-from simulate.radiance.outdoor.description.objects import Object
-from simulate.radiance.outdoor.description.scene import OutdoorScene
-from simulate.radiance.outdoor.description.surroundings import Where
+
+pass
+from simulate.radiance.integrator.integrator_settings import IntegratorSettings
+from simulate.radiance.integrator.outgoing_radiance import radiance_along
+from simulate.radiance.lamps.spectra import KINDS
+from simulate.radiance.materials import material, material_names
+from simulate.radiance.outdoor.materials import MaterialSpec
+from simulate.radiance.outdoor.scene import LampPlacement, Object, OutdoorScene, SceneCamera
+from simulate.radiance.outdoor.surroundings import Where
 from simulate.radiance.sky.ephemeris import ObserverLocation
 from simulate.radiance.sky.night_sky import NightSky
-from simulate.radiance.transport.camera_ray_radiance import radiance_along
-from simulate.radiance.transport.integrator_settings import IntegratorSettings
 
 # Frames are small, so that the exact mode takes seconds; the lens is shorter, so that they show half the usual field.
 SHAPE, FIELD = (6, 8), 0.5
@@ -104,8 +103,8 @@ def _median_pe(night: OutdoorRendering) -> float:
     stage = night.site.on(night.site.bands(eye.response_nm, eye.response, 0.02))
     view = night.view
     row, col = (axis.ravel() + 0.5 for axis in np.indices(view.shape))
-    effort = IntegratorSettings(bounces=0, hidden_sky=False)
-    light = radiance_along(stage, *view.rays(row, col), effort, np.random.default_rng(0), gathered=1).total()
+    effort = IntegratorSettings(max_bounces=0, sky_shadowing=False)
+    light = radiance_along(stage, *view.rays(row, col), effort, np.random.default_rng(0), gather_rays=1).total()
     return float(np.median(light @ eye.weight(stage.bsdfs.wavelength_nm)))
 
 

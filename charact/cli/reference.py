@@ -54,7 +54,7 @@ def schema(
     """
     with exit_on_bad_input(kind):
         from labdata.serialiser import file_schema
-        from simulate.radiance.outdoor.description.scene import OutdoorScene
+        from simulate.radiance.outdoor.scene import OutdoorScene
         from simulate.radiance.scene import LabScene
 
         found = file_schema(kind, {"scene": OutdoorScene, "bench": LabScene})

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from labdata.solid_state import SolidStateCamera
     from simulate.effect_selection import EffectSelection
     from simulate.outdoor_rendering import OutdoorRendering, RenderedView
-    from simulate.radiance.outdoor.description.scene import OutdoorScene
+    from simulate.radiance.outdoor.scene import OutdoorScene
     from simulate.radiance.scene import LabScene
 
     Description = Sensor | SolidStateCamera
@@ -205,7 +205,7 @@ def night_of(asked: SimulationRequest, description: "Description", conditions: C
     """Return the scene out of doors that a source is, before its camera; another kind of source is refused."""
     from simulate.iiccd.scene_to_photoelectrons import camera_from_description
     from simulate.outdoor_rendering import OutdoorRendering
-    from simulate.radiance.outdoor.description.scene import OutdoorScene
+    from simulate.radiance.outdoor.scene import OutdoorScene
     from simulate.radiance.scene import load_scene
 
     scene = load_scene(asked.source) if is_scene(asked.source) else None

@@ -65,7 +65,9 @@ def validation_section(validation: Validation, aspect: float = 1.0) -> Section:
         Row pitch over column pitch of the pictures.
     """
     good = sum(one.passed for one in validation.statistics)
-    words = [f"{control.name} control {'held' if control.passed else 'did not hold'}" for control in validation.controls]
+    words = [
+        f"{control.name} control {'held' if control.passed else 'did not hold'}" for control in validation.controls
+    ]
     verdict = "agrees" if validation.passed else "does not agree"
     headline = f"Simulation {verdict}: {good} of {len(validation.statistics)} statistics pass; {', '.join(words)}"
     return Section(

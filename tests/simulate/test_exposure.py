@@ -19,7 +19,7 @@ from simulate.iiccd.scene_to_photoelectrons import (
 from simulate.iiccd.solid_state import SiliconCamera
 from simulate.lab import LabBench
 from simulate.radiance.cube import RadianceCube
-from simulate.radiance.photometry import LUMENS_PER_WATT, luminous_efficiency, planck
+from simulate.radiance.spectrum import LUMENS_PER_WATT, luminous_efficiency, planck
 
 NM = np.arange(360.0, 1100.0, 10.0)
 IDEAL_LENS = {

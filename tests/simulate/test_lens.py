@@ -11,7 +11,7 @@ from simulate.iiccd.grid import Grid, grid_with_margin, rfft_image
 from simulate.iiccd.lens import RadiometricLens, few_transfers
 from simulate.iiccd.transfer import Defocus
 from simulate.radiance.cube import RadianceCube, band_widths
-from simulate.radiance.photometry import LUMENS_PER_WATT, luminous_efficiency, planck
+from simulate.radiance.spectrum import LUMENS_PER_WATT, luminous_efficiency, planck
 
 BANDS_NM = np.arange(360.0, 1100.0, 5.0)
 

@@ -16,7 +16,7 @@ from simulate.iiccd.scene_to_photoelectrons import (
 )
 from simulate.iiccd.stage_images import stage_images
 from simulate.radiance.cube import RadianceCube
-from simulate.radiance.photometry import planck
+from simulate.radiance.spectrum import planck
 
 NM = np.arange(400.0, 1000.0, 50.0)
 CUBE = RadianceCube(wavelength_nm=NM, radiance=np.tile(1e-11 * planck(NM, 2856.0)[:, None, None], (1, 30, 44)))
