@@ -7,9 +7,9 @@ import time
 from datetime import UTC, datetime
 from pathlib import Path
 
-from labdata.atomic_write import ends_mid_line
 from labdata.background import BackgroundWriter
 from labdata.errors import BadInput
+from labdata.file_io import ends_mid_line
 
 OPENING_S = 1.0
 """Longest wait for the file to open, s: the longest that a tube may wait for its orders."""

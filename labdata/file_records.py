@@ -1,20 +1,220 @@
 """How sessions and plans are written in a file: conditions lie flat in the table of their stack or step."""
 
-from dataclasses import dataclass, field, fields
-from typing import Any, TypeVar
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, Literal, TypeVar
 
-from labdata.adaptive import SaturationSearch, StopCriterion
+import numpy as np
+
+from labdata.calibration import GainTable, LampCalibration
 from labdata.capture import LostFrames
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from labdata.gain_table import GainTable
-from labdata.lamp_calibration import LampCalibration
 from labdata.limits import Override
-from labdata.plan import Plan, PlanHead, Step
+from labdata.plan import Plan, PlanHead, SaturationSearch, Step, StopCriterion
 from labdata.serialiser import from_toml
 from labdata.session import Kind
-from labdata.sweep import MOST_STEPS, SweepRecord
 from labdata.target import Target
+
+Order = Literal["as-written", "boustrophedon", "randomised"]
+Numbers = float | tuple[float, ...]
+
+AXES = (
+    "target",
+    "mcp_v",
+    "luminous_gain",
+    "gate_ns",
+    "exposure_s",
+    "camera_gain_db",
+    "filter_density",
+    "illuminance_lux",
+)
+"""What can be swept, the slowest and hardest on the tube outermost."""
+
+MOST_STEPS = 20_000
+"""A plan of more steps is a slip of the pen."""
+
+_SHORT = {
+    "mcp_v": "{:g}V",
+    "luminous_gain": "gain{:g}",
+    "gate_ns": "{:g}ns",
+    "exposure_s": "{:g}s",
+    "camera_gain_db": "{:g}dB",
+    "filter_density": "nd{:g}",
+    "illuminance_lux": "{:g}lux",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class SweepRecord:
+    """One [[sweep]] of a plan file: every combination of the settings that are lists.
+
+    Parameters
+    ----------
+    kind
+        What is put before the camera.
+    frames
+        Number of frames of each stack.
+    label
+        Beginning of every label; the values that vary and the number of the repeat follow. Default: the kind.
+    target
+        The target, or several.
+    mcp_v
+        Voltage across the plate, V; one or several.
+    luminous_gain
+        Luminous gain, lm/lm, set as volts by the gain table of the plan or of its sensor; one or several.
+    gate_ns
+        Gate, ns; one or several.
+    exposure_s
+        Exposure, s; one or several.
+    camera_gain_db
+        Gain behind the tube, dB; one or several.
+    filter_density
+        Optical density of the neutral filter before the lamp; one or several.
+    illuminance_lux
+        Light, lux; one or several.
+    illuminance_relative_sd
+        Relative standard uncertainty of the light.
+    repeats
+        How often the whole sweep is taken.
+    order
+        "as-written": as the lists say, the last axis fastest. "boustrophedon": every inner list alternately forwards
+        and backwards, so that no setting jumps. "randomised": every repeat shuffled by itself.
+    seed
+        Seed of the shuffle.
+    dark_every
+        A dark before the first stack, after each so many, and after the last, at the settings of its neighbour;
+        0: none.
+    dark_frames
+        Frames of each dark; None: as many as of a stack.
+    until
+        When each stack but the darks may stop before it has all its frames; None: never.
+    saturated_fraction
+        Fraction of a frame's pixels that may be saturated in each stack but the darks.
+
+    Notes
+    -----
+    The order of nesting is that of `AXES`: targets outermost, light innermost, repeats around them all.
+    """
+
+    kind: Kind
+    frames: int
+    label: str | None = None
+    target: Target | tuple[Target, ...] = field(default_factory=Target)
+    mcp_v: Numbers | None = None
+    luminous_gain: Numbers | None = None
+    gate_ns: Numbers | None = None
+    exposure_s: Numbers | None = None
+    camera_gain_db: Numbers | None = None
+    filter_density: Numbers | None = None
+    illuminance_lux: Numbers | None = None
+    illuminance_relative_sd: float | None = None
+    repeats: int = 1
+    order: Order = "as-written"
+    seed: int = 0
+    dark_every: int = 0
+    dark_frames: int | None = None
+    until: StopCriterion | None = None
+    saturated_fraction: float | None = None
+
+    def __post_init__(self) -> None:
+        name = self.label or self.kind
+        if not 1 <= self.repeats <= MOST_STEPS:
+            raise BadInput(f"repeats must lie between 1 and {MOST_STEPS}, got {self.repeats} in the sweep {name!r}")
+        if self.dark_every < 0 or (self.dark_every and self.kind == "dark"):
+            raise BadInput(
+                f"dark_every must be 0, or positive in a sweep with light, got {self.dark_every} in {name!r}"
+            )
+        if self.seed < 0:
+            raise BadInput(f"a seed must not be negative, got {self.seed} in the sweep {name!r}")
+        if empty := [axis for axis in AXES if getattr(self, axis) == ()]:
+            raise BadInput(f"a list must hold a value, got none for {empty[0]} in the sweep {name!r}")
+        if self.count > MOST_STEPS:
+            raise BadInput(f"a sweep must have at most {MOST_STEPS} steps, got {self.count} in {name!r}")
+
+    @property
+    def count(self) -> int:
+        """Stacks of the sweep, darks between them not counted."""
+        sizes = [len(_as_tuple(getattr(self, axis))) for axis in AXES]
+        return self.repeats * int(np.prod(sizes, dtype=object))
+
+    def steps(self) -> tuple[Step, ...]:
+        """Return the steps, in order."""
+        return tuple(self._with_darks([step for repeat in range(self.repeats) for step in self._pass(repeat)]))
+
+    def _pass(self, repeat: int) -> Iterator[Step]:
+        points = list(self._points(snake=self.order == "boustrophedon"))
+        if self.order == "boustrophedon" and repeat % 2:
+            points.reverse()
+        if self.order == "randomised":
+            order = np.random.default_rng([self.seed, repeat]).permutation(len(points))
+            points = [points[index] for index in order]
+        for point in points:
+            yield self._step(point, repeat)
+
+    def _points(self, *, snake: bool) -> Iterator[dict[str, int]]:
+        """Indices into the lists, axis by axis."""
+        sizes = [len(_as_tuple(getattr(self, axis))) for axis in AXES]
+        for indices in itertools.product(*map(range, sizes)):
+            yield dict(zip(AXES, _snake_order(indices, sizes) if snake else indices, strict=True))
+
+    def _step(self, point: dict[str, int], repeat: int) -> Step:
+        values = {axis: _as_tuple(getattr(self, axis))[index] for axis, index in point.items()}
+        target = values.pop("target")
+        return Step(
+            label=self._label(point, values, repeat),
+            kind=self.kind,
+            frames=self.frames,
+            conditions=Conditions(**values, illuminance_relative_sd=self.illuminance_relative_sd),
+            target=target,
+            until=self.until,
+            saturated_fraction=self.saturated_fraction,
+        )
+
+    def _label(self, point: dict[str, int], values: dict[str, Any], repeat: int) -> str:
+        parts = [self.label or self.kind]
+        if len(_as_tuple(self.target)) > 1:
+            parts.append(f"target{point['target'] + 1}")
+        parts += [text.format(values[axis]) for axis, text in _SHORT.items() if len(_as_tuple(getattr(self, axis))) > 1]
+        if self.repeats > 1:
+            parts.append(f"r{repeat + 1}")
+        return "-".join(parts)
+
+    def _with_darks(self, lit: list[Step]) -> Iterator[Step]:
+        if not self.dark_every:
+            yield from lit
+            return
+        numbers = itertools.count(1)
+        yield self._dark(lit[0], next(numbers))
+        for taken, step in enumerate(lit, 1):
+            yield step
+            if taken % self.dark_every == 0 or taken == len(lit):
+                yield self._dark(step, next(numbers))
+
+    def _dark(self, neighbour: Step, number: int) -> Step:
+        """A dark at the settings of a stack beside it."""
+        without = {"illuminance_lux": 0.0, "illuminance_relative_sd": None, "filter_density": None}
+        return Step(
+            label=f"{self.label or self.kind}-dark{number}",
+            kind="dark",
+            frames=self.dark_frames or self.frames,
+            conditions=replace(neighbour.conditions, **without),
+        )
+
+
+def _snake_order(indices: tuple[int, ...], sizes: list[int]) -> list[int]:
+    """Indices of which each list runs backwards on every other pass, so that neighbours differ by one step."""
+    turned, passes = [], 0
+    for index, size in zip(indices, sizes, strict=True):
+        turned.append(size - 1 - index if passes % 2 else index)
+        passes = passes * size + index
+    return turned
+
+
+def _as_tuple(value: Any) -> tuple[Any, ...]:
+    return value if isinstance(value, tuple) else (value,)
+
 
 T = TypeVar("T")
 

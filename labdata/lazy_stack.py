@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata.errors import BadInput
-from labdata.regular_file import require_regular, require_regular_parts
+from labdata.file_io import require_regular, require_regular_parts
 from labdata.session import StackEntry
 from labdata.store import is_ours, read_journal
 from labdata.store.array_reader import open_array, read_frames

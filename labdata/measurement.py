@@ -93,7 +93,7 @@ class Provenance:
     settings
         Settings of the method, by name.
     inputs
-        SHA-256 of each input file, by path as given; see `labdata.digest`.
+        SHA-256 of each input file, by path as given; see `labdata.session`.
     """
 
     version: str

@@ -1,22 +1,136 @@
 """An acquisition plan: which stacks to take, at which settings, within which limits."""
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Protocol
 
 from numpy.typing import NDArray
 
-from labdata.adaptive import SaturationSearch, StopCriterion
+from labdata.calibration import GainTable, LampCalibration
+from labdata.capture import PIXEL_BITS
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from labdata.frame_format import FrameFormat
-from labdata.gain_table import GainTable
 from labdata.gating import Gating
-from labdata.instrument_config import InstrumentConfig
-from labdata.lamp_calibration import LampCalibration
+from labdata.instrument_config import InstrumentConfig, Meters
 from labdata.limits import Limits, LimitsInForce, Override, limits_in_force
-from labdata.meters import Meters
+from labdata.sensor import Sensor
 from labdata.session import Kind
 from labdata.target import Target
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrameFormat:
+    """What is asked of a camera beyond the exposure and gain of each step; None leaves it to the sensor's description.
+
+    Parameters
+    ----------
+    rows, columns
+        Size of the picture, px; by default the whole sensor.
+    first_row, first_column
+        Where on the sensor the picture begins, px.
+    pixel_format
+        Such as "Mono12" or "Mono12p", for a camera that does not send the 8 or 16 bits a pixel asked by default.
+    trigger
+        "off": frames follow one another freely; else the camera's name of what triggers each, such as "Line1".
+    """
+
+    rows: int | None = None
+    columns: int | None = None
+    first_row: int | None = None
+    first_column: int | None = None
+    pixel_format: str | None = None
+    trigger: str | None = None
+
+    def __post_init__(self) -> None:
+        for name, least in (("rows", 1), ("columns", 1), ("first_row", 0), ("first_column", 0)):
+            value = getattr(self, name)
+            if value is not None and value < least:
+                raise BadInput(f"{name} of a picture must be at least {least}, got {value}")
+        if self.pixel_format is not None and self.pixel_format not in PIXEL_BITS:
+            raise BadInput(f"pixel_format must be one of {', '.join(PIXEL_BITS)}, got {self.pixel_format!r}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class StopCriterion:
+    """When a step may stop before it has all its frames.
+
+    Parameters
+    ----------
+    mean_within_dn
+        Stop when the 95 % interval of the level's mean reaches at most this far to either side, DN.
+    least_frames
+        Take at least so many frames.
+    """
+
+    mean_within_dn: float
+    least_frames: int = 8
+
+    def __post_init__(self) -> None:
+        if not self.mean_within_dn > 0:
+            raise BadInput(f"mean_within_dn must be positive, got {self.mean_within_dn:g}")
+        if self.least_frames < 4:
+            raise BadInput(f"least_frames must be at least 4, got {self.least_frames}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SaturationSearch:
+    """Find the light at which the level saturates: doubled until it does, then halved in between.
+
+    Parameters
+    ----------
+    most_illuminance_lux
+        Never more light than this, lux.
+    within_percent
+        Stop when the lowest light that saturates is at most so much above the highest that does not, %.
+    """
+
+    most_illuminance_lux: float
+    within_percent: float = 10.0
+
+    def __post_init__(self) -> None:
+        if not self.most_illuminance_lux > 0:
+            raise BadInput(f"most_illuminance_lux must be positive, got {self.most_illuminance_lux:g}")
+        if not self.within_percent > 0:
+            raise BadInput(f"within_percent must be positive, got {self.within_percent:g}")
+
+    def next_lux(self, begin_lux: float, seen: Sequence[tuple[float, bool]]) -> float | None:
+        """Return the light to try next, lux; None when the search is over.
+
+        Parameters
+        ----------
+        begin_lux
+            Light to begin with, lux.
+        seen
+            Light tried so far, lux, and whether it saturated.
+        """
+        dark = max((lux for lux, saturated in seen if not saturated), default=None)
+        bright = min((lux for lux, saturated in seen if saturated), default=None)
+        if not seen:
+            return begin_lux
+        if bright is None:
+            return None if dark == self.most_illuminance_lux else min(2.0 * (dark or 0.0), self.most_illuminance_lux)
+        if dark is None:
+            # Light goes down as fast as it went up, and never below what any lamp can be set to.
+            return bright / 2.0 if bright > begin_lux / 1024.0 else None
+        return None if bright <= dark * (1.0 + self.within_percent / 100.0) else math.sqrt(dark * bright)
+
+    def verdict(self, seen: Sequence[tuple[float, bool]]) -> str:
+        """Say in a sentence what was found."""
+        dark = [lux for lux, saturated in seen if not saturated]
+        bright = [lux for lux, saturated in seen if saturated]
+        after = f"after {len(seen)} levels"
+        if not bright:
+            return f"no level up to {max(dark):.4g} lux saturates, {after}"
+        if not dark:
+            return f"every level down to {min(bright):.4g} lux saturates, {after}"
+        return f"saturation begins between {max(dark):.4g} and {min(bright):.4g} lux, {after}"
+
+    def most_levels(self, begin_lux: float) -> int:
+        """Return how many levels the search takes at most where its first level does not saturate."""
+        doublings = max(0, math.ceil(math.log2(self.most_illuminance_lux / begin_lux)))
+        return 1 + doublings + max(0, math.ceil(math.log2(math.log(2.0) / math.log1p(self.within_percent / 100.0))))
+
 
 LONGEST_SETTLE_S = 86400.0
 """A wait longer than a day is a slip of the pen, s."""
@@ -272,3 +386,76 @@ class Judge(Protocol):
     def watch(self, step: Step, full_scale_dn: float) -> Watcher:
         """Begin to watch one stack; `full_scale_dn` is the highest code of the digitiser, DN."""
         ...
+
+
+SETTABLE_V = 1.0
+"""Volts are rounded to what every supply can set, V."""
+
+READ_V = 2.0
+"""How far beyond the table's end a supply that was set to it may read, V: what counts as settled."""
+
+
+def gain_table_of(plan: Plan, sensor: Sensor | None) -> GainTable | None:
+    """Return the calibration that holds for a plan: its own, else that of its sensor, else None."""
+    if plan.gain_table is not None:
+        return plan.gain_table
+    return None if sensor is None else sensor.gain_table
+
+
+def in_volts(plan: Plan, sensor: Sensor | None) -> Plan:
+    """Return the plan with every gain in volts and, where the tube is calibrated, as luminous gain.
+
+    Parameters
+    ----------
+    plan
+        The plan.
+    sensor
+        The camera it is for, or None.
+
+    Raises
+    ------
+    BadInput
+        If a step asks for a luminous gain without a table, for volts or gain outside it, or for both and they differ;
+        or if the table is of another tube.
+    """
+    table = gain_table_of(plan, sensor)
+    if table is not None and None not in (table.tube, plan.tube) and table.tube != plan.tube:
+        raise BadInput(f"a gain table must be of the plan's tube {plan.tube!r}, got one of {table.tube!r}")
+    return replace(plan, steps=tuple(_resolve_gain(step, table) for step in plan.steps))
+
+
+def by_calibration(table: GainTable | None, mcp_v: float | None) -> Conditions:
+    """Return the luminous gain at a voltage as read back, V; nothing without a table or with the plate off."""
+    if table is None or not mcp_v or mcp_v < table.mcp_v[0] - READ_V:
+        return Conditions()
+    gain, relative_sd = table.gain_at(mcp_v, beyond_v=READ_V)
+    return Conditions(luminous_gain=gain, luminous_gain_relative_sd=relative_sd)
+
+
+def _resolve_gain(step: Step, table: GainTable | None) -> Step:
+    asked = step.conditions
+    if table is None:
+        if asked.luminous_gain is not None:
+            raise BadInput(
+                f"luminous_gain must have a gain table in the plan or its sensor, got none in step {step.label!r}"
+            )
+        return step
+    try:
+        return replace(step, conditions=_both(asked, table))
+    except BadInput as error:
+        raise BadInput(f"{error}, in step {step.label!r}") from None
+
+
+def _both(asked: Conditions, table: GainTable) -> Conditions:
+    """Conditions with the volts that give the luminous gain; those in volts stay, if the table holds them."""
+    if asked.luminous_gain is None:
+        if asked.mcp_v:
+            table.gain_at(asked.mcp_v)
+        return asked
+    volts = round(table.volts_for(asked.luminous_gain) / SETTABLE_V) * SETTABLE_V
+    if asked.mcp_v is not None and asked.mcp_v != volts:
+        raise BadInput(
+            f"mcp_v must be left out or be what luminous_gain {asked.luminous_gain:g} needs by the gain table, "
+            f"{volts:g}, got {asked.mcp_v:g}"
+        )
+    return replace(asked, mcp_v=volts)

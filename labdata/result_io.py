@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata.atomic_write import write_atomically
 from labdata.errors import BadInput
+from labdata.file_io import write_atomically
 from labdata.measurement import Curve, Measurement, Posterior, Provenance, Result
 
 RESULTS = "results.json"

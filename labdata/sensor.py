@@ -4,8 +4,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from labdata.calibration import GainTable
 from labdata.camera_description import (
     Description,
+    Parameter,
     must_be_a_count,
     must_be_a_share,
     must_be_an_efficiency_table,
@@ -13,9 +15,7 @@ from labdata.camera_description import (
     must_not_be_negative,
 )
 from labdata.errors import BadInput
-from labdata.gain_table import GainTable
 from labdata.limits import TubeLimits
-from labdata.parameter import Parameter
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,5 +1,6 @@
 """A session: stacks of frames, the conditions they were taken under, and the sensor that took them."""
 
+import hashlib
 import os
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -10,8 +11,8 @@ import numpy as np
 from labdata.capture import LostFrames
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
+from labdata.file_io import require_regular
 from labdata.frames import FrameStack
-from labdata.regular_file import require_regular
 from labdata.sensor import Sensor
 from labdata.solid_state import Register, SolidStateCamera
 from labdata.target import Target
@@ -19,6 +20,7 @@ from labdata.target import Target
 if TYPE_CHECKING:
     from labdata.file_records import SessionFile, StackRecord
     from labdata.lazy_stack import View
+
 
 MANIFEST = "session.toml"
 Kind = Literal["dark", "flat", "edge", "bars", "point", "scene"]
@@ -329,3 +331,18 @@ def _record(stack: "StackRecord", folder: Path) -> tuple[int, tuple[str, ...]]:
     except BadInput as error:  # the other stacks can be read
         return 0, (str(error),)
     return journal.lost_frames, journal.notes
+
+
+def sha256_of(path: Path) -> str:
+    """Return the SHA-256 of a file's content, or of a folder's: of the names and digests of its files, in order.
+
+    Notes
+    -----
+    A folder's is that of the lines that `sha256sum` prints for its files, sorted by name and named from the folder on.
+    """
+    if not path.is_dir():
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    files = sorted((part.relative_to(path).as_posix(), part) for part in path.rglob("*") if part.is_file())
+    lines = "".join(f"{sha256_of(part)}  {name}\n" for name, part in files)
+    return hashlib.sha256(lines.encode()).hexdigest()

@@ -6,13 +6,13 @@ import numpy as np
 
 from labdata.camera_description import (
     Description,
+    Parameter,
     must_be_a_count,
     must_be_an_efficiency_table,
     must_be_positive,
     must_not_be_negative,
 )
 from labdata.errors import BadInput
-from labdata.parameter import Parameter
 from labdata.sensor import Ccd, Optics, Video
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from charact.fit.predicted_quantities import Values, excess_noise_factor
 from charact.fit.prior import SensorPrior, prior_of
-from labdata.parameter import Parameter
+from labdata.camera_description import Parameter
 from labdata.sensor import Sensor
 
 Array = NDArray[np.float64]

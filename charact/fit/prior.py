@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.fit.predicted_quantities import Values
-from labdata.parameter import Parameter
+from labdata.camera_description import Parameter
 from labdata.sensor import Sensor
 
 Array = NDArray[np.float64]

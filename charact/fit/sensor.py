@@ -13,9 +13,9 @@ from charact.fit.levels import levels_of
 from charact.fit.model import Model, inflate_errors, model_of, most_probable, posterior_of
 from charact.fit.observations import observations
 from charact.noise.snr.stated_illumination import UNSTATED_ILLUMINANCE_SD
+from labdata.camera_description import Parameter
 from labdata.errors import BadInput
 from labdata.measurement import Posterior, Result
-from labdata.parameter import Parameter
 from labdata.sensor import Draws, Sensor
 from labdata.session import Session
 

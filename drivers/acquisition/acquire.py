@@ -5,19 +5,17 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from typing import Self
 
-from drivers.acquisition.forecast import sentences_out_of_step
-from drivers.acquisition.plan_check import check_plan, picture_of, same_but_wires
+from drivers.acquisition.plan_check import check_plan, picture_of, same_but_wires, sentences_out_of_step
 from drivers.acquisition.run import Run, make_safe_after
 from drivers.acquisition.run_control import RunControl
 from drivers.interface import Bench, Camera, Operator
-from labdata.atomic_write import write_atomically
 from labdata.background import BackgroundWriter
-from labdata.calibrated_gain import gain_table_of, in_volts
 from labdata.capture import PIXEL_BITS, CameraSettings
 from labdata.errors import BadInput
 from labdata.event_log import EventLog
+from labdata.file_io import write_atomically
 from labdata.limits import limits_in_force
-from labdata.plan import Judge, Plan
+from labdata.plan import Judge, Plan, gain_table_of, in_volts
 from labdata.sensor import Sensor
 from labdata.sensors import load_sensor, save_sensor, sensor_names
 from labdata.serialiser import from_toml, to_toml

@@ -13,13 +13,11 @@ from drivers.acquisition.run_control import RunControl
 from drivers.acquisition.run_progress import RunProgress, StepClock
 from drivers.errors import BenchError, CameraError
 from drivers.interface import Bench, Camera, FrameLevels, Operator
-from labdata.adaptive import SaturationSearch
-from labdata.calibrated_gain import by_calibration, gain_table_of
 from labdata.capture import PIXEL_BITS, CameraSettings, LostFrames
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.event_log import EventLog
-from labdata.plan import Judge, Plan, Step, Watcher
+from labdata.plan import Judge, Plan, SaturationSearch, Step, Watcher, by_calibration, gain_table_of
 from labdata.sensor import Sensor
 from labdata.session import open_session
 from labdata.store import SessionWriter

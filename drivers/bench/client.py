@@ -17,10 +17,9 @@ from types import TracebackType
 from typing import Any, Self
 
 from drivers.bench.connection import BEAT_S, SILENCE_S, Beat, Connection, Fault, MadeSafe, Ports, Reply, Request
-from drivers.bench.guarded_light import GuardedLight
-from drivers.bench.last_bench import remember_bench
+from drivers.bench.light_control import GuardedLight
 from drivers.bench.safe_state import REOPEN_S, Crew, SafeStateReport, make_safe
-from drivers.bench.setup import BenchSetup
+from drivers.bench.setup import BenchSetup, remember_bench
 from drivers.errors import BenchError, BenchServerLost
 from drivers.instruments.models import model_of
 from drivers.instruments.voltage_limits import FALL_S

@@ -5,7 +5,7 @@ from contextlib import contextmanager
 from types import TracebackType
 from typing import Self
 
-from drivers.bench.guarded_light import GuardedLight
+from drivers.bench.light_control import GuardedLight
 from drivers.bench.setup import BenchSetup
 from drivers.bench.tube_bench import DISPENSABLE, LOOK_EVERY_S, TubeBench, stations_on
 from drivers.errors import BenchError

@@ -20,10 +20,9 @@ from pathlib import Path
 from typing import Any
 
 from drivers.bench.connection import BEAT_S, SILENCE_S, Beat, Connection, Fault, MadeSafe, Ports, Reply, Request
-from drivers.bench.last_bench import with_present_ports
 from drivers.bench.light_control import Station
 from drivers.bench.safe_state import DANGEROUS, Record
-from drivers.bench.setup import BenchSetup
+from drivers.bench.setup import BenchSetup, with_present_ports
 from drivers.bench.state import Failed
 from drivers.bench.tube_bench import DISPENSABLE, LOOK_EVERY_S, TubeBench, stations_on
 from drivers.errors import BenchError, BenchServerLost

@@ -1,22 +1,26 @@
 """What a bench is made of: instruments, limits, calibrations and files; and the way to it."""
 
+import json
+import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from labdata.dose_ledger import DoseLedger
+from drivers.serial_lines.port import usb_ports
+from labdata.calibration import LampCalibration
 from labdata.errors import BadInput
+from labdata.file_io import write_atomically
 from labdata.gating import Gating
-from labdata.instrument_config import PORT_KEYS, InstrumentConfig, Role
-from labdata.lamp_calibration import LampCalibration
+from labdata.instrument_config import PORT_KEYS, InstrumentConfig, Meters, Role
 from labdata.limits import Limits, LimitsInForce, limits_in_force
-from labdata.meters import Meters
+from labdata.tube_dose import DoseLedger
 
 if TYPE_CHECKING:
     from drivers.bench.client import BenchClient
     from drivers.bench.local_bench import LocalBench
     from drivers.serial_lines.line import InstrumentLine
+
 
 FIELD_RATE_HZ = 60.0 / 1.001
 """Fields per second of 525-line video, Hz: the gate opens once in each."""
@@ -103,3 +107,46 @@ def open_bench(
     from drivers.bench.local_bench import LocalBench
 
     return LocalBench(setup, lines)
+
+
+def remember_bench(wires: InstrumentConfig) -> None:
+    """Keep the wires of a bench with the USB serial numbers of its ports; raises OSError where the disk refuses."""
+    adapters = usb_ports()
+    numbers = {one.role: adapters.get(os.path.realpath(one.port)) for one in wires.instruments if one.port}
+    path = _path()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(path, json.dumps({"wires": asdict(wires), "usb_serial_numbers": numbers}, indent=1).encode())
+
+
+def last_bench() -> InstrumentConfig:
+    """Return the wires of the last real bench, each instrument at the port where its USB serial number is now."""
+    path = _path()
+    try:
+        kept = json.loads(path.read_text())
+        return with_present_ports(InstrumentConfig(**kept["wires"]))
+    except FileNotFoundError:
+        raise BadInput("no real bench was used on this machine yet; name the plan whose bench is meant") from None
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        raise BadInput(
+            f"the last bench must be readable in {path}, got: {error}; name the plan whose bench is meant"
+        ) from None
+
+
+def with_present_ports(wires: InstrumentConfig) -> InstrumentConfig:
+    """Return the same bench with instruments whose port is missing at the ports where they were found last time."""
+    try:
+        numbers = json.loads(_path().read_text())["usb_serial_numbers"]
+    except (OSError, ValueError, TypeError, KeyError):
+        return wires
+    ports: dict[tuple[str, ...], str] = {adapter: path for path, adapter in usb_ports().items()}
+    moved: dict[Role, str | None] = {
+        one.role: ports[adapter]
+        for one in wires.instruments
+        if one.port and not Path(one.port).exists() and (adapter := tuple(numbers.get(one.role) or ())) in ports
+    }
+    return wires.with_ports(moved)
+
+
+def _path() -> Path:
+    state = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
+    return Path(state) / "charact" / "last-bench.json"

@@ -8,10 +8,9 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from typing import Any
 
-from drivers.bench.auxiliary_meters import AuxiliaryMeters, Reading
-from drivers.bench.dose_meter import DoseMeter
 from drivers.bench.interlock import Interlock
 from drivers.bench.light_control import METER_ZERO, LightControl, Station
+from drivers.bench.meters import AuxiliaryMeters, DoseMeter, Reading
 from drivers.bench.safe_state import DANGEROUS, Crew, Record, SafeStateReport, make_safe
 from drivers.bench.setup import BenchSetup
 from drivers.bench.state import (
@@ -80,7 +79,7 @@ def stations_on(lines: Mapping[Role, InstrumentLine], wires: InstrumentConfig) -
 class TubeBench(LightControl):
     """Gate and gain of the tube, between `with` and the end of its block.
 
-    Nothing reaches gate, supply or light but through its interlock, whose rules stand in `drivers.bench.rules`. One
+    Nothing reaches gate, supply or light but through its interlock, whose rules stand in `drivers.bench.interlock`. One
     thread gives orders; others may look at the instruments and make the tube safe meanwhile.
 
     Parameters

@@ -9,7 +9,7 @@ from typing import ClassVar
 
 from drivers.instruments.gate_limits import Gate
 from drivers.instruments.instrument import InstrumentModel
-from drivers.serial_lines.prologix import PrologixLine
+from drivers.serial_lines.line import PrologixLine
 from labdata.errors import BadInput
 from labdata.gating import Sync
 

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 from drivers.instruments.instrument import InstrumentModel
 from drivers.instruments.voltage_limits import FALL_S, SETTLED_V, Supply
-from drivers.serial_lines.prologix import PrologixLine
+from drivers.serial_lines.line import PrologixLine
 
 STEP_LARGEST_V = 50.0
 STEP_S = 0.2

@@ -9,27 +9,25 @@ from pathlib import Path
 import numpy as np
 
 from labdata.errors import BadInput
+from labdata.file_io import require_regular
 from labdata.frames import FrameStack
-from labdata.importers.axes import frames_of
-from labdata.importers.byte_order import byte_order_note
-from labdata.importers.full_scale import with_full_scale
-from labdata.importers.recorded import Recorded
-from labdata.regular_file import require_regular
+from labdata.importers.axes import Recorded, frames_of
+from labdata.importers.full_scale import byte_order_note, with_full_scale
 
 __all__ = ["KINDS", "list_kinds", "module_of", "read_frames"]
 
-# Module of this package whose function `read(path)` reads a file -> the endings of its files.
 KINDS: dict[str, tuple[str, ...]] = {
-    "tiff": (".tif", ".tiff"),
-    "npy": (".npy",),
-    "fits": (".fits", ".fit", ".fts", ".fits.gz", ".fit.gz", ".fts.gz", ".fits.fz", ".fz"),
-    "pictures": (".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".pnm"),
-    "raw": (".dng", ".nef", ".cr2", ".cr3", ".arw", ".orf", ".raf", ".rw2", ".pef"),
-    "hdf5": (".h5", ".hdf5", ".hdf", ".nxs"),
-    "cameras": (".spe", ".sif", ".ser"),
-    "video": (".avi",),
-    "zarr_array": (".zarr",),
+    "tiff.read": (".tif", ".tiff"),
+    "array_files.read_npy": (".npy",),
+    "fits.read": (".fits", ".fit", ".fts", ".fits.gz", ".fit.gz", ".fts.gz", ".fits.fz", ".fz"),
+    "image_files.read_image": (".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".pnm"),
+    "image_files.read_raw": (".dng", ".nef", ".cr2", ".cr3", ".arw", ".orf", ".raf", ".rw2", ".pef"),
+    "array_files.read_hdf5": (".h5", ".hdf5", ".hdf", ".nxs"),
+    "cameras.read": (".spe", ".sif", ".ser"),
+    "image_files.read_video": (".avi",),
+    "array_files.read_zarr": (".zarr",),
 }
+"""Endings of files by module and function of this package that reads them."""
 
 
 def list_kinds() -> str:
@@ -116,12 +114,13 @@ def reader_of(path: Path) -> Callable[[Path], Recorded | FrameStack]:
     if not os.path.isdir(path):  # Path.is_dir raises on names that no disk takes
         require_regular(path, "a file of frames")
     if (path / "zarr.json").is_file():
-        module = "zarr_array"
-    elif path.is_dir() and module_of(path) != "zarr_array":
+        module = "array_files.read_zarr"
+    elif path.is_dir() and module_of(path) != "array_files.read_zarr":
         raise BadInput(f"frames must be a file or a Zarr array, got the folder {path}")
     elif (module := module_of(path)) is None:
         raise BadInput(
             f"a file of frames must be one of {list_kinds()}, got {path.name!r}: save it as TIFF or FITS with the "
             f"camera's own software or ImageJ (File > Save As > Tiff), video with ffmpeg -i {path.name} -c:v ffv1 x.avi"
         )
-    return import_module(f"labdata.importers.{module}").read
+    name, function = module.split(".")
+    return getattr(import_module(f"labdata.importers.{name}"), function)

@@ -8,8 +8,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from labdata.errors import BadInput
-from labdata.importers.axes import COL, COLOUR, FRAME, ROW
-from labdata.importers.recorded import Recorded
+from labdata.importers.axes import COL, COLOUR, FRAME, ROW, Recorded
 
 SPE_HEADER_BYTES = 4100
 SPE_FIELDS = {

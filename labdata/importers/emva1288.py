@@ -5,11 +5,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from labdata.atomic_write import write_atomically
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
+from labdata.file_io import require_regular, write_atomically
 from labdata.file_records import SessionFile, StackRecord, stack_record
-from labdata.regular_file import require_regular
 from labdata.serialiser import from_mapping, to_mapping, to_toml
 from labdata.session import MANIFEST, Kind, Session, session_of
 

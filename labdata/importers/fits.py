@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from labdata.errors import BadInput
-from labdata.importers.axes import COL, FRAME, ROW, UNNAMED, meaning
+from labdata.importers.axes import COL, FRAME, ROW, UNNAMED, Recorded, lossy_note, meaning
 from labdata.importers.decompression_limit import require_picture, require_room
-from labdata.importers.recorded import Recorded, lossy_note
 
 GZIP_MAGIC = b"\x1f\x8b"
 BLOCK_BYTES = 2880

@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from labdata.errors import BadInput
-from labdata.importers.axes import COL, COLOUR, FRAME, ROW, UNNAMED, meaning, names_of_shape
+from labdata.importers.axes import COL, COLOUR, FRAME, ROW, UNNAMED, Recorded, lossy_note, meaning, names_of_shape
 from labdata.importers.decompression_limit import require_picture, require_room
-from labdata.importers.recorded import Recorded, lossy_note
 from labdata.importers.thresholds import THUMBNAIL
 
 LOSSY = ("JPEG", "WEBP", "JETRAW")

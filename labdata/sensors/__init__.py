@@ -5,8 +5,8 @@ import tomllib
 from importlib import resources
 from pathlib import Path
 
-from labdata.atomic_write import write_atomically
 from labdata.errors import BadInput
+from labdata.file_io import write_atomically
 from labdata.sensor import Sensor
 from labdata.serialiser import from_toml, to_toml
 from labdata.solid_state import SolidStateCamera

@@ -10,12 +10,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata.atomic_write import ends_mid_line, sync_folder, write_atomically, write_whole
 from labdata.background import BackgroundWriter
 from labdata.capture import Frame
 from labdata.errors import BadInput
-from labdata.store.journal import JOURNAL, NUMBERS, Acknowledged, is_ours, read_journal, sha256
-from labdata.store.layout import METADATA, chunk, frame_bytes, metadata, read_metadata
+from labdata.file_io import ends_mid_line, sync_folder, write_atomically, write_whole
+from labdata.store.journal import (
+    JOURNAL,
+    METADATA,
+    NUMBERS,
+    Acknowledged,
+    chunk,
+    frame_bytes,
+    is_ours,
+    metadata,
+    read_journal,
+    read_metadata,
+    sha256,
+)
 
 FORCED_AT_ONCE = 8
 """Chunks that are forced to the disk at once: it serves those that wait together about as fast as one of them."""

@@ -12,8 +12,7 @@ from typing import Any, Self
 
 from labdata.capture import Frame, LostFrames, lost_frames_with_reason
 from labdata.errors import BadInput
-from labdata.store.session_writer import SessionWriter
-from labdata.store.stack_writer import StackWriter
+from labdata.store.session_writer import SessionWriter, StackWriter
 
 CAPACITY_BYTES = 256 << 20
 """Bytes of frames that may wait for the disk: 11 s of a 768 x 493 camera of 16 bits, as a busy disk pauses for some."""

@@ -6,8 +6,8 @@ from importlib import resources
 
 import numpy as np
 
+from labdata.camera_description import Parameter
 from labdata.errors import BadInput
-from labdata.parameter import Parameter
 from labdata.serialiser import from_mapping, read_toml
 from simulate.radiance.outdoor.description.material import MaterialSpec
 from simulate.radiance.outdoor.description.scene import OutdoorScene

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from labdata.parameter import Parameter
+from labdata.camera_description import Parameter
 from labdata.sensor import Sensor
 
 # A range holds its value with 95 % probability: 1.96 standard deviations on either side.

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from labdata.calibration import LampCalibration
 from labdata.errors import BadInput
-from labdata.lamp_calibration import LampCalibration
 from labdata.sensor import Sensor
 from labdata.serialiser import from_toml, to_toml
 from simulate.virtual_bench.operator import METER_RELATIVE_SD, TargetPlacement

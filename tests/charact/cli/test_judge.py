@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from charact.cli.judge import SaturationJudge, half_interval_dn
-from labdata.adaptive import StopCriterion
 from labdata.conditions import Conditions
-from labdata.plan import Step
+from labdata.plan import Step, StopCriterion
 
 SHAPE = (20, 30)
 

@@ -2,9 +2,8 @@
 
 from dataclasses import dataclass, fields, replace
 
-from labdata.camera_description import must_be_a_share, must_be_positive, must_not_be_negative
+from labdata.camera_description import Parameter, must_be_a_share, must_be_positive, must_not_be_negative
 from labdata.errors import BadInput
-from labdata.parameter import Parameter
 
 # Numbers of a slab that does not state them: usual surfaces, dry, smooth, adiabatic behind.
 EMISSIVITY, NOTHING, SMOOTH = Parameter(value=0.95), Parameter(value=0.0), Parameter(value=3.0)

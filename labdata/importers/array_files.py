@@ -1,18 +1,57 @@
-"""HDF5: the only or the largest array of pictures in the file, its axes by their labels."""
+"""NumPy arrays in .npy files: (row, col), (frame, row, col) or (row, col, colour)."""
 
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
 from labdata.errors import BadInput
-from labdata.importers.axes import axes_of_labels
+from labdata.file_io import require_regular, require_regular_parts
+from labdata.frames import FrameStack
+from labdata.importers.axes import Recorded, axes_of_labels, names_of_shape
 from labdata.importers.decompression_limit import require_room
-from labdata.importers.recorded import Recorded
-from labdata.regular_file import require_regular
 
 
-def read(path: Path) -> Recorded:
+def read_npy(path: Path) -> Recorded:
+    """Map an array into memory, its pixels read as they are needed; see `labdata.importers.read_frames`."""
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            # A file without pixels cannot be mapped.
+            data = np.load(path, mmap_mode="r" if path.stat().st_size else None, allow_pickle=False)
+    except MemoryError:
+        raise
+    except Exception:  # a damaged header is read as Python, and fails in as many ways
+        data = None
+    if not isinstance(data, np.ndarray):
+        raise BadInput(
+            "a .npy file must hold one whole array of numbers, got something else, or fewer pixels than its header "
+            f"states, in {path}"
+        )
+    return Recorded(data=data, names=names_of_shape(data.shape))
+
+
+def read_zarr(path: Path) -> Recorded | FrameStack:
+    """Read a whole Zarr array; see `labdata.importers.read_frames`."""
+    from labdata import store
+
+    if store.is_ours(path):
+        return store.read(path)
+    import zarr
+
+    require_regular_parts(path, "a Zarr array")
+    try:
+        array = zarr.open_array(path, mode="r")
+        require_room(path, pixels=array.size, pixel_bytes=array.dtype.itemsize)
+        labels = getattr(array.metadata, "dimension_names", None) or ()
+        return Recorded(data=np.asarray(array[...]), names=axes_of_labels(labels, array.shape))
+    except (BadInput, MemoryError):
+        raise
+    except Exception:
+        raise BadInput(f"a folder of frames must be a readable Zarr array, got {path}") from None
+
+
+def read_hdf5(path: Path) -> Recorded:
     """Read an array of two axes or more; see `labdata.importers.read_frames`."""
     try:
         import h5py  # pyright: ignore[reportMissingImports]
