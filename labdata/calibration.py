@@ -1,4 +1,4 @@
-"""The light of a bench by calibration: the illuminance that a lamp's current makes behind each filter of its wheel."""
+"""Calibrations of a bench: luminous gain against voltage, illuminance against lamp current."""
 
 import math
 from dataclasses import dataclass
@@ -13,28 +13,28 @@ from labdata.errors import BadInput
 
 @dataclass(frozen=True, kw_only=True)
 class RisingTable:
-    """Pairs of two numbers, both rising from above zero.
+    """Pairs of two positive numbers that increase together.
 
     Parameters
     ----------
     of
-        What it is a table of, such as "gain table".
+        Name of the table in messages, such as "gain table".
     names
-        Names of the two numbers, with their units.
+        Names of the two columns, with their units.
     first, second
-        The numbers.
+        The columns.
     relative_sd
-        Relative standard uncertainty of each second number, dimensionless.
+        Relative standard uncertainty of the second column, dimensionless.
 
     Raises
     ------
     BadInput
-        If there are fewer than two whole rows, or they do not rise.
+        If there are fewer than two complete rows, or a column does not increase.
 
     Notes
     -----
-    Between points the logarithm of one is linear in the logarithm of the other. How far the power changes from one
-    interval to the next is the uncertainty of that, added to the calibration's own in quadrature.
+    Interpolation is linear in the logarithms. The change of the power from one interval to the next gives the
+    uncertainty of the interpolation, which is added to that of the calibration in quadrature.
     """
 
     of: str
@@ -54,14 +54,14 @@ class RisingTable:
                 raise BadInput(f"{name} of a {self.of} must rise from above 0, got {column}")
 
     def second_at(self, first: float, *, beyond: float = 0.0) -> tuple[float, float]:
-        """Return the second number at a first one, and its relative standard uncertainty.
+        """Return the second column at a value of the first, and its relative standard uncertainty.
 
         Parameters
         ----------
         first
-            The first number.
+            Value of the first column.
         beyond
-            How far it may lie outside the table, for the resolution of what reads it.
+            Tolerance outside the table, for the resolution of a read-back.
 
         Raises
         ------
@@ -77,21 +77,21 @@ class RisingTable:
         return second * (first / nearest) ** float(self._powers()[self._interval(place)]), relative_sd
 
     def first_for(self, second: float) -> float:
-        """Return the first number at which the second has a value; outside the table is BadInput."""
+        """Return the first column at a value of the second; a value outside the table is BadInput."""
         self._check_within(self.names[1], second, self.second)
         return float(np.exp(np.interp(np.log(second), np.log(self.second), np.log(self.first))))
 
     def _bend(self, place: float) -> float:
-        """What a bend of the curve between two points may make, relative: none at a point, most in the middle."""
+        """Return the relative interpolation error: zero at the points, largest in the centre of an interval."""
         places, powers, interval = np.log(self.first), self._powers(), self._interval(place)
         others = (other for other in (interval - 1, interval + 1) if 0 <= other < len(powers))
-        beside = [abs(powers[other] - powers[interval]) for other in others]
+        changes = [abs(powers[other] - powers[interval]) for other in others]
         width = places[interval + 1] - places[interval]
-        share = (place - places[interval]) / width
-        return max(beside, default=0.0) * width * share * (1.0 - share)
+        fraction = (place - places[interval]) / width
+        return max(changes, default=0.0) * width * fraction * (1.0 - fraction)
 
     def _powers(self) -> NDArray[np.float64]:
-        """The power with which the second number goes, interval by interval."""
+        """Return the exponent of the power law of each interval."""
         return np.diff(np.log(self.second)) / np.diff(np.log(self.first))
 
     def _interval(self, place: float) -> int:
@@ -103,17 +103,17 @@ class RisingTable:
 
 
 SETTABLE_A = 1e-3
-"""Currents are rounded to what every driver of a diode can set, A."""
+"""Current step that every LED driver can set, A."""
 
 SPARE_A = 1e-3
-"""The driver's own limit lies so much above the calibration's end, A: at its limit a driver complains."""
+"""Margin of the driver's own limit above the end of the calibration, A: a driver at its limit reports an error."""
 
 SAME_DENSITY = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
 class LampSetting:
-    """How a lamp makes one illuminance.
+    """Lamp and filter setting of one illuminance.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ class LampSetting:
     position
         Position of the filter wheel, counted from 1.
     read
-        The light that this makes: illuminance, its uncertainty, filter and current.
+        Resulting light: illuminance with uncertainty, filter and current.
     """
 
     current_a: float
@@ -132,28 +132,28 @@ class LampSetting:
 
 @dataclass(frozen=True, kw_only=True)
 class LampCalibration:
-    """A calibration of the lamp at the bench.
+    """Calibration of the lamp and its filters.
 
     Parameters
     ----------
     source
-        Who measured it, how and when, in words.
+        Origin of the calibration: who measured it, how and when.
     current_a
-        Currents through the lamp, A, rising.
+        Currents through the lamp, A, increasing.
     illuminance_lux
-        Illuminance on the photocathode at each, without a filter, lux, rising.
+        Illuminance on the photocathode at each, without filter, lux, increasing.
     relative_sd
         Relative standard uncertainty of each illuminance, dimensionless.
     filter_density
-        Optical densities of the filters in the wheel's positions, the first one's first; a bench without a wheel
-        has the one density of whatever stands there for good.
+        Optical densities of the filters by wheel position; a bench without a wheel has the single density of
+        its fixed filter.
     filter_density_sd
         Standard uncertainty of a density that is not 0.
 
     Raises
     ------
     BadInput
-        If the table is no monotone calibration, or a density is negative or given twice.
+        If the table is not a monotonic calibration, or a density is negative or repeated.
 
     Notes
     -----
@@ -195,33 +195,33 @@ class LampCalibration:
         Parameters
         ----------
         illuminance_lux
-            On the photocathode, lux.
+            Illuminance on the photocathode, lux.
         filter_density
             The filter; None: the densest through which the lamp is bright enough, whose current is set most finely.
 
         Raises
         ------
         BadInput
-            If there is no such filter, or the lamp cannot make that light behind it.
+            If there is no such filter, or the lamp cannot reach that light behind it.
         """
         for position in self._positions(illuminance_lux, filter_density):
             bare_lux = illuminance_lux * 10.0 ** self.filter_density[position - 1]
             current_a = round(self._table().first_for(bare_lux) / SETTABLE_A) * SETTABLE_A
             if self.current_a[0] <= current_a <= self.current_a[-1]:
-                return LampSetting(current_a=current_a, position=position, read=self.lit(current_a, position))
+                return LampSetting(current_a=current_a, position=position, read=self.light_at(current_a, position))
         dimmest, brightest = self._reach(filter_density)
         raise BadInput(
-            f"illuminance_lux must lie within what the lamp makes, {dimmest:.3g} to {brightest:.3g}, "
+            f"illuminance_lux must lie within the range of the lamp, {dimmest:.3g} to {brightest:.3g}, "
             f"got {illuminance_lux:g}"
         )
 
-    def lit(self, current_a: float, position: int, *, beyond_a: float = SETTABLE_A) -> Conditions:
-        """Return the light that a current, A, makes behind the filter at a position.
+    def light_at(self, current_a: float, position: int, *, beyond_a: float = SETTABLE_A) -> Conditions:
+        """Return the light at a lamp current, A, behind the filter at a position.
 
         Raises
         ------
         BadInput
-            If the current lies further outside the calibration than `beyond_a`, A.
+            If the current lies outside the calibration by more than `beyond_a`, A.
         """
         density = self.filter_density[position - 1]
         bare_lux, relative_sd = self._table().second_at(current_a, beyond=beyond_a)
@@ -234,7 +234,7 @@ class LampCalibration:
         )
 
     def position_of(self, filter_density: float) -> int:
-        """Return the position of a filter, counted from 1; a filter that is not there is BadInput."""
+        """Return the position of a filter, counted from 1; an unknown density is BadInput."""
         for position, density in enumerate(self.filter_density, 1):
             if abs(density - filter_density) < SAME_DENSITY:
                 return position
@@ -242,7 +242,7 @@ class LampCalibration:
         raise BadInput(f"filter_density must be one of the wheel's {densities}, got {filter_density:g}")
 
     def _positions(self, illuminance_lux: float, filter_density: float | None) -> list[int]:
-        """Positions through which the lamp is bright and dim enough, the densest first."""
+        """Return the positions that allow an illuminance, the densest filter first."""
         if filter_density is not None:
             fitting = [self.position_of(filter_density)]
         else:
@@ -272,25 +272,25 @@ class GainTable:
     Parameters
     ----------
     source
-        Who measured it, how and when, in words.
+        Origin of the calibration: who measured it, how and when.
     tube
-        Name of the tube; None: not said.
+        Name of the tube; None: not stated.
     mcp_v
-        Voltages across the plate, V, rising.
+        Voltages across the MCP, V, increasing.
     luminous_gain
-        Luminous gain at each, lm/lm or whatever the calibration counts, rising.
+        Luminous gain at each, lm/lm or in the unit of the calibration, increasing.
     relative_sd
         Relative standard uncertainty of each gain, dimensionless.
 
     Raises
     ------
     BadInput
-        If the table is no monotone calibration of at least two points, or does not say where it comes from.
+        If the table is not a monotonic calibration of at least two points, or has no source.
 
     Notes
     -----
-    The gain of a plate goes as a power of its voltage (J. L. Wiza, Nucl. Instrum. Methods 162 (1979) 587); see
-    `RisingTable` for what that makes of the numbers between the points.
+    MCP gain is a power of the voltage (J. L. Wiza, Nucl. Instrum. Methods 162 (1979) 587); for the interpolation see
+    `RisingTable`.
     """
 
     source: str
@@ -306,7 +306,7 @@ class GainTable:
 
     @property
     def provenance(self) -> str:
-        """Where a luminous gain by this table comes from, in a sentence."""
+        """One sentence on the origin of the gains of this table."""
         of = f" of tube {self.tube}" if self.tube else ""
         span = f"{self.mcp_v[0]:g} to {self.mcp_v[-1]:g} V"
         return f"Luminous gain by calibration{of}: {self.source}; {len(self.mcp_v)} points, {span}."
@@ -317,9 +317,9 @@ class GainTable:
         Parameters
         ----------
         mcp_v
-            Voltage across the plate, V.
+            Voltage across the MCP, V.
         beyond_v
-            How far it may lie outside the table, V: a supply set to the table's end reads back a little more or less.
+            Tolerance outside the table, V, for the read-back of a supply set to the end of the table.
 
         Raises
         ------
@@ -329,7 +329,7 @@ class GainTable:
         return self._table().second_at(mcp_v, beyond=beyond_v)
 
     def volts_for(self, luminous_gain: float) -> float:
-        """Return the voltage, V, at which the tube has a luminous gain; outside the table is BadInput."""
+        """Return the voltage of a luminous gain, V; a gain outside the table is BadInput."""
         return self._table().first_for(luminous_gain)
 
     def _table(self) -> RisingTable:

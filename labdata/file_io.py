@@ -1,4 +1,4 @@
-"""Files that are whole or absent: written under another name, forced to the disk, then renamed into place."""
+"""Atomic writes, and the requirement that files named by a user are regular."""
 
 import os
 import stat
@@ -9,7 +9,7 @@ from labdata.errors import BadInput
 
 
 def write_atomically(path: str | Path, data: bytes | bytearray | memoryview) -> None:
-    """Write a file so that a reader, a crash or a power cut finds the old bytes or the new ones, never a part.
+    """Write a file atomically: after a crash or power cut it has its old or its new content.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ def write_atomically(path: str | Path, data: bytes | bytearray | memoryview) -> 
         os.replace(partial, path)
     except OSError as error:
         partial.unlink(missing_ok=True)
-        # Who asked for the file knows its name, not the other one.
+        # The caller knows the file, not its temporary name.
         raise OSError(error.errno, error.strerror, str(path)) from None
     except BaseException:
         partial.unlink(missing_ok=True)
@@ -37,7 +37,7 @@ def write_atomically(path: str | Path, data: bytes | bytearray | memoryview) -> 
 
 
 def sync_folder(folder: Path) -> None:
-    """Force a folder's list of names to the disk, so that a rename in it survives a power cut."""
+    """Sync a folder, so that a rename in it survives a power cut."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -46,14 +46,14 @@ def sync_folder(folder: Path) -> None:
 
 
 def write_whole(descriptor: int, data: bytes | memoryview) -> None:
-    """Write bytes whole; a disk that takes only a part of them says why at the next try."""
+    """Write all bytes; a disk that accepts only part of them raises at the next attempt."""
     left = memoryview(data)
     while len(left):
         left = left[os.write(descriptor, left) :]
 
 
 def ends_mid_line(descriptor: int) -> bool:
-    """Return whether an open file of lines ends inside one, cut short by a crash; reads its last byte only."""
+    """Return whether the last line of an open file is incomplete; reads the last byte only."""
     size = os.fstat(descriptor).st_size
     return size > 0 and os.pread(descriptor, 1, size - 1) != b"\n"
 
@@ -68,23 +68,23 @@ _KINDS = {
 
 
 def require_regular(path: str | Path, what: str = "a file") -> None:
-    """Refuse a path that is no regular file, or no link to one, before it is opened.
+    """Require a path to be a regular file, or a link to one, before it is opened.
 
     Parameters
     ----------
     path
         The file.
     what
-        What it should be, for the sentence, such as "a file of frames".
+        Name of the file in the message, such as "a file of frames".
 
     Raises
     ------
     BadInput
-        If nothing is there, or something else than a regular file.
+        If the path does not exist or is not a regular file.
     """
     try:
         mode = os.stat(path).st_mode
-    except (OSError, ValueError):  # ValueError of a name that no disk takes
+    except (OSError, ValueError):  # ValueError: a name that no file system accepts
         raise BadInput(f"{what} must exist to be read, got {path}") from None
     if not stat.S_ISREG(mode):
         kind = _KINDS.get(stat.S_IFMT(mode), "something else")
@@ -92,7 +92,7 @@ def require_regular(path: str | Path, what: str = "a file") -> None:
 
 
 def require_regular_parts(folder: Path, what: str) -> None:
-    """Refuse a folder, such as that of an array, which holds something else than folders and regular files."""
+    """Require a folder to contain only folders and regular files."""
     for part in folder.rglob("*"):
         if not part.is_dir():
             require_regular(part, f"a part of {what}")

@@ -1,4 +1,4 @@
-"""How sessions and plans are written in a file: conditions lie flat in the table of their stack or step."""
+"""Records of session and plan files: one dataclass for each TOML table."""
 
 import itertools
 from collections.abc import Iterator
@@ -30,10 +30,10 @@ AXES = (
     "filter_density",
     "illuminance_lux",
 )
-"""What can be swept, the slowest and hardest on the tube outermost."""
+"""Settings that can be swept; the outermost is the slowest and stresses the tube most."""
 
 MOST_STEPS = 20_000
-"""A plan of more steps is a slip of the pen."""
+"""Largest number of steps of a plan; more are an error of input."""
 
 _SHORT = {
     "mcp_v": "{:g}V",
@@ -53,49 +53,49 @@ class SweepRecord:
     Parameters
     ----------
     kind
-        What is put before the camera.
+        Kind of target.
     frames
-        Number of frames of each stack.
+        Number of frames per stack.
     label
-        Beginning of every label; the values that vary and the number of the repeat follow. Default: the kind.
+        Prefix of every label; the varied values and the number of the repeat follow. Default: the kind.
     target
         The target, or several.
     mcp_v
-        Voltage across the plate, V; one or several.
+        Voltage across the MCP, V; one or several.
     luminous_gain
-        Luminous gain, lm/lm, set as volts by the gain table of the plan or of its sensor; one or several.
+        Luminous gain, lm/lm, converted to volts by the gain table of the plan or its sensor; one or several.
     gate_ns
         Gate, ns; one or several.
     exposure_s
         Exposure, s; one or several.
     camera_gain_db
-        Gain behind the tube, dB; one or several.
+        Camera gain, dB; one or several.
     filter_density
-        Optical density of the neutral filter before the lamp; one or several.
+        Optical density of the neutral filter in front of the lamp; one or several.
     illuminance_lux
         Light, lux; one or several.
     illuminance_relative_sd
         Relative standard uncertainty of the light.
     repeats
-        How often the whole sweep is taken.
+        Number of passes through the sweep.
     order
-        "as-written": as the lists say, the last axis fastest. "boustrophedon": every inner list alternately forwards
-        and backwards, so that no setting jumps. "randomised": every repeat shuffled by itself.
+        "as-written": order of the lists, the last axis fastest. "boustrophedon": every inner list alternately forwards
+        and backwards, so that no setting jumps. "randomised": every repeat shuffled separately.
     seed
         Seed of the shuffle.
     dark_every
-        A dark before the first stack, after each so many, and after the last, at the settings of its neighbour;
-        0: none.
+        Number of stacks between darks, with one before the first and one after the last stack, at the settings
+        of the adjacent stack; 0: no darks.
     dark_frames
-        Frames of each dark; None: as many as of a stack.
+        Frames per dark; None: as many as per stack.
     until
-        When each stack but the darks may stop before it has all its frames; None: never.
+        Criterion to stop each stack but the darks before it has all its frames; None: no criterion.
     saturated_fraction
         Fraction of a frame's pixels that may be saturated in each stack but the darks.
 
     Notes
     -----
-    The order of nesting is that of `AXES`: targets outermost, light innermost, repeats around them all.
+    The order of nesting is that of `AXES`: targets outermost, light innermost, repeats around all.
     """
 
     kind: Kind
@@ -193,7 +193,7 @@ class SweepRecord:
                 yield self._dark(step, next(numbers))
 
     def _dark(self, neighbour: Step, number: int) -> Step:
-        """A dark at the settings of a stack beside it."""
+        """Return a dark at the settings of an adjacent stack."""
         without = {"illuminance_lux": 0.0, "illuminance_relative_sd": None, "filter_density": None}
         return Step(
             label=f"{self.label or self.kind}-dark{number}",
@@ -204,7 +204,7 @@ class SweepRecord:
 
 
 def _snake_order(indices: tuple[int, ...], sizes: list[int]) -> list[int]:
-    """Indices of which each list runs backwards on every other pass, so that neighbours differ by one step."""
+    """Return indices in boustrophedon order: each list runs backwards on every other pass."""
     turned, passes = [], 0
     for index, size in zip(indices, sizes, strict=True):
         turned.append(size - 1 - index if passes % 2 else index)
@@ -220,7 +220,7 @@ T = TypeVar("T")
 
 
 def conditions_of(form: Conditions) -> Conditions:
-    """Return the conditions alone of a table that holds them flat."""
+    """Return the conditions of a stack or step record."""
     return Conditions(**_flat(form))
 
 
@@ -230,32 +230,32 @@ def _flat(conditions: Conditions) -> dict[str, Any]:
 
 @dataclass(frozen=True, kw_only=True)
 class StackRecord(Conditions):
-    """One [[stack]] of a session file; its conditions stand flat beside the other keys.
+    """One [[stack]] of a session file; its conditions are keys of the same table.
 
     Parameters
     ----------
     label
         Name of the stack, unique in the session.
     kind
-        What it shows.
+        Kind of target.
     frames
         File or files of the frames, or a Zarr array, relative to the session's folder.
     axis
-        Number (from 0) or name of the axis of the files that counts frames; by default the first.
+        Number (from 0) or name of the frame axis of the files; by default the first.
     plane
-        Plane to read of colour pictures, mosaics and files of more axes.
+        Plane to read of colour images, mosaics and files with more axes.
     asked
-        Conditions asked of the instruments, where they differ from those in force.
+        Requested conditions, where they differ from those in force.
     target
-        What stood before the camera.
+        Target in front of the camera.
     finished
-        False while the stack is being taken, or where its taking was broken off.
+        False while the stack is being acquired, and after an interrupted acquisition.
     lost_frames
-        Number of the frames that the camera numbered and that are not in the record.
+        Number of frames that the camera numbered and that were not recorded.
     lost
-        Which ones they are and why, where that is known.
+        Their numbers and causes, where known.
     doubt
-        Why its frames may not show what it says, such as a bench that was made safe while they were taken.
+        Reason to doubt its frames, such as a bench that went to the safe state while they were acquired.
     notes
         Remarks.
     """
@@ -285,7 +285,7 @@ class SessionFile:
     sensor
         Name of a shipped sensor description, or the path of one relative to the session's folder.
     bit_depth
-        Bits of the digitiser: full scale is 2^bits - 1.
+        Bits of the digitiser; full scale is 2^bits - 1.
     interlaced
         Whether the two fields of a frame were exposed one after the other.
     notes
@@ -304,22 +304,22 @@ class SessionFile:
 
 @dataclass(frozen=True, kw_only=True)
 class StepRecord(Conditions):
-    """One [[step]] of a plan file; the conditions that it asks for stand flat beside the other keys.
+    """One [[step]] of a plan file; the requested conditions are keys of the same table.
 
     Parameters
     ----------
     label
-        Label of the stack to take, unique in the plan.
+        Label of the stack to acquire, unique in the plan.
     kind
-        What is put before the camera.
+        Kind of target.
     frames
-        Number of frames to take; with `until`, at most.
+        Number of frames to acquire; with `until`, the largest number.
     target
-        The target, as its kind needs.
+        The target, with the keys of its kind.
     until
-        When to stop before all frames are taken.
+        Criterion to stop before all frames are acquired.
     search
-        A search for the light that saturates, beginning at the step's own.
+        A search for the light that saturates; it starts at the step's own light.
     saturated_fraction
         Fraction of a frame's pixels that may be saturated.
     """
@@ -353,15 +353,15 @@ class PlanFile(PlanHead):
     Parameters
     ----------
     override
-        Limits of the tube that are set aside, with reasons.
+        Overridden limits of the tube, with reasons.
     gain_table
-        Calibration of the tube, by which steps may ask for a luminous gain, or the TOML file that holds it.
+        Gain calibration of the tube, needed for steps with a luminous gain, or the path of its TOML file.
     lamp
-        Calibration of the light source and of the filters before it, or the TOML file that holds it.
+        Calibration of the light source and its filters, or the path of its TOML file.
     step
-        The stacks to take, in order.
+        The stacks to acquire, in order.
     sweep
-        Series of stacks, taken after the single steps, in order.
+        Series of stacks, acquired after the single steps, in order.
     """
 
     override: tuple[Override, ...] = ()
@@ -383,7 +383,7 @@ class PlanFile(PlanHead):
         )
 
     @classmethod
-    def written(cls, plan: Plan) -> "PlanFile":
+    def from_plan(cls, plan: Plan) -> "PlanFile":
         """Return the file form of a plan."""
         return cls(
             **plan.head,
@@ -395,7 +395,7 @@ class PlanFile(PlanHead):
 
 
 def _read(given: T | str | None, type_: type[T]) -> T | None:
-    """Return a calibration that stands in the plan, or read the file that it names."""
+    """Return a calibration given in the plan, or read the file that it names."""
     return from_toml(given, type_) if isinstance(given, str) else given
 
 
@@ -413,7 +413,7 @@ def _step_form(step: Step) -> StepRecord:
 
 
 def stack_record(conditions: Conditions, **keys: Any) -> StackRecord:
-    """Return the table of a stack from its conditions and its other keys."""
+    """Return the record of a stack from its conditions and its other keys."""
     return StackRecord(**_flat(conditions), **keys)
 
 

@@ -1,4 +1,4 @@
-"""An acquisition plan: which stacks to take, at which settings, within which limits."""
+"""Acquisition plan: steps, settings, adaptive steps and calibrated gain."""
 
 import math
 from collections.abc import Sequence
@@ -21,18 +21,18 @@ from labdata.target import Target
 
 @dataclass(frozen=True, kw_only=True)
 class FrameFormat:
-    """What is asked of a camera beyond the exposure and gain of each step; None leaves it to the sensor's description.
+    """Frame format requested for all steps; None: as in the sensor description.
 
     Parameters
     ----------
     rows, columns
-        Size of the picture, px; by default the whole sensor.
+        Size of the image, px; by default the full sensor.
     first_row, first_column
-        Where on the sensor the picture begins, px.
+        First row and column of the image on the sensor, px.
     pixel_format
-        Such as "Mono12" or "Mono12p", for a camera that does not send the 8 or 16 bits a pixel asked by default.
+        Such as "Mono12" or "Mono12p"; by default "Mono8" or "Mono16".
     trigger
-        "off": frames follow one another freely; else the camera's name of what triggers each, such as "Line1".
+        "off": free-running; else the camera's name of the trigger source, such as "Line1".
     """
 
     rows: int | None = None
@@ -53,14 +53,14 @@ class FrameFormat:
 
 @dataclass(frozen=True, kw_only=True)
 class StopCriterion:
-    """When a step may stop before it has all its frames.
+    """Criterion by which a step stops before it has all its frames.
 
     Parameters
     ----------
     mean_within_dn
-        Stop when the 95 % interval of the level's mean reaches at most this far to either side, DN.
+        Largest half-width of the 95 % interval of the stack's mean at which the step stops, DN.
     least_frames
-        Take at least so many frames.
+        Smallest number of frames.
     """
 
     mean_within_dn: float
@@ -75,14 +75,14 @@ class StopCriterion:
 
 @dataclass(frozen=True, kw_only=True)
 class SaturationSearch:
-    """Find the light at which the level saturates: doubled until it does, then halved in between.
+    """Search for the light that saturates a stack: doubling, then bisection of the logarithm.
 
     Parameters
     ----------
     most_illuminance_lux
-        Never more light than this, lux.
+        Upper limit of the light, lux.
     within_percent
-        Stop when the lowest light that saturates is at most so much above the highest that does not, %.
+        Largest gap between the highest unsaturated and the lowest saturated light at the end, %.
     """
 
     most_illuminance_lux: float
@@ -100,7 +100,7 @@ class SaturationSearch:
         Parameters
         ----------
         begin_lux
-            Light to begin with, lux.
+            First light, lux.
         seen
             Light tried so far, lux, and whether it saturated.
         """
@@ -111,12 +111,12 @@ class SaturationSearch:
         if bright is None:
             return None if dark == self.most_illuminance_lux else min(2.0 * (dark or 0.0), self.most_illuminance_lux)
         if dark is None:
-            # Light goes down as fast as it went up, and never below what any lamp can be set to.
+            # No lamp can be set further below its first light.
             return bright / 2.0 if bright > begin_lux / 1024.0 else None
         return None if bright <= dark * (1.0 + self.within_percent / 100.0) else math.sqrt(dark * bright)
 
     def verdict(self, seen: Sequence[tuple[float, bool]]) -> str:
-        """Say in a sentence what was found."""
+        """Return the result in one sentence."""
         dark = [lux for lux, saturated in seen if not saturated]
         bright = [lux for lux, saturated in seen if saturated]
         after = f"after {len(seen)} levels"
@@ -127,39 +127,39 @@ class SaturationSearch:
         return f"saturation begins between {max(dark):.4g} and {min(bright):.4g} lux, {after}"
 
     def most_levels(self, begin_lux: float) -> int:
-        """Return how many levels the search takes at most where its first level does not saturate."""
+        """Return the largest number of levels of a search whose first level does not saturate."""
         doublings = max(0, math.ceil(math.log2(self.most_illuminance_lux / begin_lux)))
         return 1 + doublings + max(0, math.ceil(math.log2(math.log(2.0) / math.log1p(self.within_percent / 100.0))))
 
 
 LONGEST_SETTLE_S = 86400.0
-"""A wait longer than a day is a slip of the pen, s."""
+"""Longest settle time, one day, s; longer ones are an error of input."""
 
 POINT_SATURATION = 0.3
-"""Fraction of a frame's pixels that a bright point may saturate with its halo and streaks; room light fills it all."""
+"""Fraction of pixels that a bright point, its halo and streaks may saturate; room light saturates all pixels."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Step:
-    """One stack to take. Conditions are what is asked.
+    """One stack to acquire.
 
     Parameters
     ----------
     label, kind
-        Name of the stack, and what it shows.
+        Name of the stack, and kind of target.
     frames
-        Frames to take; with `until`, at most.
+        Frames to acquire; with `until`, the largest number.
     conditions
-        What is asked of the instruments.
+        Set-points of the instruments.
     target
-        What stands before the camera.
+        Target in front of the camera.
     until
-        When to stop before all frames are taken; None: never.
+        Criterion to stop before all frames are acquired; None: no criterion.
     search
-        Not one stack but a search for the light that saturates, each level a stack of its own; None: one stack.
+        Search for the light that saturates, one stack per level; None: a single stack.
     saturated_fraction
-        Fraction of a frame's pixels that may be saturated; with 0.05 more the tube is made safe and the run ends.
-        None: 0, of a point 0.3 and of a search 1.
+        Fraction of a frame's pixels that may be saturated; 0.05 more forces the safe state and ends the run.
+        None: 0, for a point 0.3, for a search 1.
     """
 
     label: str
@@ -198,20 +198,20 @@ class Step:
 
     @property
     def brightest(self) -> "Step":
-        """The step under the most light that it may ask for; limits are checked on it."""
+        """The step at its largest illuminance, for the check of limits."""
         if self.search is None:
             return self
         return self.level(self.search.most_illuminance_lux, self.label)
 
     @property
     def most_frames(self) -> int:
-        """Frames that it takes at most."""
+        """Largest number of frames."""
         if self.search is None:
             return self.frames
         return self.frames * self.search.most_levels(self.conditions.illuminance_lux or 0.0)
 
     def level(self, illuminance_lux: float, label: str) -> "Step":
-        """Return one level of a search: one stack under one light."""
+        """Return one level of a search: a stack at one illuminance."""
         conditions = replace(self.conditions, illuminance_lux=illuminance_lux)
         return replace(
             self, label=label, conditions=conditions, search=None, saturated_fraction=self.max_saturated_fraction
@@ -227,14 +227,14 @@ class Step:
 
 @dataclass(frozen=True, kw_only=True)
 class SettleTimes:
-    """How long to wait after a change, before frames are taken.
+    """Settle times after a change of settings.
 
     Parameters
     ----------
     after_gain_s
-        After the plate's voltage was changed and verified, s.
+        Time after the MCP voltage was changed and verified, s.
     after_light_s
-        After light, filter, gate or target were changed, s.
+        Time after a change of light, filter, gate or target, s.
     """
 
     after_gain_s: float = 0.0
@@ -246,39 +246,39 @@ class SettleTimes:
                 raise BadInput(f"{name} must lie between 0 and {LONGEST_SETTLE_S:g}, got {getattr(self, name):g}")
 
     def wait_s(self, before: Conditions | None, now: Conditions) -> float:
-        """Time to wait between settings, s; `before` None: nothing was set yet."""
+        """Return the settle time between two settings, s; `before` None: nothing was set yet."""
         gain_moved = before is None or (before.mcp_v or 0.0) != (now.mcp_v or 0.0)
         return max(self.after_gain_s if gain_moved else 0.0, self.after_light_s)
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlanHead:
-    """What a plan says of itself and of its bench, in a file as in memory.
+    """Keys common to a plan and its file record.
 
     Parameters
     ----------
     name
-        Name of the plan and of the session that it makes.
+        Name of the plan and of its session.
     sensor
-        Name of a shipped sensor description, or the path of one.
+        Name of a shipped sensor description, or path of one.
     tube
-        Name of the tube, such as its serial number, under which its dose is kept over sessions.
+        Name of the tube, such as its serial number; names its dose ledger.
     seed
         Seed of the virtual bench.
     scene
         Lab scene of the virtual bench.
     wires
-        How the instruments are reached.
+        Models and ports of the instruments.
     limits
-        What the plan may never exceed, where that is tighter than the tube's limits.
+        Limits of the plan, where tighter than those of the tube.
     settle
-        How long to wait after a change.
+        Settle times after a change.
     meters
-        How the meters beside the tube are read.
+        Use of the auxiliary meters.
     gating
-        What triggers the gate, and so whether it keeps step with the camera's fields.
+        Trigger of the gate, and its synchronisation with the camera's fields.
     picture
-        What is asked of the camera for all steps, where that is not the whole sensor in 8 or 16 bits.
+        Frame format of all steps, where not the full sensor in 8 or 16 bits.
     """
 
     name: str
@@ -295,7 +295,7 @@ class PlanHead:
 
     @property
     def head(self) -> dict[str, Any]:
-        """All of this by name."""
+        """Values of these keys by name."""
         return {item.name: getattr(self, item.name) for item in fields(PlanHead)}
 
 
@@ -306,13 +306,13 @@ class Plan(PlanHead):
     Parameters
     ----------
     overrides
-        Limits of the tube that are set aside, with reasons.
+        Overridden limits of the tube, with reasons.
     gain_table
-        Calibration of the tube, by which steps may ask for a luminous gain; None: that of the sensor, if it has one.
+        Gain calibration of the tube, needed for steps with a luminous gain; None: that of the sensor, if any.
     lamp
-        Calibration of the light source and of the filters before it; a plan whose wires name a light source has one.
+        Calibration of the light source and its filters; required if the wires name a light source.
     steps
-        The stacks to take, in order.
+        The stacks to acquire, in order.
     """
 
     overrides: tuple[Override, ...] = ()
@@ -332,7 +332,7 @@ class Plan(PlanHead):
             raise BadInput(f"a plan must have a lamp where its wires name a light, got {there} for {self.wires.light}")
         if len(set(labels)) != len(labels):
             raise BadInput(f"every step's label must be its own, got {labels}")
-        # Where a sensor is named, its own limits are known to whoever has read it; see drivers.acquisition.plan_check.
+        # The limits of a named sensor are checked by drivers.acquisition.plan_check, which has read the sensor.
         if self.sensor is None:
             known = limits_in_force(self.limits, None, self.overrides)
             for step in self.steps:
@@ -348,7 +348,7 @@ class Plan(PlanHead):
 
 
 def _check_against(limits: LimitsInForce, step: Step) -> None:
-    """Refuse a step that asks for more than is allowed, in a BadInput that names setting and limit."""
+    """Require the settings of a step to lie within the limits."""
     bounds = {
         "mcp_v": limits.mcp_v,
         "illuminance_lux": limits.largest_lux(point=step.kind == "point"),
@@ -361,42 +361,42 @@ def _check_against(limits: LimitsInForce, step: Step) -> None:
 
 
 class Watcher(Protocol):
-    """A higher room's judgement of one stack while it is taken."""
+    """Assessment of one stack during acquisition; implemented in a higher layer."""
 
     def see(self, pixels: NDArray) -> None:
-        """Look at the next frame, shape (row, col), DN."""
+        """Take the next frame, shape (row, col), DN."""
         ...
 
     def enough(self) -> str | None:
-        """Return one sentence on why the step's `until` is reached, or None."""
+        """Return a sentence if the criterion of the step is met, else None."""
         ...
 
-    def saturated(self) -> bool:
+    def is_saturated(self) -> bool:
         """Whether the frames so far are saturated."""
         ...
 
     def complaint(self) -> str | None:
-        """Return one sentence on what is wrong with the stack, or None."""
+        """Return a sentence on a fault of the stack, or None."""
         ...
 
 
 class Judge(Protocol):
-    """Who judges stacks while they are taken; handed in from a higher room."""
+    """Factory of watchers; passed in from a higher layer."""
 
     def watch(self, step: Step, full_scale_dn: float) -> Watcher:
-        """Begin to watch one stack; `full_scale_dn` is the highest code of the digitiser, DN."""
+        """Return the watcher of one stack; `full_scale_dn` is the full scale of the digitiser, DN."""
         ...
 
 
 SETTABLE_V = 1.0
-"""Volts are rounded to what every supply can set, V."""
+"""Voltage step that every supply can set, V."""
 
 READ_V = 2.0
-"""How far beyond the table's end a supply that was set to it may read, V: what counts as settled."""
+"""Settling tolerance of a supply: a read-back may exceed the end of the table by this, V."""
 
 
 def gain_table_of(plan: Plan, sensor: Sensor | None) -> GainTable | None:
-    """Return the calibration that holds for a plan: its own, else that of its sensor, else None."""
+    """Return the gain table of a plan, else that of its sensor, else None."""
     if plan.gain_table is not None:
         return plan.gain_table
     return None if sensor is None else sensor.gain_table
@@ -410,7 +410,7 @@ def in_volts(plan: Plan, sensor: Sensor | None) -> Plan:
     plan
         The plan.
     sensor
-        The camera it is for, or None.
+        Sensor of the camera, or None.
 
     Raises
     ------
@@ -425,7 +425,7 @@ def in_volts(plan: Plan, sensor: Sensor | None) -> Plan:
 
 
 def by_calibration(table: GainTable | None, mcp_v: float | None) -> Conditions:
-    """Return the luminous gain at a voltage as read back, V; nothing without a table or with the plate off."""
+    """Return the luminous gain at a read-back voltage, V; empty without a table or with the MCP off."""
     if table is None or not mcp_v or mcp_v < table.mcp_v[0] - READ_V:
         return Conditions()
     gain, relative_sd = table.gain_at(mcp_v, beyond_v=READ_V)
@@ -447,7 +447,7 @@ def _resolve_gain(step: Step, table: GainTable | None) -> Step:
 
 
 def _both(asked: Conditions, table: GainTable) -> Conditions:
-    """Conditions with the volts that give the luminous gain; those in volts stay, if the table holds them."""
+    """Return conditions with the voltage that gives the luminous gain; a given voltage must lie in the table."""
     if asked.luminous_gain is None:
         if asked.mcp_v:
             table.gain_at(asked.mcp_v)

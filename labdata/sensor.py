@@ -1,4 +1,4 @@
-"""The description of an image-intensified camera, stage by stage, every number with its range and source."""
+"""Sensor description of an image-intensified camera, stage by stage."""
 
 from dataclasses import dataclass, field, replace
 
@@ -363,7 +363,7 @@ class Sensor(Description):
             "microchannel_plate.electron_gain": 1.0 if measured else 1.0 / brighter,
         }
         known, words = self.parameters(), f"; scaled from {self.phosphor.name} to {phosphor.name}"
-        changed = self.with_parameters({path: known[path].scaled(factor, words) for path, factor in factors.items()})
+        changed = self.with_parameters({path: known[path].times(factor, words) for path, factor in factors.items()})
         kept = "electron gain of the plate" if measured else "photons per photoelectron"
         note = f"Screen changed from {self.phosphor.name} to {phosphor.name}; the {kept} stayed."
         draws, notes = self.draws.without_phosphor(factors), (*self.notes, note)

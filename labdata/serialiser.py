@@ -1,4 +1,4 @@
-"""The border: TOML and JSON become frozen dataclasses here or are refused in one sentence, and go back out."""
+"""Serialisers: convert TOML and JSON to frozen dataclasses and back; invalid input raises BadInput."""
 
 import dataclasses
 import difflib
@@ -31,18 +31,18 @@ EXPECTED = {
 
 
 def sentence(errors: Sequence[Mapping[str, Any]], mapping: Mapping[str, Any], where: str, known: Sequence[str]) -> str:
-    """Return one sentence on the first of some validation errors.
+    """Return one sentence on the first of several validation errors.
 
     Parameters
     ----------
     errors
-        Errors as pydantic lists them; their locations start behind the wrapper's index.
+        Errors as listed by pydantic; the first item of each location is the wrapper's index.
     mapping
-        What was read.
+        The mapping that was validated.
     where
-        Where it was read from.
+        File name.
     known
-        Keys that exist, among which a misspelt one is looked for.
+        Valid keys, for the suggestion after a misspelt one.
     """
     error = errors[0]
     steps = tuple(error["loc"])[1:]
@@ -55,7 +55,7 @@ def sentence(errors: Sequence[Mapping[str, Any]], mapping: Mapping[str, Any], wh
         error = {**error, "input": _at(steps, mapping)}
     if kind in ("value_error", "assertion_error"):
         return f"{error['ctx']['error']}{_place(', in ', steps, mapping, where)}"
-    # Each member of a union complains by itself.
+    # Each member of a union reports its own error.
     rules = [_rule(one) for one in errors if _steps_in(tuple(one["loc"])[1:], mapping) == steps] or [_rule(error)]
     rule = " or ".join(dict.fromkeys(rules))
     *outer, key = steps or ("the file",)
@@ -89,7 +89,7 @@ def _rule(error: Mapping[str, Any]) -> str:
 
 
 def _steps_in(steps: Sequence[str | int], mapping: Any) -> tuple[str | int, ...]:
-    """Return the steps that lead somewhere in what was read; pydantic adds names of union members."""
+    """Return the steps that exist in the mapping; pydantic inserts names of union members."""
     found: list[str | int] = []
     for step in steps:
         try:
@@ -107,7 +107,7 @@ def _at(steps: Sequence[str | int], mapping: Any) -> Any:
 
 
 def _place(joint: str, steps: Sequence[str | int], mapping: Any, where: str) -> str:
-    """Return the place in words, innermost first: 'target of stack 2 ("flat-03") of session.toml'."""
+    """Return the location, innermost first: 'target of stack 2 ("flat-03") of session.toml'."""
     places: list[str] = []
     at = mapping
     for step in steps:
@@ -148,12 +148,12 @@ def _table(table: dict[str, Any], type_: type | None) -> dict[str, Any]:
     words = parameters_of(type_)
     keys = {name: _key(key, words.get(name)) for name, key in table["properties"].items()}
     whole = {**table, "description": summary_of(type_), "properties": keys}
-    # A bare number in a file stands for a parameter that is exact.
+    # A bare number in a file is an exact parameter.
     return {"anyOf": [{"type": "number"}, whole]} if type_ is Parameter else whole
 
 
 def _key(key: dict[str, Any], words: str | None) -> dict[str, Any]:
-    """Return the schema of one key without null, which TOML does not know: an unknown value is left out."""
+    """Return the schema of one key without null, which TOML does not have."""
     kinds = [kind for kind in key.get("anyOf", []) if kind != {"type": "null"}]
     kept = {name: part for name, part in key.items() if name not in ("anyOf", "title") and part is not None}
     kept |= kinds[0] if len(kinds) == 1 else {"anyOf": kinds} if kinds else {}
@@ -166,7 +166,7 @@ def summary_of(type_: type) -> str:
 
 
 def parameters_of(type_: type) -> dict[str, str]:
-    """Return what the numpydoc sections of a class and its bases say of each parameter, as one line each."""
+    """Return the numpydoc text of each parameter of a class and its bases, as one line each."""
     words: dict[str, str] = {}
     for base in reversed(type_.__mro__):
         words.update(_parameters(inspect.cleandoc(base.__dict__.get("__doc__") or "")))
@@ -205,7 +205,7 @@ def from_toml(path: str | Path, type_: type[T]) -> T:
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:
-    """Read a TOML file into a mapping of plain values, for a caller that chooses the dataclass by what it holds.
+    """Read a TOML file into a mapping of plain values, for callers that choose the dataclass by its content.
 
     Raises
     ------
@@ -238,7 +238,7 @@ def from_mapping(mapping: Mapping[str, Any], type_: type[T], where: str = "") ->
     type_
         The dataclass.
     where
-        Where the mapping stood, for the sentence of an error: a file name.
+        Source of the mapping named in an error message: a file name.
 
     Raises
     ------
@@ -258,7 +258,7 @@ def from_mapping(mapping: Mapping[str, Any], type_: type[T], where: str = "") ->
 def _read(mapping: Mapping[str, Any], type_: type, where: str) -> Any:
     from pydantic import ValidationError
 
-    # Strict JSON takes a list for a tuple, which strict Python values do not; "780" is no number in either.
+    # Strict JSON accepts a list for a tuple, strict Python values do not; neither accepts "780" as a number.
     text = json.dumps([dict(mapping)], default=lambda date: {"date": str(date)})
     try:
         return _adapter(type_).validate_json(text)[0]
@@ -268,16 +268,16 @@ def _read(mapping: Mapping[str, Any], type_: type, where: str) -> Any:
 
 
 def to_toml(value: Any) -> str:
-    """Write a dataclass as TOML, as `from_toml` reads it; what is None or empty by default is left out."""
+    """Return a dataclass as TOML that `from_toml` reads; None and empty defaults are omitted."""
     import tomli_w
 
     return tomli_w.dumps(to_mapping(value))
 
 
 def to_mapping(value: Any) -> dict[str, Any]:
-    """Return a dataclass as the mapping of plain values that its file would hold."""
+    """Return a dataclass as the mapping of plain values of its file."""
     form = _forms().get(type(value))
-    return _plain(value if form is None else form.written(value))
+    return _plain(value if form is None else form.from_plan(value))
 
 
 def json_schema(type_: type) -> dict[str, Any]:
@@ -329,7 +329,7 @@ def _plain(value: Any) -> Any:
 
 
 def _plain_number(value: Any) -> Any:
-    """Return a number of NumPy as one of Python; one that is not finite could not be read back and is refused."""
+    """Return a NumPy number as a Python one; a non-finite one, which cannot be read back, is BadInput."""
     number = value.item() if hasattr(value, "item") else value
     if isinstance(number, float) and not math.isfinite(number):
         raise BadInput(f"a file holds finite numbers only, got {number}")

@@ -1,4 +1,4 @@
-"""What a tube has been through: charge through its screen and hours at gain, with how well they are known."""
+"""Dose of a tube, screen charge and hours at gain, and the ledger that accumulates it."""
 
 import fcntl
 import json
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 WARN_AT = 0.8
-"""Share of a tube's life from which on it is warned of."""
+"""Fraction of a tube's expected life at which a warning is given."""
 
 S_PER_H = 3600.0
 C_PER_NC = 1e-9
@@ -27,18 +27,18 @@ C_PER_NC = 1e-9
 
 @dataclass(frozen=True, kw_only=True)
 class Dose:
-    """What a tube went through.
+    """Accumulated load of a tube.
 
     Parameters
     ----------
     screen_c_per_cm2
         Charge through the brightest large area of the screen, C/cm2.
     point_c_per_cm2
-        Charge through the images of pinholes, as if they all fell on one place, C/cm2.
+        Charge through the images of pinholes, as if all fell on one point, C/cm2.
     hours_at_gain
-        Time with high voltage across the plate, h.
+        Time with high voltage across the MCP, h.
     log_sd
-        Standard uncertainty of the logarithm of both charges: photocathode and plate are known only so well.
+        Standard uncertainty of the logarithm of both charges, from those of photocathode sensitivity and MCP gain.
     """
 
     screen_c_per_cm2: float = 0.0
@@ -53,17 +53,17 @@ class Dose:
 
     @property
     def charge_c_per_cm2(self) -> float:
-        """Charge through the place of the screen that had most, C/cm2."""
+        """Largest charge through any point of the phosphor, C/cm2."""
         return self.screen_c_per_cm2 + self.point_c_per_cm2
 
     @property
     def factor95(self) -> float:
-        """Factor by which the charge may be more or less, with 95 % probability."""
+        """Factor of the 95 % interval of the charge."""
         return math.exp(1.96 * self.log_sd)
 
 
 def total_dose(doses: Iterable[Dose]) -> Dose:
-    """Return all doses together; their uncertainty is one and the same tube's, so it does not average out."""
+    """Return the total of several doses; their relative error is common to all, so it does not average out."""
     doses = tuple(doses)
     charge = sum(one.charge_c_per_cm2 for one in doses)
     weighted = sum(one.charge_c_per_cm2 * one.log_sd for one in doses)
@@ -81,13 +81,13 @@ def dose_of(*, delivered_na_per_cm2: float, lit_s: float, at_gain_s: float, poin
     Parameters
     ----------
     delivered_na_per_cm2
-        Current density that reaches the screen, nA/cm2.
+        Current density at the phosphor, nA/cm2.
     lit_s
-        For how long, s.
+        Duration of the light, s.
     at_gain_s
         Time with high voltage on, s.
     point
-        Whether only a pinhole's image was lit.
+        Whether only the image of a pinhole was illuminated.
     log_sd
         Standard uncertainty of the logarithm of the current.
     """
@@ -101,15 +101,15 @@ def dose_of(*, delivered_na_per_cm2: float, lit_s: float, at_gain_s: float, poin
 
 
 def warnings(dose: Dose, sensor: "Sensor | None") -> tuple[str, ...]:
-    """Return one sentence for each part of a tube's life that is nearly or wholly used up."""
+    """Return one sentence for each part of a tube's life that is nearly used up."""
     from labdata.limits import TubeLimits
 
     limits = TubeLimits() if sensor is None else sensor.limits
-    told = [
+    sentences = [
         _life_warning("screen charge", dose.charge_c_per_cm2, float(limits.screen_charge_c_per_cm2), "C/cm2"),
         None if sensor is None else _life_warning("time at gain", dose.hours_at_gain, float(sensor.tube.life_h), "h"),
     ]
-    return tuple(one for one in told if one)
+    return tuple(sentence for sentence in sentences if sentence)
 
 
 def _life_warning(what: str, amount: float, life: float, unit: str) -> str | None:
@@ -119,7 +119,7 @@ def _life_warning(what: str, amount: float, life: float, unit: str) -> str | Non
 
 
 FOLDER_VARIABLE = "CHARACT_TUBES"
-"""Environment variable that names another folder for the ledgers."""
+"""Environment variable with another folder for the ledgers."""
 
 PATIENCE_S = 2.0
 """Longest wait for the lock of a ledger, s; an append holds it for milliseconds."""
@@ -150,7 +150,7 @@ class DoseLedger:
         self.path = Path(path)
 
     def append(self, dose: Dose, **said: object) -> None:
-        """Add a dose, on the disk when this returns; `said` is what a reader may want to know of it.
+        """Add a dose, on the disk when this returns; `said` are further keys of the line.
 
         Raises
         ------
@@ -163,14 +163,14 @@ class DoseLedger:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         with open(self.path, "ab+", buffering=0) as file:
             _lock(file.fileno())
-            # A power cut may have left half a line: it stays half, and the next begins anew.
+            # A power cut may have left an incomplete line: the new line must not continue it.
             write_whole(file.fileno(), (b"\n" if ends_mid_line(file.fileno()) else b"") + line.encode())
             os.fsync(file.fileno())
         if new:
             sync_folder(self.path.parent)
 
     def total(self) -> Dose:
-        """Return all doses so far together; none where there is no ledger yet."""
+        """Return the total dose; zero where there is no ledger yet."""
         return total_dose(self._doses())
 
     def __len__(self) -> int:
@@ -189,7 +189,7 @@ class DoseLedger:
                 yield dose
 
     def _dose(self, line: bytes, number: int) -> Dose | None:
-        """Return the dose of a line; None of one that was cut off."""
+        """Return the dose of a line; None if the line is truncated."""
         try:
             values = json.loads(line)
         except RecursionError:
@@ -208,9 +208,9 @@ class DoseLedger:
 
 
 def _lock(descriptor: int) -> None:
-    """Lock a ledger; a lock that is not free in time is a TimeoutError.
+    """Lock a ledger; TimeoutError if another process keeps the lock.
 
-    It is a lock of the open file, not of the process, which would end when a reader in this process closes the file.
+    The lock belongs to the open file; a lock of the process would end when a reader in this process closes the file.
     """
     until_s = time.monotonic() + PATIENCE_S
     while True:

@@ -1,4 +1,4 @@
-"""The interlock: it holds what may be true of the tube, lets commands pass or refuses them, and hears what was read."""
+"""Interlock: the rules that refuse commands to the tube or force the safe state."""
 
 import threading
 import time
@@ -19,21 +19,21 @@ from drivers.bench.state import (
 from labdata.limits import LimitsInForce
 
 SILENCE_S = 0.6
-"""Longest time since the client's last sign of life at which the tube may be made hotter, s."""
+"""Longest time since the client's last heartbeat for commands that increase the load of the tube, s."""
 
 PROBE_DUTY = 0.01
-"""Largest share of the time that the gate may open onto light that no frame has shown yet: a hundredth of the dose."""
+"""Largest duty of the gate in light that no frame has verified yet: a hundredth of the dose."""
 
 MAX_EXCESS_SATURATION = 0.05
-"""Share of a frame's pixels that may be saturated beyond what its step allows: lamps in view are smaller."""
+"""Fraction of pixels that may be saturated beyond the limit of the step; lamps in view are smaller."""
 
 METER_TOLERANCE = 1.25
-"""A light may read this much brighter than allowed, for its meter's calibration, before the tube is made safe."""
+"""Factor by which a light reading may exceed its limit, for the calibration of the meter."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Rule:
-    """One reason to refuse a command: breach(state, command, limits, now_s) returns a sentence "rule, got value"."""
+    """A rule to refuse commands: breach(state, command, limits, now_s) returns a sentence "rule, got value"."""
 
     name: str
     breach: Callable[[TubeState, Command, LimitsInForce, float], str | None]
@@ -41,7 +41,7 @@ class Rule:
 
 @dataclass(frozen=True, kw_only=True)
 class Reaction:
-    """One reason to make the tube safe at once: reason(state, limits, now_s) returns a sentence."""
+    """A rule for the safe state: reason(state, limits, now_s) returns a sentence."""
 
     name: str
     reason: Callable[[TubeState, LimitsInForce, float], str | None]
@@ -82,7 +82,7 @@ def _light(state: TubeState, command: Command, limits: LimitsInForce, now_s: flo
 def _light_at_gain(state: TubeState, command: Command, limits: LimitsInForce, now_s: float) -> str | None:
     if isinstance(command, SetLight) and command.illuminance_lux > 0.0:
         limit = limits.largest_anode_na_per_cm2(point=command.point)
-        asked = command.ordered(state).anode_na_per_cm2(limits)
+        asked = command.state_when_sent(state).anode_na_per_cm2(limits)
         if not asked <= limit:
             return (
                 f"light, gain and gate together must not ask more than {limit:g} nA/cm2 of the plate, got {asked:.4g}: "
@@ -100,7 +100,7 @@ def _gate_opens_dark(state: TubeState, command: Command, limits: LimitsInForce, 
             f"{PROBE_DUTY:g} of the time, got up to {state.light_lux:g} lux"
         )
     limit = limits.largest_anode_na_per_cm2(point=state.point)
-    asked = command.ordered(state).anode_na_per_cm2(limits)
+    asked = command.state_when_sent(state).anode_na_per_cm2(limits)
     if not asked <= limit:
         return f"the gate must not ask more than {limit:g} nA/cm2 of the plate, got {asked:.4g}"
 
@@ -171,7 +171,7 @@ RULES = (
     Rule(name="guarded", breach=_heartbeat_due),
     Rule(name="nothing after a failure", breach=_no_failure),
 )
-"""Every rule that may refuse a command."""
+"""All rules that refuse commands."""
 
 
 def _silent(state: TubeState, limits: LimitsInForce, now_s: float) -> str | None:
@@ -207,13 +207,13 @@ REACTIONS = (
     Reaction(name="too bright a light makes safe", reason=_too_bright),
     Reaction(name="a saturated frame makes safe", reason=_saturation),
 )
-"""Every rule that makes the tube safe by itself."""
+"""All rules that force the safe state."""
 
 
 def refuse(
     state: TubeState, command: Command, limits: LimitsInForce, now_s: float, rules: tuple[Rule, ...] = RULES
 ) -> None:
-    """Raise InterlockRefused with the first rule that a command breaks; return where it breaks none."""
+    """Raise InterlockRefused for the first rule that a command breaks."""
     for rule in rules:
         if sentence := rule.breach(state, command, limits, now_s):
             raise InterlockRefused(sentence, rule=rule.name)
@@ -222,23 +222,23 @@ def refuse(
 def alarm(
     state: TubeState, limits: LimitsInForce, now_s: float, reactions: tuple[Reaction, ...] = REACTIONS
 ) -> str | None:
-    """Return why the tube must be made safe now, in a sentence; None where it need not."""
+    """Return the sentence of the first reaction that requires the safe state; None if there is none."""
     return next((why for one in reactions if (why := one.reason(state, limits, now_s))), None)
 
 
 Watcher = Callable[[TubeState, float], None]
-"""Called as watcher(state, now_s) with the state that held until now, at every change."""
+"""Called as watcher(state, now_s) with the previous state, at every change."""
 
 
 class Interlock:
-    """A state machine between whoever asks and the tube.
+    """State machine that permits or refuses commands to the tube.
 
     Parameters
     ----------
     limits
         The limits in force.
     rules, reactions
-        The rules; all of them, but for a test of what each is for.
+        The rules; subsets only in tests.
     clock
         Monotonic time, s.
     """
@@ -258,33 +258,33 @@ class Interlock:
 
     @property
     def state(self) -> TubeState:
-        """What may be true of the tube now."""
+        """Worst-case state of the tube."""
         return self._state
 
     def watch(self, watcher: Watcher) -> None:
-        """Call a watcher at every change, before it."""
+        """Call a watcher before every change of state."""
         self._watchers.append(watcher)
 
     def foresee(self, *commands: Command, state: TubeState | None = None) -> None:
-        """Refuse (InterlockRefused) commands that would be refused one after the other, from a state on."""
+        """Check a sequence of commands from a state on, without effect; a refused one is InterlockRefused."""
         state = self._state if state is None else state
         for command in commands:
             refuse(state, command, self.limits, self._clock(), self._rules)
-            state = command.ordered(state)
+            state = command.state_when_sent(state)
 
     def permit(self, command: Command) -> None:
-        """Let a command pass, which then counts as done, or refuse it (InterlockRefused)."""
+        """Permit a command, which then counts as done, or refuse it (InterlockRefused)."""
         with self._changing:
             refuse(self._state, command, self.limits, self._clock(), self._rules)
-            self._become(command.ordered(self._state))
+            self._become(command.state_when_sent(self._state))
 
     def tell(self, event: Event) -> None:
-        """Hear what was read, seen or heard."""
+        """Update the state by an event."""
         with self._changing:
-            self._become(event.seen(self._state))
+            self._become(event.state_after(self._state))
 
     def alarm(self) -> str | None:
-        """Return why the tube must be made safe now, in a sentence; None where it need not."""
+        """Return the sentence of the first reaction that requires the safe state; None if there is none."""
         return alarm(self._state, self.limits, self._clock(), self._reactions)
 
     def _become(self, state: TubeState) -> None:

@@ -1,4 +1,4 @@
-"""Auxiliary meters: light meter and thermometer, read with every stack and never set."""
+"""Auxiliary meters of the bench, and the meter of the tube's dose."""
 
 import math
 import time
@@ -14,18 +14,18 @@ from labdata.limits import LimitsInForce
 from labdata.tube_dose import Dose, DoseLedger, dose_of, total_dose
 
 Reading = tuple[Conditions, tuple[str, ...]]
-"""What was read, and one sentence for each meter that did not answer."""
+"""Conditions read, and one sentence for each meter that did not answer."""
 
 
 class AuxiliaryMeters:
-    """Light meter and thermometer, as far as they are there.
+    """Light meter and thermometer, if present.
 
     Parameters
     ----------
     drivers
-        The drivers of the bench, by role.
+        Drivers of the bench by role.
     meters
-        How to read them, and whether they are needed.
+        Use of the meters, and whether they are required.
     """
 
     def __init__(self, drivers: Mapping[Role, Any], meters: Meters) -> None:
@@ -33,14 +33,14 @@ class AuxiliaryMeters:
         self._meters, self._is_tuned = meters, False
 
     def prepare(self) -> None:
-        """Make sure of the meters that are needed; a BenchError where one is not what it should be."""
+        """Identify the required meters; a wrong instrument is a BenchError."""
         if self._light_meter is not None and self._meters.light_needed:
             self._tune(self._light_meter)
         if self._thermometer is not None and self._meters.temperature_needed:
             self._thermometer.identify()
 
     def read(self) -> Reading:
-        """Read them; one that is needed and does not answer is a BenchError."""
+        """Read the meters; a time-out of a required one is a BenchError."""
         known: dict[str, Any] = {}
         silent: list[str] = []
         for meter, read, needed in (
@@ -56,7 +56,7 @@ class AuxiliaryMeters:
         return Conditions(**known), tuple(silent)
 
     def read_light(self, meter: Any) -> dict[str, Any]:
-        """Read the light meter, and return conditions by name."""
+        """Read the light meter and return conditions by name."""
         if not self._is_tuned:
             self._tune(meter)
         watts, now_s = meter.power_w(), time.time()
@@ -73,14 +73,14 @@ class AuxiliaryMeters:
 
 
 LONGEST_S = 10.0
-"""A dose is written down at least so often while the gate is open, s: what a crash can lose."""
+"""Longest interval between writes of the dose while the gate is open, s; a crash loses no more."""
 
 
 class DoseMeter:
-    """Integrates the current that may have flowed and keeps it in the ledger of a tube.
+    """Integrates the largest possible current and appends the dose to the ledger of a tube.
 
-    It counts what may be true of the tube (`TubeState`), so that it errs on the side of too much; a state of which
-    nothing has been read yet is not counted.
+    It uses the worst case of the tube (`TubeState`), which overestimates the dose; a state of which
+    nothing has been read is not counted.
     """
 
     def __init__(self, ledger: DoseLedger, limits: LimitsInForce, *, session: str) -> None:
@@ -93,15 +93,15 @@ class DoseMeter:
 
     @property
     def failure(self) -> str | None:
-        """Why the dose cannot be written, in a sentence."""
+        """Sentence on why the dose cannot be written, or None."""
         if not self._unwritten or (error := self._writer.failure) is None:
             return None
         return f"the tube's dose must be written to {self._ledger.path}, got: {getattr(error, 'strerror', '') or error}"
 
     def watch(self, state: TubeState, now_s: float) -> None:
-        """Count the time that a state lasted until now; write it down once the gate is shut, or it lasts long.
+        """Add the time of a state until now; write the dose when the gate is shut or the state lasts long.
 
-        Nothing is raised or waited for: it may be the shutting of the gate that comes next.
+        Raises nothing and never waits, since the next command may be to shut the gate.
         """
         passed_s = 0.0 if self._last_s is None else now_s - self._last_s
         self._last_s = now_s
@@ -112,13 +112,13 @@ class DoseMeter:
             self._write()
 
     def flush(self, timeout_s: float) -> bool:
-        """Wait until what was counted so far is written or refused; return whether that is so."""
+        """Wait until the dose so far is written or refused; return whether it is."""
         return self._writer.flush(timeout_s)
 
     def close(self, timeout_s: float) -> str | None:
-        """Write what was counted since the last time; return why that failed, if it did."""
+        """Write the remaining dose; return the reason of a failure, or None."""
         self._write()
-        self._writer.put(None)  # what a disk refused is tried once more
+        self._writer.enqueue(None)  # retry what the disk refused
         if self._writer.flush(timeout_s):
             self._writer.close(timeout_s)
             return self.failure
@@ -126,11 +126,11 @@ class DoseMeter:
 
     def _write(self) -> None:
         if self._pending:
-            self._writer.put(total_dose(self._pending))
+            self._writer.enqueue(total_dose(self._pending))
         self._pending, self._pending_s = [], 0.0
 
     def _append(self, dose: Dose | None) -> None:
-        """Append to the ledger, with what a disk that refused has not taken yet; in the writer's thread."""
+        """Append to the ledger, with doses that the disk refused before; in the writer's thread."""
         self._unwritten += [] if dose is None else [dose]
         if not self._unwritten:
             return

@@ -1,4 +1,4 @@
-"""What a bench is made of: instruments, limits, calibrations and files; and the way to it."""
+"""Configuration of a bench, its opening, and the record of the last real one."""
 
 import json
 import os
@@ -23,12 +23,12 @@ if TYPE_CHECKING:
 
 
 FIELD_RATE_HZ = 60.0 / 1.001
-"""Fields per second of 525-line video, Hz: the gate opens once in each."""
+"""Field rate of 525-line video, Hz."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BenchSetup:
-    """One bench.
+    """Configuration of one bench.
 
     Parameters
     ----------
@@ -37,19 +37,19 @@ class BenchSetup:
     limits
         Limits in force.
     log
-        File to which every safety step is appended as a line of JSON.
+        File to which every safety step is appended as a JSON line.
     lamp
-        Calibration of the light source that the wires name; None: there is none, and a person sets the light.
+        Calibration of the light source named in the wires; None: a person sets the light.
     meters
-        How the auxiliary meters are read.
+        Use of the auxiliary meters.
     field_hz
-        Fields of the camera per second, Hz: the gate opens once in each.
+        Field rate of the camera, Hz; the gate opens once per field.
     gating
-        What triggers the gate.
+        Trigger of the gate.
     dose
-        Ledger of the tube; None: the dose is not recorded.
+        Dose ledger of the tube; None: the dose is not recorded.
     session
-        Name of the session, for readers of the ledger.
+        Name of the session, written to the ledger.
     """
 
     wires: InstrumentConfig
@@ -77,8 +77,8 @@ def open_bench(
 ) -> "BenchClient | LocalBench":
     """Return a bench, to be used in a `with` block.
 
-    Entering shuts the gate and switches the high voltage off before anything else; so does leaving, by an exception
-    too. A bench on serial ports lives in a server process of its own, which makes the tube safe when this process
+    Entering shuts the gate and switches the high voltage off first; so does leaving, also by an exception.
+    A bench on serial ports lives in a server process, which makes the tube safe when this process
     ends or hangs; this process does the same when the server ends or hangs.
 
     Parameters
@@ -86,9 +86,9 @@ def open_bench(
     wires, log, details
         See `BenchSetup`; details are its other fields.
     limits
-        What may never be exceeded. A plan's bare limits are completed by those of a tube that nobody described.
+        Limits in force, or those of a plan, which are completed by the defaults of an unknown tube.
     lines
-        Lines to the instruments by role, ready-made, where there are no serial ports; the bench then lives in this
+        Existing lines to the instruments by role, where there are no serial ports; the bench then lives in this
         process, and no other process makes the tube safe.
 
     Raises
@@ -110,7 +110,7 @@ def open_bench(
 
 
 def remember_bench(wires: InstrumentConfig) -> None:
-    """Keep the wires of a bench with the USB serial numbers of its ports; raises OSError where the disk refuses."""
+    """Save the wires of a bench with the USB serial numbers of its ports; OSError if the disk refuses."""
     adapters = usb_ports()
     numbers = {one.role: adapters.get(os.path.realpath(one.port)) for one in wires.instruments if one.port}
     path = _path()
@@ -119,7 +119,7 @@ def remember_bench(wires: InstrumentConfig) -> None:
 
 
 def last_bench() -> InstrumentConfig:
-    """Return the wires of the last real bench, each instrument at the port where its USB serial number is now."""
+    """Return the wires of the last real bench, each instrument at the present port of its USB serial number."""
     path = _path()
     try:
         kept = json.loads(path.read_text())
@@ -133,7 +133,7 @@ def last_bench() -> InstrumentConfig:
 
 
 def with_present_ports(wires: InstrumentConfig) -> InstrumentConfig:
-    """Return the same bench with instruments whose port is missing at the ports where they were found last time."""
+    """Return the wires with missing ports replaced by the present ports of their USB serial numbers."""
     try:
         numbers = json.loads(_path().read_text())["usb_serial_numbers"]
     except (OSError, ValueError, TypeError, KeyError):

@@ -31,7 +31,7 @@ KINDS: dict[str, tuple[str, ...]] = {
 
 
 def list_kinds() -> str:
-    """The kinds of file that can be read, in words."""
+    """Return the file endings that can be read, as text."""
     return ", ".join(ending for endings in KINDS.values() for ending in endings) + " or a Zarr array"
 
 
@@ -43,27 +43,27 @@ def read_frames(
     Parameters
     ----------
     path
-        The file; its ending says what kind it is.
+        The file; its ending determines the reader.
     plane
-        Colour plane to read where there are several: "r", "g", "b" or "luminance" of an RGB picture, "r", "g1",
-        "g2" or "b" of a mosaic. None: the luminance of an RGB picture (noted); a mosaic must be told. A number, from
-        0, is the plane along an axis that counts no frames.
+        Colour plane to read where there are several: "r", "g", "b" or "luminance" of an RGB image, "r", "g1",
+        "g2" or "b" of a mosaic. None: the luminance of an RGB image (noted); a mosaic needs a plane. A number, from
+        0, is the plane along an axis that does not count frames.
     axis
-        Number or name of the axis that counts frames, where the file does not say or says otherwise; "frame": the
-        first axis, if the file leaves it unnamed.
+        Number or name of the frame axis, where the file does not state it or states another; "frame": the
+        first axis, if the file does not name it.
     find_full_scale
-        Whether to look for the full scale in the data where the file does not state it.
+        Whether to find full scale from the data where the file does not state it.
 
     Returns
     -------
     FrameStack
-        Pixels as they are in the file, shape (frame, row, col); nothing subtracted, scaled or demosaiced. A border
-        that is not finite is cut off.
+        Pixels as in the file, shape (frame, row, col); nothing subtracted, scaled or demosaiced. A non-finite
+        border is cut off.
 
     Raises
     ------
     BadInput
-        If the file is missing, of no known kind, damaged, holds no frames, or does not say which axis counts them.
+        If the file is missing, of no known kind, damaged, without frames, or without a known frame axis.
     """
     path = Path(path)
     try:
@@ -76,7 +76,7 @@ def read_frames(
 
 
 def _stack(found: Recorded | FrameStack, plane: str | None, axis: str | None, name: str) -> FrameStack:
-    """Return the frames of what a reader found."""
+    """Return the frames of a reader's result."""
     if isinstance(found, FrameStack):
         if plane not in (None, "mono"):
             raise BadInput(f"a plane can only be taken of a colour picture or a mosaic, got plane {plane!r} of {name}")
@@ -94,7 +94,7 @@ def _stack(found: Recorded | FrameStack, plane: str | None, axis: str | None, na
 
 
 def _black_dn(found: Recorded, plane: str) -> float | None:
-    """Return the black level of the plane that was taken."""
+    """Return the black level of the selected plane."""
     if len(found.black_dn) < 2 or found.pattern is None:
         return found.black_dn[0] if found.black_dn else None
     from labdata.importers.colour_planes import planes_of
@@ -104,14 +104,14 @@ def _black_dn(found: Recorded, plane: str) -> float | None:
 
 
 def module_of(path: Path) -> str | None:
-    """Return the module of this package that reads a file of such a name; None of an unknown ending."""
+    """Return the reader of a file by its ending; None for an unknown ending."""
     name = path.name.lower()
     return next((module for module, endings in KINDS.items() if name.endswith(endings)), None)
 
 
 def reader_of(path: Path) -> Callable[[Path], Recorded | FrameStack]:
-    """Return the function that reads a file or folder; one that is neither, or of no known kind, is a BadInput."""
-    if not os.path.isdir(path):  # Path.is_dir raises on names that no disk takes
+    """Return the function that reads a file or folder; an unknown kind is a BadInput."""
+    if not os.path.isdir(path):  # Path.is_dir raises on names that no file system accepts
         require_regular(path, "a file of frames")
     if (path / "zarr.json").is_file():
         module = "array_files.read_zarr"

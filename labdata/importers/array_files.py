@@ -1,4 +1,4 @@
-"""NumPy arrays in .npy files: (row, col), (frame, row, col) or (row, col, colour)."""
+"""Readers of array files: NumPy, Zarr and HDF5."""
 
 import warnings
 from collections.abc import Iterator
@@ -14,14 +14,14 @@ from labdata.importers.decompression_limit import require_room
 
 
 def read_npy(path: Path) -> Recorded:
-    """Map an array into memory, its pixels read as they are needed; see `labdata.importers.read_frames`."""
+    """Map a .npy array into memory; see `labdata.importers.read_frames`."""
     try:
         with warnings.catch_warnings(action="ignore"):
-            # A file without pixels cannot be mapped.
+            # An empty file cannot be mapped.
             data = np.load(path, mmap_mode="r" if path.stat().st_size else None, allow_pickle=False)
     except MemoryError:
         raise
-    except Exception:  # a damaged header is read as Python, and fails in as many ways
+    except Exception:  # a damaged header is parsed as Python and can raise anything
         data = None
     if not isinstance(data, np.ndarray):
         raise BadInput(
@@ -79,12 +79,12 @@ def read_hdf5(path: Path) -> Recorded:
 
 
 def _other_files(array) -> Iterator[str]:
-    """Yield the files, if any, in which the pixels of an array lie instead of its own."""
+    """Yield the external files, if any, that contain the pixels of an array."""
     yield from (name for name, *_ in array.external or ())
     yield from (source.file_name for source in (array.virtual_sources() if array.is_virtual else ()))
 
 
 def _collect(item, arrays: list, kind: type) -> None:
-    """Add an array of numbers with two axes or more."""
+    """Collect arrays of numbers with at least two axes."""
     if isinstance(item, kind) and item.ndim >= 2 and item.dtype.kind in "uif":
         arrays.append(item)

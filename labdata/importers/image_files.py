@@ -1,4 +1,4 @@
-"""Single pictures of common kinds: PNG, JPEG, BMP, PGM and PPM, 8 or 16 bits, unchanged."""
+"""Readers of image files: PNG, JPEG, BMP, PGM and PPM, camera raw, and AVI video."""
 
 import io
 import struct
@@ -15,7 +15,7 @@ from labdata.importers.decompression_limit import require_memory, require_pictur
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 SIGNATURES = {"PNG": (PNG_SIGNATURE,), "JPEG": (b"\xff\xd8",), "BMP": (b"BM",), "PPM": (b"P2", b"P3", b"P5", b"P6")}
-"""First bytes by the kind's name in Pillow; bilevel pictures (P1, P4) measure no light."""
+"""First bytes by Pillow's name of the kind; bilevel images (P1, P4) are refused."""
 
 IMAGE_KINDS = {".jpg": "JPEG", ".jpeg": "JPEG", ".bmp": "BMP", ".png": "PNG"}
 
@@ -37,15 +37,15 @@ def read_image(path: Path) -> Recorded:
 
 
 def _decode(content: bytes, kind: str, path: Path) -> NDArray | None:
-    """Return the pixels, red first; None of a file that is cut or damaged.
+    """Return the pixels, red first; None for a truncated or damaged file.
 
-    Pillow finds the ends of JPEG and BMP that OpenCV fills in silence; OpenCV keeps 16 bits of colour.
+    Pillow detects truncated JPEG and BMP files, which OpenCV completes silently; OpenCV keeps 16 bits of colour.
     """
     from PIL import Image
 
     try:
         Image.init()
-        # Its own bound on sizes, which Image.open holds to, is below that of large cameras.
+        # The size limit of Image.open is below the size of large cameras.
         with warnings.catch_warnings(action="ignore"), Image.OPEN[kind][0](io.BytesIO(content), "") as picture:
             columns, rows = picture.size
             require_picture(rows, columns, path.name)
@@ -67,11 +67,11 @@ def _decode(content: bytes, kind: str, path: Path) -> NDArray | None:
 
 
 def _check_png(content: bytes, path: Path) -> None:
-    """Refuse a picture whose chunks are not what was written: the decoder would fill in what it lacks in silence.
+    """Require intact PNG chunks, since the decoder fills missing data silently.
 
     Notes
     -----
-    A chunk is its length, its type, its data and the CRC-32 of type and data; IHDR comes first and IEND last (W3C,
+    A chunk has length, type, data and the CRC-32 of type and data; IHDR is the first and IEND the last (W3C,
     Portable Network Graphics, section 5).
     """
     at, kind = len(PNG_SIGNATURE), b""
@@ -93,7 +93,7 @@ def read_raw(path: Path) -> Recorded:
 
     Notes
     -----
-    A plane of a 2x2 mosaic has half the rows and columns of the sensor, so its column pitch is two of the sensor's.
+    A plane of a 2x2 mosaic has half the rows and columns of the sensor, so its column pitch is two sensor pitches.
     The black level is recorded, not subtracted.
     """
     import rawpy
@@ -105,7 +105,7 @@ def read_raw(path: Path) -> Recorded:
             require_room(path, pixels=raw.sizes.raw_height * raw.sizes.raw_width, pixel_bytes=2)
             raw.unpack()
             return _mosaic(raw, path)
-    except (rawpy.LibRawError, NotImplementedError) as error:  # the latter of a mosaic that is told by no pattern
+    except (rawpy.LibRawError, NotImplementedError) as error:  # the latter: a mosaic without a pattern
         reason = error.args[0] if error.args else "unknown"
         reason = reason.decode(errors="replace") if isinstance(reason, bytes) else reason
         raise BadInput(f"a raw file must be whole and of a known camera, got {path}: {reason}") from None
@@ -130,7 +130,7 @@ def _mosaic(raw, path: Path) -> Recorded:
 
 
 LOSSLESS = ("", "DIB ", "RGB ", "RAW ", "Y800", "GREY", "Y8  ", "FFV1", "HFYU", "FFVH", "MPNG")
-"""FourCC codes of pixels stored as they are or packed without loss."""
+"""FourCC of lossless codecs."""
 
 
 def read_video(path: Path) -> Recorded:
@@ -160,7 +160,7 @@ def read_video(path: Path) -> Recorded:
     packing = code.to_bytes(4, "little").decode("latin-1").strip("\0").upper()
     notes = () if packing in LOSSLESS else (lossy_note(f"the video's {packing}"),)
     data = np.stack(frames)
-    if data.ndim == 4 and (data == data[..., :1]).all():  # OpenCV hands grey over three times
+    if data.ndim == 4 and (data == data[..., :1]).all():  # OpenCV returns grey as three equal colours
         data = data[..., 0]
     if data.ndim == 3:
         return Recorded(data=data, names=(FRAME, ROW, COL), notes=notes)

@@ -221,7 +221,7 @@ class Doubtful:
             def enough(self):
                 return "enough seen" if step.until and judge.seen[step.label] >= judge.enough_after else None
 
-            def saturated(self):
+            def is_saturated(self):
                 return (step.conditions.illuminance_lux or 0.0) > judge.saturates_lux
 
             def complaint(self):

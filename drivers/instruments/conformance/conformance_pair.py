@@ -11,11 +11,11 @@ from drivers.serial_lines.port import ANSWER_S
 from labdata.instrument_config import Role
 
 WRONGS = ("silent", "mute", "garbage", "half-lines", "late", "unplugged", "power-cycle", "trip", "panel")
-"""What a pair can be made to suffer; a late answer comes 0.6 s after its time, "panel" changes a setting by hand."""
+"""Faults of a pair; a late reply comes 0.6 s after its time, "panel" changes a setting by hand."""
 
 
 class ConformancePair(Protocol):
-    """A driver's model and an instrument that it can be tried on, at rest when a rule begins."""
+    """A driver's model and an instrument to test it on, in the safe state when a rule begins."""
 
     @property
     def model(self) -> InstrumentModel:
@@ -23,15 +23,15 @@ class ConformancePair(Protocol):
         ...
 
     def driver(self) -> Any:
-        """Open the line anew, after closing the one before, and return a driver on it."""
+        """Close the line, open a new one, and return a driver on it."""
         ...
 
     def outputs(self) -> Mapping[str, Any]:
-        """What the instrument puts out now, beside its line: gate_open, gate_ns, mcp_v, position, current_a, ..."""
+        """Physical outputs of the instrument: gate_open, gate_ns, mcp_v, position, current_a, ..."""
         ...
 
     def suffer(self, wrong: str, setting: str = "") -> None:
-        """Begin one of `WRONGS`, all others ended.
+        """Begin one of `WRONGS` and end all others.
 
         "panel" needs a setting: of a gate "source", "idle level", "width" or "busy" (every second trigger is lost), of
         a supply "voltage" or "on".
@@ -39,7 +39,7 @@ class ConformancePair(Protocol):
         ...
 
     def heal(self) -> None:
-        """End what is wrong, and clear a trip as a person at the instrument would."""
+        """End all faults, and clear a trip as at the instrument."""
         ...
 
 
@@ -48,7 +48,7 @@ _RULES: dict[Role | None, list[Rule]] = {}
 
 
 def rule_of(role: Role | None) -> Callable[[Rule], Rule]:
-    """Enter a rule among those of a role; None: of every instrument."""
+    """Register a rule for a role; None: for every instrument."""
 
     def enter(rule: Rule) -> Rule:
         _RULES.setdefault(role, []).append(rule)
@@ -58,19 +58,19 @@ def rule_of(role: Role | None) -> Callable[[Rule], Rule]:
 
 
 def rules_for(model: InstrumentModel) -> tuple[Rule, ...]:
-    """Return the rules that hold for a model: those of every instrument, and those of its role."""
+    """Return the rules of a model: those of every instrument, and those of its role."""
     return (*_RULES[None], *_RULES[model.role])
 
 
 def identify_driver(pair: ConformancePair) -> Any:
-    """Return a driver that knows who answers."""
+    """Return a driver with identified instrument."""
     driver = pair.driver()
     driver.identify()
     return driver
 
 
 def must_raise(kind: type[Exception], action: Callable[[], object]) -> None:
-    """Demand that an action ends in an error of a kind."""
+    """Require that an action raises an error of a kind."""
     try:
         result = action()
     except kind:
@@ -79,7 +79,7 @@ def must_raise(kind: type[Exception], action: Callable[[], object]) -> None:
 
 
 def wait_for(there: Callable[[], bool], within_s: float = 5.0) -> None:
-    """Wait until something is so."""
+    """Wait until a condition is true."""
     deadline_s = time.monotonic() + within_s
     while not there():
         assert time.monotonic() < deadline_s, f"the outputs must follow within {within_s:g} s"
@@ -87,7 +87,7 @@ def wait_for(there: Callable[[], bool], within_s: float = 5.0) -> None:
 
 
 def discard_log(step: str, **details: object) -> None:
-    """Nobody keeps a log of the trial."""
+    """Discard a step of the safe action."""
 
 
 PATIENCE_S = 1.0
@@ -184,5 +184,5 @@ def _new_driver(pair: ConformancePair) -> tuple[Any, str]:
 
 
 def _probe(pair: ConformancePair, driver: Any) -> None:
-    """One question that changes nothing; a supply at rest is not asked whether it is on."""
+    """Send a query without side effect; a supply that is off has no on state to check."""
     driver.read_voltage_v() if pair.model.role == "supply" else driver.look()
