@@ -7,11 +7,10 @@ from pathlib import Path
 
 from charact.method import Context
 from charact.method.cluster import Spread
-from labdata.digest import sha256_of
+from labdata.camera_description import Parameter
 from labdata.errors import BadInput
 from labdata.measurement import Measurement, Result
-from labdata.parameter import Parameter
-from labdata.session import MANIFEST, Session, StackEntry, open_session
+from labdata.session import MANIFEST, Session, StackEntry, open_session, sha256_of
 
 Progress = Callable[[str, float], None]
 Task = Callable[[Context], Result]

@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING
 from charact.cli.cameras import camera_named
 from charact.cli.output import print_message
 from charact.cli.progress import Progress
-from labdata.dose_ledger import DoseLedger, ledger_of
 from labdata.errors import BadInput
 from labdata.instrument_config import InstrumentConfig, Role
 from labdata.limits import limits_in_force
 from labdata.plan import Plan
 from labdata.sensor import Sensor
 from labdata.session import Session
-from labdata.tube_dose import warnings
+from labdata.tube_dose import DoseLedger, ledger_of, warnings
 
 if TYPE_CHECKING:
     from drivers.bench.client import BenchClient

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from charact.method import Context
-from labdata.atomic_write import write_atomically
 from labdata.errors import BadInput
+from labdata.file_io import write_atomically
 from labdata.measurement import Result
 from labdata.session import Session
 

@@ -62,7 +62,7 @@ class StackWatcher:
             f"DN is known within {half_dn:.2g} DN, asked were {until.mean_within_dn:g}"
         )
 
-    def saturated(self) -> bool:
+    def is_saturated(self) -> bool:
         """Whether more than a hundredth of the pixels are at the highest code."""
         return self._share > SHARE_SATURATED
 

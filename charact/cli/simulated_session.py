@@ -38,7 +38,7 @@ def save_frames(
     progress: Callable[[str, float], None] = lambda sentence, share: None,
 ) -> None:
     """Expose frames and keep them as a session, each written before the next is drawn."""
-    from labdata.atomic_write import write_atomically
+    from labdata.file_io import write_atomically
     from labdata.sensors import save_sensor
     from labdata.store import SessionWriter
 
@@ -66,7 +66,7 @@ def save_frames(
 def _save_view(view: "RenderedView", out: Path) -> None:
     """Keep what a scene out of doors shows: its radiance as a picture, the truth of each pixel, and the plan."""
     from charact.cli.radiance_image import save_radiance
-    from labdata.atomic_write import write_atomically
+    from labdata.file_io import write_atomically
 
     out.mkdir(parents=True, exist_ok=True)
     save_radiance(view.picture.cube, view.title, out / "radiance.png")

@@ -11,7 +11,7 @@ from charact.report.emva import emva_summary
 from charact.report.extent_figure_data import add_extent_data
 from charact.report.report_images import aspect_of, representative
 from charact.report.truth import Truth, compare_with_truth
-from labdata.atomic_write import write_atomically
+from labdata.file_io import write_atomically
 from labdata.limits import OVERRIDDEN
 from labdata.measurement import Posterior, Result
 from labdata.session import Session

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from labdata.camera_description import Parameter
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from labdata.parameter import Parameter
 from labdata.sensor import Sensor
 from simulate.iiccd import tube_photometry
 from simulate.iiccd.automatic_controls import SET_LEVEL, AutomaticGain, BrightnessControl

@@ -7,9 +7,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from labdata.calibration import LampCalibration
 from labdata.errors import BadInput
 from labdata.instrument_config import InstrumentConfig, InstrumentConnection, Role
-from labdata.lamp_calibration import LampCalibration
 from labdata.sensor import Sensor
 from simulate.virtual_bench import aravis_library
 from simulate.virtual_bench.camera import CameraProcess

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from labdata.calibration import LampCalibration
+from labdata.camera_description import Parameter
 from labdata.errors import BadInput
-from labdata.lamp_calibration import LampCalibration
-from labdata.parameter import Parameter
 from labdata.sensor import Sensor
 from labdata.serialiser import from_toml, to_toml
 from simulate.virtual_bench.outputs import METER_RELATIVE_SD, Outputs, TargetPlacement, replace_file

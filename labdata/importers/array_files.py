@@ -1,18 +1,57 @@
-"""HDF5: the only or the largest array of pictures in the file, its axes by their labels."""
+"""Readers of array files: NumPy, Zarr and HDF5."""
 
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
 from labdata.errors import BadInput
-from labdata.importers.axes import axes_of_labels
+from labdata.file_io import require_regular, require_regular_parts
+from labdata.frames import FrameStack
+from labdata.importers.axes import Recorded, axes_of_labels, names_of_shape
 from labdata.importers.decompression_limit import require_room
-from labdata.importers.recorded import Recorded
-from labdata.regular_file import require_regular
 
 
-def read(path: Path) -> Recorded:
+def read_npy(path: Path) -> Recorded:
+    """Map a .npy array into memory; see `labdata.importers.read_frames`."""
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            # An empty file cannot be mapped.
+            data = np.load(path, mmap_mode="r" if path.stat().st_size else None, allow_pickle=False)
+    except MemoryError:
+        raise
+    except Exception:  # a damaged header is parsed as Python and can raise anything
+        data = None
+    if not isinstance(data, np.ndarray):
+        raise BadInput(
+            "a .npy file must hold one whole array of numbers, got something else, or fewer pixels than its header "
+            f"states, in {path}"
+        )
+    return Recorded(data=data, names=names_of_shape(data.shape))
+
+
+def read_zarr(path: Path) -> Recorded | FrameStack:
+    """Read a whole Zarr array; see `labdata.importers.read_frames`."""
+    from labdata import store
+
+    if store.is_ours(path):
+        return store.read(path)
+    import zarr
+
+    require_regular_parts(path, "a Zarr array")
+    try:
+        array = zarr.open_array(path, mode="r")
+        require_room(path, pixels=array.size, pixel_bytes=array.dtype.itemsize)
+        labels = getattr(array.metadata, "dimension_names", None) or ()
+        return Recorded(data=np.asarray(array[...]), names=axes_of_labels(labels, array.shape))
+    except (BadInput, MemoryError):
+        raise
+    except Exception:
+        raise BadInput(f"a folder of frames must be a readable Zarr array, got {path}") from None
+
+
+def read_hdf5(path: Path) -> Recorded:
     """Read an array of two axes or more; see `labdata.importers.read_frames`."""
     try:
         import h5py  # pyright: ignore[reportMissingImports]
@@ -40,12 +79,12 @@ def read(path: Path) -> Recorded:
 
 
 def _other_files(array) -> Iterator[str]:
-    """Yield the files, if any, in which the pixels of an array lie instead of its own."""
+    """Yield the external files, if any, that contain the pixels of an array."""
     yield from (name for name, *_ in array.external or ())
     yield from (source.file_name for source in (array.virtual_sources() if array.is_virtual else ()))
 
 
 def _collect(item, arrays: list, kind: type) -> None:
-    """Add an array of numbers with two axes or more."""
+    """Collect arrays of numbers with at least two axes."""
     if isinstance(item, kind) and item.ndim >= 2 and item.dtype.kind in "uif":
         arrays.append(item)
