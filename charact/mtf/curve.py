@@ -1,4 +1,4 @@
-"""From draws of an MTF to what is reported: the curve with its intervals, and where it falls to a level."""
+"""MTF curves and crossing frequencies from posterior draws."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,13 +7,13 @@ from labdata.measurement import QUANTILES, Curve
 
 Array = NDArray[np.float64]
 
-# Frequencies of a reported curve, and the finer ones on which levels are looked for.
+# Frequencies of a reported curve, and the finer grid for crossing frequencies, cy/px.
 REPORTED = np.linspace(0.0, 0.5, 101)
 FINE = np.concatenate([[1e-6], np.geomspace(0.003, 1.5, 230)])
 
 
 def curve_of(frequency: Array, draws: Array) -> Curve:
-    """Return median and pointwise intervals of drawn curves (draw, frequency)."""
+    """Return median and pointwise credible intervals of drawn curves, shape (draw, frequency)."""
     low95, low68, middle, high68, high95 = quantiles(draws, QUANTILES)
     return Curve(
         frequency_cy_per_px=frequency,
@@ -25,7 +25,7 @@ def curve_of(frequency: Array, draws: Array) -> Curve:
 
 
 def quantiles(draws: Array, shares: tuple[float, ...]) -> Array:
-    """Return quantiles of draws (draw, ...), shape (share, ...), as `numpy.quantile` does, by sorting once."""
+    """Return quantiles of draws (draw, ...), shape (quantile, ...); equal to `numpy.quantile`, with a single sort."""
     ordered = np.sort(np.ascontiguousarray(draws.T)).T
     place = np.asarray(shares) * (len(draws) - 1)
     low = np.minimum(place.astype(int), max(len(draws) - 2, 0))
@@ -34,7 +34,7 @@ def quantiles(draws: Array, shares: tuple[float, ...]) -> Array:
 
 
 def crossing_frequency(frequency: Array, curves: Array, level: float) -> Array:
-    """Return the lowest frequency at which each curve falls to a level, NaN where it never does.
+    """Return the lowest frequency at which each curve falls to a level, NaN where it does not.
 
     Parameters
     ----------
@@ -54,5 +54,5 @@ def crossing_frequency(frequency: Array, curves: Array, level: float) -> Array:
     return np.where(found, crossing, np.nan)
 
 
-# Frequencies at which the MTF is also given as a measurement of its own.
+# Frequencies at which the MTF is reported as a quantity of its own, cy/px.
 PINNED = (0.1, 0.2, 0.3)

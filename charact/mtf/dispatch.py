@@ -1,4 +1,4 @@
-"""The one door to the MTF methods: choose one, check what was asked, hand over."""
+"""Entry points of the MTF methods: method choice, argument checks and notes."""
 
 from dataclasses import replace
 from typing import Any
@@ -12,11 +12,11 @@ from labdata.frames import FrameStack
 from labdata.measurement import Measurement, Result
 from labdata.session import Session
 
-# The chart's cases have one blur each. A described camera is a cascade of stages, some known within a range only. On
-# edges of 38 simulated specimens MTF10 by forms alone was off by 1.6 standard errors (rms), by departures from a form
-# and a video whose bandwidth is found by 0.7. Points by forms have not been held against specimens.
+# Default methods for a camera with a sensor description. Its stages are known within ranges, which the chart's cases,
+# of one blur each, do not represent: on edges of 38 simulated cameras MTF10 erred by 1.6 standard uncertainties (rms)
+# with parametric models alone and by 0.7 with model departures and a free video bandwidth.
 FOR_DESCRIBED_CAMERAS = {"edge": "edge-forward", "point": "point-forward"}
-# What `auto` takes where the data reject every form of its first method.
+# Fallback of `auto` where the data reject every blur model of the first method.
 WITHOUT_MODEL = {"edge-parametric": "edge-free"}
 
 
@@ -39,21 +39,21 @@ def measure(
     stack
         Frames of the target.
     region
-        ROW, COL, HEIGHT, WIDTH in px; None: the target is looked for in the whole frame.
+        ROW, COL, HEIGHT, WIDTH, px; None: the whole frame.
     method
         Name of a registered method, or "auto".
     within_percent
-        Tolerance that "auto" must meet, percent; a note says so where a number's own interval reaches further.
+        Tolerance that "auto" must meet, percent; a note states where an interval exceeds it.
     context
         Seed, speed and camera.
     target
-        For bars, if known, `bars`, their number, and `frequency_cy_per_px`; for a point, if known, its diameter
+        For bars, if known, their number `bars` and `frequency_cy_per_px`; for a point, if known, its diameter
         `pinhole_px` in column pitches.
 
     Raises
     ------
     BadInput
-        If the kind or method is unknown, the region leaves the image, or what is stated of bars cannot be.
+        If the kind or method is unknown, the region leaves the frame, or the stated bars are impossible.
     """
     if kind not in ("edge", "bars", "point"):
         raise BadInput(f"a target must be an edge, bars or a point, got {kind!r}")
@@ -77,7 +77,7 @@ def measure(
 
 
 def _is_model_rejected(found: Result, chosen: Method) -> bool:
-    """Tell whether the data reject the form that a method fitted."""
+    """Return whether the data reject the blur model of a method."""
     return any("model-misfit" in one.flags for one in found.find(chosen.quantities[0]))
 
 
@@ -87,12 +87,12 @@ def _note_without_model(found: Result) -> Result:
 
 
 def measure_flats(session: Session, *, method: str = "auto", within_percent: float = 2.0, context: Context) -> Result:
-    """Measure the MTF after the gain from the flats of a session.
+    """Measure the post-gain MTF from the flats of a session.
 
     Parameters
     ----------
     session
-        Session with at least one flat stack; darks make it surer.
+        Session with at least one flat stack; dark stacks improve the precision.
     method, within_percent
         Name of a registered method of the kind "post-gain", or "auto" and its tolerance, percent.
     context
@@ -101,7 +101,7 @@ def measure_flats(session: Session, *, method: str = "auto", within_percent: flo
     Raises
     ------
     BadInput
-        If there is no flat, the method is unknown or the images are too small.
+        If there is no flat, the method is unknown or the frames are too small.
     """
     chosen = choose("post-gain", method, within_percent=within_percent)
     if not session.of_kind("flat"):
@@ -110,7 +110,7 @@ def measure_flats(session: Session, *, method: str = "auto", within_percent: flo
 
 
 def _with_notes(found: Result, counted: FrameStack, given: FrameStack) -> Result:
-    """Return a result that tells what frames did not count, whether or not its method passes a stack's notes on."""
+    """Add the notes on frames that do not count, unless the method passed them on."""
     notes = counted.notes[len(given.notes) :]
 
     def add_notes(one: Measurement) -> Measurement:
@@ -120,7 +120,7 @@ def _with_notes(found: Result, counted: FrameStack, given: FrameStack) -> Result
 
 
 def _note_tolerance(found: Result, chosen: Method, within_percent: float) -> Result:
-    """Return a result whose numbers of the charted quantity say where the tolerance asked for may not be met."""
+    """Add a note to measurements of the charted quantity whose interval exceeds the tolerance."""
 
     def note_one(one: Measurement) -> Measurement:
         if one.quantity != chosen.quantities[0] or one.status == "refused":
@@ -132,7 +132,7 @@ def _note_tolerance(found: Result, chosen: Method, within_percent: float) -> Res
 
 
 def _record_plane(found: Result, plane: str) -> Result:
-    """Return a result whose provenance says which colour plane was measured."""
+    """Record the colour plane in the provenance."""
     told = (
         m
         if m.provenance is None

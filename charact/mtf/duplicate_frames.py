@@ -1,4 +1,4 @@
-"""Frames that a stalled grabber delivers again: they hold no noise of their own and count once."""
+"""Removal of identical frames, which a stalled grabber delivers repeatedly."""
 
 from collections import defaultdict
 from dataclasses import replace
@@ -12,10 +12,10 @@ LOOKED_AT = 8
 
 
 def drop_duplicate_frames(stack: FrameStack) -> FrameStack:
-    """Return a stack without frames that repeat an earlier one code for code; a note says how many those were.
+    """Return a stack without frames identical to an earlier one, with a note of their number.
 
-    Noise never draws a whole frame twice. A mean over repeats is no surer than that over what is not repeated, and
-    noise taken from their differences would be too small, or none.
+    Noise never produces two identical frames. Identical frames would make the noise, estimated from frame differences,
+    too small.
     """
     first = _distinct_indices(stack)
     frames = len(stack)
@@ -30,7 +30,7 @@ def drop_duplicate_frames(stack: FrameStack) -> FrameStack:
 
 
 def _distinct_indices(stack: FrameStack) -> list[int]:
-    """Return the numbers of the frames that repeat none before them."""
+    """Return the indices of the frames that equal none before them."""
     step = max(1, stack.shape[1] // LOOKED_AT)
     alike: dict[bytes, list[int]] = defaultdict(list)
     first = []

@@ -1,4 +1,4 @@
-"""Numbers that the description of a camera may move: wider where a method takes for exact what is a range."""
+"""Intervals widened by the uncertainty of the described video filter."""
 
 from collections.abc import Callable
 
@@ -15,15 +15,14 @@ LEVELS = {"mtf50": 0.5, "mtf10": 0.1}
 def flag_filter_uncertainty(
     found: Measurement, doubt: Callable[[Array], Array] | None, crossing: Callable[[float], float]
 ) -> Measurement:
-    """Return a number, its intervals wider by what one standard deviation of the description moves it.
+    """Return a measurement whose intervals include the systematic uncertainty of the known transfer.
 
     Parameters
     ----------
     found
-        An MTF at a frequency, or the frequency of an MTF; any other quantity comes back as it is.
+        An MTF at a frequency, MTF50 or MTF10; other quantities are returned unchanged.
     doubt
-        From frequencies, cy/px, to the share of the MTF by which one standard deviation of what is taken for exact
-        moves it, shape (f,) -> (f,); None: nothing is taken so.
+        Relative standard uncertainty of the known transfer at frequencies, cy/px, shape (f,) -> (f,); None: exact.
     crossing
         From a level to the frequency at which the measured MTF falls to it, cy/px.
     """

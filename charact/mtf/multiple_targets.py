@@ -1,4 +1,4 @@
-"""All targets of one frame measured, each in the region where it was found."""
+"""Measurement of all targets of one frame, each in the region where it is found."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -16,14 +16,14 @@ from labdata.errors import BadInput
 from labdata.frames import FrameStack
 from labdata.measurement import Measurement, Result
 
-# One curve of a region is called so: the curve's own name, then this.
+# Suffix of a curve's name that states its region.
 REGION_NAME = ":{},{},{},{}"
 NAMES = {"edge": "edges", "bars": "groups of bars", "point": "points"}
 
 
 @dataclass(frozen=True, kw_only=True)
 class LocatedTarget:
-    """A target found: its region and what its method is told of it."""
+    """A located target: its region and the arguments for its method."""
 
     region: Region
     told: dict[str, Any] = field(default_factory=dict)
@@ -45,18 +45,18 @@ def measure_all(
     Parameters
     ----------
     kind, stack, method, within_percent, context, target
-        As for `measure`; for bars `frequency_cy_per_px` may be None: it is found.
+        As for `measure`; for bars `frequency_cy_per_px` may be None: it is measured.
     at_most
-        Most targets that are measured; a note says how many were left out. Of edges and points the most promising one
-        of every part of the frame comes first, then the second of every part; of bars the clearest groups.
+        Maximum number of targets measured; a note states how many are not. Edges and points are taken from all parts of
+        the frame, the clearest of each part first; bar groups by clarity.
 
     Returns
     -------
     Result
-        The measurements of every region in reading order. Curves carry their region, as in "mtf:100,200,80,60"; the
-        curve "mtf" is the one known best, which a note on its measurements says. Of bars "mtf" and "mtf_vertical" go
-        through the groups along rows and along columns, with an `mtf50` each and no region, where groups of two
-        frequencies are sound. Of a frame with one target or none the result is that of `measure`.
+        Measurements of every region in reading order. Curves carry their region, as in "mtf:100,200,80,60"; the curve
+        "mtf" is the most precise one, as a note states. For bars "mtf" and "mtf_vertical" pass through the groups along
+        rows and along columns, with an `mtf50` each and no region, where groups of two frequencies are ok. For a frame
+        with at most one target the result is that of `measure`.
 
     Raises
     ------
@@ -86,7 +86,7 @@ def measure_all(
 
 
 def targets(kind: str, stack: FrameStack, context: Context, **target: Any) -> list[LocatedTarget]:
-    """Return the targets of a kind in a frame, the most promising first."""
+    """Return the targets of a kind in a frame, the clearest first."""
     if kind == "edge":
         return [LocatedTarget(region=edge.region) for edge in find_edges(stack)]
     if kind == "point":
@@ -95,7 +95,7 @@ def targets(kind: str, stack: FrameStack, context: Context, **target: Any) -> li
     if kind == "bars":
         ratio = {0.0: 1.0, 90.0: context.pitch_ratio}
         return [
-            # Bars that lie along rows repeat so often per row; methods count column pitches.
+            # The detector counts cycles per sample, the methods cycles per column pitch.
             LocatedTarget(
                 region=group.region,
                 told={
@@ -109,10 +109,9 @@ def targets(kind: str, stack: FrameStack, context: Context, **target: Any) -> li
 
 
 def spread_over_frame(found: list[LocatedTarget], shape: tuple[int, ...], at_most: int) -> list[LocatedTarget]:
-    """Order targets, given best first, so that the first `at_most` lie all over the frame as far as there are any.
+    """Order targets, given best first, so that the first `at_most` cover the frame.
 
-    The frame is cut into as many rows and columns of parts as give each target one; the best of every part comes
-    before the second of any.
+    The frame is divided into about `at_most` parts; the best target of every part precedes the second of any.
     """
     parts = int(np.ceil(np.sqrt(at_most)))
     taken: Counter[tuple[int, ...]] = Counter()
@@ -127,7 +126,7 @@ def spread_over_frame(found: list[LocatedTarget], shape: tuple[int, ...], at_mos
 
 
 def _merge_results(results: list[Result], chosen: list[LocatedTarget], left_out: int, kind: str) -> Result:
-    """Return one result of several regions, its first curves those of the region known best."""
+    """Merge the results of several regions; the unsuffixed curves are those of the most precise region."""
     best = min(range(len(results)), key=lambda number: _quality_rank(results[number]))
     merged = Result(curves=dict(results[best].curves))
     for number, (result, one) in enumerate(zip(results, chosen, strict=True)):
@@ -151,7 +150,7 @@ def _notes(best: bool, count: int, left_out: int, first: bool, kind: str, curves
 
 
 def _quality_rank(result: Result) -> tuple[int, float]:
-    """Order results: ok before suspect before refused, then by the width of the interval over the value."""
+    """Return a sort key: ok before suspect before refused, then the relative interval width."""
     leading: Measurement | None = next(iter(result.find("mtf50") or result.measurements), None)
     if leading is None or leading.value is None or leading.interval95 is None:
         return 2, np.inf

@@ -1,4 +1,4 @@
-"""Noise reduction that follows the picture: it leaves the noise where a target is steep and takes it from plateaus."""
+"""Detection of edge-preserving noise reduction from the noise on slopes and plateaus."""
 
 from dataclasses import dataclass
 
@@ -17,12 +17,12 @@ EXCESS = (1.25, 5.0)
 
 @dataclass(frozen=True, kw_only=True)
 class SlopeNoise:
-    """Variance from frame to frame where a target is steep, over what its plateaus have at the same level.
+    """Temporal variance on the slopes of a target over that expected from its plateaus.
 
     Parameters
     ----------
     ratio, sd
-        Dimensionless, and its standard error.
+        Ratio and its standard uncertainty, dimensionless.
     """
 
     ratio: float = 1.0
@@ -30,12 +30,12 @@ class SlopeNoise:
 
     @property
     def is_smoothed(self) -> bool:
-        """Whether plateaus are quieter than noise of light and of read-out leaves them."""
+        """Whether the plateaus are quieter than photon and read-out noise allow."""
         return self.ratio > EXCESS[0] + EXCESS[1] * self.sd
 
 
 def noise_on_slopes(frames: Array, level: Array, steep: Array, sides: NDArray[np.int64]) -> SlopeNoise:
-    """Return how much noisier a target is on its slopes than on its plateaus.
+    """Return the noise on the slopes of a target relative to that of its plateaus.
 
     Parameters
     ----------
@@ -46,13 +46,13 @@ def noise_on_slopes(frames: Array, level: Array, steep: Array, sides: NDArray[np
     steep
         Slope of the target across its lines, shape (row, col).
     sides
-        0 for pixels that do not count, 1 on the dark and 2 on the bright plateau, shape (row, col).
+        0 for excluded pixels, 1 on the dark and 2 on the bright plateau, shape (row, col).
 
     Notes
     -----
-    The variance of light and of read-out is linear in the level. Taken off before are each frame's own level and
-    contrast, as lamps flicker, and of every row on the slope what moves it: jitter of lines is no noise. What
-    neighbours share of noise makes that more than one pixel's, and the ratio smaller.
+    The variance of photon and read-out noise is linear in the level. Level and contrast of each frame are subtracted
+    (lamp flicker), and from each row's slope the component of a displacement (line jitter). Correlated noise makes that
+    component larger and the ratio smaller.
     """
     on_slope = (np.abs(steep) > STEEP * np.abs(steep).max()) & (np.count_nonzero(sides, axis=1) > 0)[:, None]
     if len(frames) < MIN_FRAMES or not on_slope.any():
@@ -65,10 +65,10 @@ def noise_on_slopes(frames: Array, level: Array, steep: Array, sides: NDArray[np
     moved = np.einsum("fij,ij->fi", left, shape) ** 2 / np.maximum(np.sum(shape**2, axis=1), 1e-300)
     slope = np.sum(square * on_slope, axis=1) - moved.sum(axis=0) / free
     told = count >= MIN_STEEP_PIXELS
-    # One of a row's pixels is taken off with what moves it.
+    # The displacement of a row takes one degree of freedom.
     share = (count - 1) / np.maximum(count, 1)
     bright = np.where(on_slope, np.clip(level, 0.0, 1.0), 0.0).sum(axis=1) * share
-    # Of every row: what is on the slope and how many pixels at either level are expected to make it.
+    # Per row: variance on the slope, and the equivalent number of pixels at the dark and the bright level.
     slope, bright, dark = ((told * one) for one in (slope, bright, count * share - bright))
     plateaus = [(np.sum(square * (sides == one), axis=1), np.count_nonzero(sides == one, axis=1)) for one in (1, 2)]
     parts = [slope, dark, bright, *(part for plateau in plateaus for part in plateau)]
@@ -76,14 +76,14 @@ def noise_on_slopes(frames: Array, level: Array, steep: Array, sides: NDArray[np
 
 
 def _steady(left: Array, level: Array, used: NDArray[np.bool_]) -> Array:
-    """Return what is left of frames without each frame's own level and contrast."""
+    """Subtract each frame's level and contrast."""
     design = np.stack([np.ones(np.count_nonzero(used)), level[used]])
     found = np.linalg.lstsq(design.T, left[:, used].T, rcond=None)[0]
     return left - found[0][:, None, None] - found[1][:, None, None] * level
 
 
 def _noise_ratio(parts: Array) -> SlopeNoise:
-    """Return the ratio from the sums of rows, its error from leaving out blocks of them in turn."""
+    """Return the ratio from the sums of rows, with a jackknife uncertainty over blocks of rows."""
     blocks = parts.shape[1] // BLOCK_ROWS
     if blocks < MIN_BLOCKS:
         return SlopeNoise()

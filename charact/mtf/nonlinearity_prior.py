@@ -1,6 +1,6 @@
-"""How curved a camera's response may be, before a target is looked at and after: y = u + c u (1 - u), u from 0 to 1.
+"""Nonlinear camera response: prior, posterior draws and the photon-transfer check.
 
-Power laws of exponent g bend the levels between dark and bright by c of about (1 - g) times the contrast.
+The response is y = u + c u (1 - u), u from 0 to 1. A power law of exponent g has c of about (1 - g) times the contrast.
 """
 
 import numpy as np
@@ -17,16 +17,16 @@ BELOW_BLACK = 0.1
 
 
 def usable_black_level(black_dn: float | None, dark_dn: float, bright_dn: float) -> float | None:
-    """Return the code at no light, DN; None where it is not known or the dark side lies well below it."""
+    """Return the black level, DN; None if it is unknown or lies well above the dark side."""
     if black_dn is None or black_dn > dark_dn + BELOW_BLACK * (bright_dn - dark_dn):
         return None
     return black_dn
 
 
 def contrast_of(dark_dn: float, bright_dn: float, black_dn: float | None) -> float:
-    """Return the contrast of two levels, (bright - dark) / (bright + dark) over black; where that is not known over 0.
+    """Return the contrast of two levels above black, or above 0 DN where the black level is unknown.
 
-    A code at no light is seldom below 0, and above it the contrast is larger.
+    A black level is rarely below 0 DN, and a higher one makes the contrast larger.
     """
     black = min(0.0, dark_dn) if black_dn is None else black_dn
     return float(np.clip((bright_dn - dark_dn) / max(bright_dn + dark_dn - 2.0 * black, 1e-300), MIN_CONTRAST, 1.0))
@@ -41,26 +41,27 @@ def curvatures(
     *,
     curved: float | None = None,
 ) -> Array:
-    """Return draws of a response's curvature, 0 where it is straight.
+    """Return posterior draws of the curvature of the camera response, 0 where it is linear.
 
     Parameters
     ----------
     response
-        Curvature that a target asks for, and its error, dimensionless; below 0 the response steepens.
+        Estimated curvature and its standard uncertainty, dimensionless; a negative curvature steepens the response.
     contrast
-        Of the levels that it bends.
+        Contrast of the levels.
     noise_ln_odds
-        Ln of how much likelier the noise is under a curved response.
+        Ln Bayes factor of the noise for a nonlinear against a linear response.
     rng
-        Draws.
+        Random generator.
     count
-        How many.
+        Number of draws.
     curved
-        Probability that a response is curved, before the data; None: `CURVED`.
+        Prior probability of a nonlinear response; None: `CURVED`.
 
     Notes
     -----
-    A straight response is weighed against one whose curvature is normal about none (Savage-Dickey ratio).
+    The Bayes factor against a linear response is a Savage-Dickey ratio; the prior of the curvature is normal with mean
+    0.
     """
     found, error, prior_sd = response[0], max(response[1], 1e-9), CURVED_SD * contrast
     apart = np.hypot(error, prior_sd)

@@ -1,4 +1,4 @@
-"""What noise says of a response: that of light grows from a target's dark to its bright side as the light itself."""
+"""Photon-transfer check: temporal noise of the dark and the bright side of a target."""
 
 from dataclasses import dataclass
 
@@ -20,17 +20,17 @@ MAX_LN_BAYES_FACTOR = np.log(10.0)
 
 @dataclass(frozen=True, kw_only=True)
 class PlateauNoiseRatio:
-    """How noise grows from the dark to the bright side of a target.
+    """Ratio of the noise on the bright side of a target to that on the dark side.
 
     Parameters
     ----------
     ratio, scatter
-        Bright over dark, and its relative standard error, dimensionless: of the variance, or of what neighbours share.
+        Ratio of the variances, or of the covariances of neighbours, and its relative standard uncertainty,
+        dimensionless.
     photon_ratio
-        The same ratio for photons' noise under a straight response; None: black is not known, or of a single frame
-        pixels so quiet that their unequal gain is seen.
-    of_light
-        Whether it is what neighbours share: pulses of light tie them, read-out does not.
+        Ratio of the signals, which photon noise has under a linear response; None: the black level is unknown.
+    is_covariance
+        Whether the ratio is that of covariances. Light pulses correlate neighbours, read-out noise does not.
     """
 
     ratio: float
@@ -40,7 +40,7 @@ class PlateauNoiseRatio:
 
 
 def covariance_ratio(sides: Sides, black_dn: float | None) -> PlateauNoiseRatio | None:
-    """Return how what neighbours share grows; None where they share too little, or black is not known."""
+    """Return the ratio of the neighbours' covariances; None if they are too small or the black level is unknown."""
     photons = _photons(sides, black_dn)
     if photons is None or black_dn is None:
         return None
@@ -57,7 +57,7 @@ def covariance_ratio(sides: Sides, black_dn: float | None) -> PlateauNoiseRatio 
 
 
 def variance_ratio(sides: Sides, black_dn: float | None) -> PlateauNoiseRatio:
-    """Return how the variance of a pixel grows."""
+    """Return the ratio of the pixels' variances."""
     dark, bright = sides
     return PlateauNoiseRatio(
         ratio=bright.variance / max(dark.variance, 1e-300),
@@ -67,7 +67,7 @@ def variance_ratio(sides: Sides, black_dn: float | None) -> PlateauNoiseRatio:
 
 
 def _photons(sides: Sides, black_dn: float | None) -> float | None:
-    """Return the ratio of the light of both sides; None: black is not known, or lies above the dark side."""
+    """Return the ratio of the signals of both sides; None if the black level is unknown or not below the dark side."""
     if black_dn is None:
         return None
     dark, bright = (one.level - black_dn for one in sides)
@@ -75,12 +75,12 @@ def _photons(sides: Sides, black_dn: float | None) -> float | None:
 
 
 def noise_flags(growth: PlateauNoiseRatio) -> tuple[str, ...]:
-    """Return `gamma` where the noise of the plateaus cannot be that of light under a straight response.
+    """Return `gamma` where the plateau noise contradicts a linear response.
 
     Notes
     -----
-    Noise that falls towards the light is flattened. Photons' variance grows at most as the level over black: more says
-    that the response steepens. What neighbours share grows as the level, neither more nor less.
+    Variance that falls with the signal indicates a compressive response. Under a linear response it grows at most in
+    proportion to the signal above black; the covariance of neighbours grows in proportion to it.
     """
     beyond = RISING[0] + RISING[1] * growth.scatter
     rising = growth.photon_ratio is not None and growth.ratio > growth.photon_ratio * beyond
@@ -92,16 +92,15 @@ def noise_flags(growth: PlateauNoiseRatio) -> tuple[str, ...]:
 
 
 def ln_bayes_factor_nonlinear(growth: PlateauNoiseRatio) -> float:
-    """Return ln of how much likelier a growth of the noise is under a curved response than under a straight one.
+    """Return the ln Bayes factor of a nonlinear against a linear response for the noise ratio.
 
     Notes
     -----
-    Half of all noise is read-out's, which comes after the response and tells nothing; what neighbours share is none of
-    it. Of the other, photons have any share: under a straight response ln of the ratio is anywhere from 0 to ln r, r
-    that of the light; of what neighbours share it is ln r. A power law of exponent g over levels that it makes r apart
-    moves it by 2 (1 - 1/g) ln r.
+    The variance is read-out noise with probability `READ_OUT`; that gives no information. Otherwise photons contribute
+    any fraction: under a linear response the ln ratio is uniform from 0 to ln r, r the ratio of the signals. For
+    covariances it is ln r. A power law of exponent g changes the ln ratio by 2 (1 - 1/g) ln r.
     """
-    # A side without any noise, such as one that is clipped throughout, says nothing of the response.
+    # A side without noise, such as a clipped one, gives no information about the response.
     if growth.photon_ratio is None or not growth.photon_ratio > 1.0 or not growth.ratio > 0.0:
         return 0.0
     found, most, error = np.log(growth.ratio), np.log(growth.photon_ratio), growth.scatter
@@ -120,5 +119,5 @@ def _normal(away: float, sd: float) -> float:
 
 
 def _evenly_to(most: float, found: float, sd: float) -> float:
-    """Return the density of what lies anywhere between 0 and a most, found with a normal error."""
+    """Return the density of a value uniform from 0 to `most`, measured with a normal error."""
     return float(ndtr(found / sd) - ndtr((found - most) / sd)) / most

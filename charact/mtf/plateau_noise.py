@@ -1,6 +1,6 @@
-"""Noise where a target is dark and bright: its variance, and what neighbours share, which is light's, not read-out's.
+"""Temporal noise on the dark and bright plateaus and on the slopes of a target.
 
-From frame to frame where there are several: no fixed pattern and no flicker of all is in it then.
+Noise is taken from frame differences where there are several frames: fixed patterns and lamp flicker are then excluded.
 """
 
 from dataclasses import dataclass
@@ -19,16 +19,16 @@ LAGS_PX = (1, 8, 9, 10)
 
 @dataclass(frozen=True, kw_only=True)
 class PlateauNoise:
-    """One side of a target.
+    """Noise of one plateau of a target.
 
     Parameters
     ----------
     level
         Mean of its pixels, DN.
     variance, scatter
-        Mean variance of a pixel, DN^2, and its relative standard error.
+        Mean variance of a pixel, DN^2, and its relative standard uncertainty.
     covariance, covariance_sd
-        Mean covariance of neighbours along a row, beyond that of pixels far apart in it, and its standard error, DN^2.
+        Mean covariance of neighbours along a row less that of distant pixels, and its standard uncertainty, DN^2.
     """
 
     level: float
@@ -42,26 +42,25 @@ Sides = tuple[PlateauNoise, PlateauNoise]
 
 
 def plateau_noise(frames: Array, expected: Array, sides: NDArray[np.int64], *, along: int, tied: float) -> Sides | None:
-    """Return the dark and the bright side of a target; None: a side of few pixels.
+    """Return the noise of the dark and of the bright plateau; None if a plateau has too few pixels.
 
     Parameters
     ----------
     frames
         Shape (frame, row, col), DN.
     expected
-        What a single frame's noise is measured from, shape (row, col), DN.
+        Model of a single frame, shape (row, col), DN.
     sides
-        0 for pixels that do not count, 1 on the dark and 2 on the bright side, shape (row, col).
+        0 for excluded pixels, 1 on the dark and 2 on the bright plateau, shape (row, col).
     along
         Axis of a frame along which neighbours belong to one field: 0 down its rows, 1 along them.
     tied
-        Sum of the noise's correlation: by how much averages are noisier than those of independent pixels.
+        Sum of the noise correlations: variance factor of averages relative to independent pixels.
 
     Notes
     -----
-    Of several frames the mean of a side in each frame and that of each pixel are taken off. Errors follow from how
-    unequal pixels are, so that heavy-tailed pulses count as they are, and from what neighbours share. Pulses tie
-    neighbours, read-out and rounding do not.
+    The mean of a plateau in each frame and, of several frames, the mean of each pixel are subtracted. Uncertainties
+    follow from the scatter of the pixels, which includes heavy-tailed pulses, and from their correlation.
     """
     mean = frames.mean(axis=0) if len(frames) > 1 else expected
     sums = _sum_products(frames, mean, sides, 1 - along, along)
@@ -73,7 +72,7 @@ def plateau_noise(frames: Array, expected: Array, sides: NDArray[np.int64], *, a
 
 
 def _side(sums: Array, tied: float) -> PlateauNoise:
-    """Return a side from the sums over its pixels and pairs; averages are noisier by a factor."""
+    """Return the noise of a plateau from the sums over its pixels and pairs."""
     pixels, level, variances, squares, near, near_squares, pairs, far, far_pairs = sums.tolist()
     variance, covariance = variances / pixels, near / max(pairs, 1.0)
     scatter = max(squares / pixels - variance**2, 0.0)
@@ -89,10 +88,10 @@ def _side(sums: Array, tied: float) -> PlateauNoise:
 
 @njit(cache=True)
 def _sum_products(values: Array, mean: Array, sides: NDArray[np.int64], down: int, across: int) -> Array:
-    """Return sums over both sides, shape (side, 9).
+    """Return sums over both plateaus, shape (side, 9).
 
-    Of pixels and their values; of each pixel's squares, of those squared, of neighbours' products, of those squared,
-    each summed over frames, and of neighbours; of far pixels' products, and of those.
+    Number of pixels, sum of values; sums of squares and of squares squared; sums of neighbours' products and of those
+    squared, number of neighbours; sum of distant pixels' products, and their number.
     """
     frames, rows, cols = values.shape
     out, left = np.zeros((2, 9)), np.zeros((frames, rows, cols))

@@ -1,4 +1,4 @@
-"""What the codes themselves give away: clipping at an end of the scale, and steps too coarse for the noise."""
+"""Checks of grey values: clipping, and the effect of quantisation on mean frames."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,18 +23,17 @@ def clipping_flags(data: NDArray, full_scale_dn: float | None) -> tuple[str, ...
     Parameters
     ----------
     data
-        Pixel values, shape (frame, ...): the last axis along rows.
+        Pixel values, shape (frame, ..., col), DN.
     full_scale_dn
-        Highest code, None: unknown; any highest value is then suspected.
+        Full scale, DN; None: unknown, and the highest value may be full scale.
 
     Notes
     -----
-    Noise spreads over several codes with the outermost the rarest. A pile-up is an outermost value that many pixels
-    share and that is several times as frequent as the one beside it. Light brings noise: a bright plateau of one value
-    beside a darker side whose noise spreads over several is clipped, wherever that value lies. Where nothing shows
-    noise, as in pictures that were drawn or averaged, a flat plateau is just flat. Pixels of a quiet plateau are
-    still, those of a clipped one come and go, over several codes at once: where they do, an outermost code even as
-    frequent as the next is clipped.
+    Noise spreads over several grey values, of which the outermost are the rarest. A pile-up is an extreme value that
+    many pixels have and that is several times as frequent as the adjacent value. A bright plateau of a single value is
+    clipped if the darker side shows noise. Data without noise, such as rendered or averaged frames, are not clipped for
+    having a flat plateau. Clipped pixels alternate between the extreme value and values several steps away; where they
+    do, the extreme value may be as rare as the adjacent one.
     """
     if not _has_pile_up(data):
         return ()
@@ -49,7 +48,7 @@ def clipping_flags(data: NDArray, full_scale_dn: float | None) -> tuple[str, ...
     bottom = share[0] > 2 * PILE_UP_FRACTION and counts[0] > PILE_UP_RATIO * counts[1]
     brighter = np.count_nonzero(data > 0.5 * (float(values[0]) + float(values[-1])))
     clipped |= bool(top and noisy and noise >= step and counts[-1] > ONE_VALUE * brighter)
-    # Black clips at the converter's or the video range's floor; a quiet plateau above it is just quiet.
+    # Black clips at zero or at the floor of the video range; a quiet plateau above either is not clipped.
     clipped |= bool(bottom and values[0] in FLOORS and values.size > 12 and _shows_noise(data, values))
     clipped |= bool(top and not bottom and noisy and share[-2] > 1e-4)
     clipped = clipped or any(_cuts_noise(data, values, counts, end=end) for end in (0, -1))
@@ -57,7 +56,7 @@ def clipping_flags(data: NDArray, full_scale_dn: float | None) -> tuple[str, ...
 
 
 def _noise_below(data: NDArray, level: float) -> float:
-    """Return the noise of the pixels below a level, DN: from the differences of neighbours along rows."""
+    """Return the noise of the pixels below a level, DN, from differences of neighbours along rows."""
     frame = np.asarray(data[0], np.float64)
     dark = (frame[..., 1:] <= level) & (frame[..., :-1] <= level)
     apart = np.abs(np.diff(frame, axis=-1))[dark]
@@ -65,15 +64,15 @@ def _noise_below(data: NDArray, level: float) -> float:
 
 
 def _shows_noise(data: NDArray, values: NDArray) -> bool:
-    """Tell whether the brighter half of the pixels scatters from neighbour to neighbour."""
+    """Return whether the brighter half of the pixels has noise."""
     noise = _noise_below(-np.asarray(data[:1], np.float64), -0.5 * (float(values[0]) + float(values[-1])))
     return noise > MIN_NOISE * float(values[-1] - values[0])
 
 
 def _cuts_noise(data: NDArray, values: NDArray, counts: NDArray, *, end: int) -> bool:
-    """Tell whether the lowest (end 0) or highest (-1) code is where noise was cut off.
+    """Return whether noise is clipped at the lowest (end 0) or highest (end -1) value.
 
-    Noise takes a pixel of the pile several codes away from one frame to the next; of a single frame between two
+    Noise moves a pixel of the pile several steps from one frame to the next, or in a single frame between two
     neighbours that stay.
     """
     inwards = values[::-1] if end else values
@@ -92,13 +91,13 @@ def _cuts_noise(data: NDArray, values: NDArray, counts: NDArray, *, end: int) ->
 
 
 def _has_pile_up(data: NDArray) -> bool:
-    """Tell whether either extreme value is frequent enough to be a pile-up, before all values are counted."""
+    """Return whether an extreme value is frequent enough to be a pile-up; avoids a histogram of all values."""
     extremes = np.count_nonzero(data == data.max()), np.count_nonzero(data == data.min())
     return bool(max(extremes) > PILE_UP_FRACTION * data.size)
 
 
 def _histogram(data: NDArray) -> tuple[NDArray, NDArray]:
-    """Return the values that occur and how often."""
+    """Return the values that occur and their counts."""
     if data.dtype.kind == "u" and data.dtype.itemsize <= 2:
         counts = np.bincount(data.ravel())
         values = np.flatnonzero(counts)

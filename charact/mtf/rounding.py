@@ -1,4 +1,4 @@
-"""What a digitiser's steps do to the mean of frames whose noise is smaller than they are."""
+"""Effect of quantisation on the mean of frames whose noise is below one step."""
 
 from functools import cache
 
@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# Variance that rounding to whole codes adds where noise spreads over several, DN^2.
+# Variance that quantisation adds where noise spreads over several steps, DN^2.
 QUANTISATION_DN2 = 1.0 / 12.0
 
 # Places of black between two codes that are gone through, terms of the sawtooth's series, and shifts that count, DN.
@@ -15,21 +15,21 @@ PLACES, TERMS, COUNTS_DN = 8, 6, 1e-3
 
 
 def rounding_shifts(level_dn: Array, variance_dn2: Array) -> Array:
-    """Return by how much rounding to whole codes may shift means, shape (place, pixel), DN; if it does not, no places.
+    """Return the possible shifts of mean values by quantisation, shape (offset, pixel), DN; no rows if negligible.
 
     Parameters
     ----------
     level_dn
-        Means as they would be without rounding, shape (pixel,).
+        Means without quantisation, shape (pixel,).
     variance_dn2
-        Variances of one frame's values as rounded, shape (pixel,).
+        Variances of single quantised values, shape (pixel,).
 
     Notes
     -----
-    The mean of a value x with normal noise of standard deviation s is off by
-    sum_k (-1)^k sin(2 pi k x) exp(-2 (pi k s)^2) / (pi k), the Fourier series of the sawtooth (Widrow & Kollar,
-    Quantization Noise, 2008). Where x lies between codes is not known well enough: black is put at several places
-    between two codes, each as likely. The noise is the least that rounding may leave with such a variance.
+    The mean of a value x with normal noise of standard deviation s is shifted by sum_k (-1)^k sin(2 pi k x) exp(-2 (pi
+    k s)^2) / (pi k), the Fourier series of the sawtooth (Widrow & Kollar, Quantization Noise, 2008). The fractional
+    part of x is unknown: the black level is placed at several equally likely offsets between two steps. The noise is
+    the smallest that is consistent with the variance.
     """
     from charact.noise.snr.rounding import EVEN_DN2
 
@@ -47,7 +47,7 @@ def rounding_shifts(level_dn: Array, variance_dn2: Array) -> Array:
 
 @cache
 def _least_noise() -> tuple[Array, Array]:
-    """Variances as rounded, and the least that they may come of, DN^2."""
+    """Return variances after quantisation and the smallest variances before it, DN^2."""
     from charact.noise.snr.rounding import EVEN_DN2, unrounded_variance_range
 
     rounded = np.linspace(0.0, EVEN_DN2, 91)

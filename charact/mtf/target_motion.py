@@ -1,6 +1,6 @@
-"""A target that moves from frame to frame: how far, by an analysis of variance of where its lines stand.
+"""Target motion between frames, by analysis of variance of line positions.
 
-An edge that wanders along its length blurs alike (`charact.mtf.edge.pixels.roughness`).
+Edge roughness has the same effect within a frame (`charact.mtf.edge.pixels.roughness`).
 """
 
 from collections.abc import Sequence
@@ -26,14 +26,14 @@ MIN_POWER = 0.5
 
 @dataclass(frozen=True, kw_only=True)
 class TargetMotion:
-    """How a target moves through a stack, or an edge about a straight line.
+    """Motion of a target through a stack, or deviation of an edge from a straight line.
 
     Parameters
     ----------
     rms_px
-        Root mean square of its places about their mean, noise taken off, px.
-    chance
-        Probability of places so far apart if it stands still, or is straight.
+        Root mean square displacement, noise subtracted, px.
+    p_value
+        Probability of such displacements without motion.
     """
 
     rms_px: float = 0.0
@@ -41,14 +41,14 @@ class TargetMotion:
 
     @property
     def moves(self) -> bool:
-        """Whether noise alone hardly makes so much."""
+        """Whether the motion is significant."""
         return self.chance < CHANCE and self.rms_px > 0
 
     def mtf_loss(self, frequency_cy_per_px: float) -> float:
-        """Return the share by which it lowers the MTF at a frequency, and about that of an MTF50.
+        """Return the relative loss of the MTF at a frequency, and approximately that of MTF50.
 
-        What is averaged is blurred by exp(-2 (pi f s)^2); where the MTF is one half its logarithm falls by about as
-        much as that of the frequency rises.
+        The mean frame is blurred by exp(-2 (pi f s)^2). Near MTF50 ln MTF and ln frequency change by about the same
+        amount.
         """
         return 2.0 * (np.pi * frequency_cy_per_px * self.rms_px) ** 2
 
@@ -56,7 +56,7 @@ class TargetMotion:
 def measure_line_motion(
     frames: Sequence[Array], across: Array, line: NDArray[np.int64], used: NDArray[np.bool_]
 ) -> TargetMotion:
-    """Return how lines of one profile move from frame to frame.
+    """Return the motion of a target whose lines have one common profile.
 
     Parameters
     ----------
@@ -65,14 +65,14 @@ def measure_line_motion(
     across
         Distance of every pixel across the lines, shape (row, col), px.
     line
-        Which of its lines a pixel is on, from 0, shape (row, col).
+        Index of each pixel's line, from 0, shape (row, col).
     used
-        Which pixels count, shape (row, col).
+        Pixels that count, shape (row, col).
 
     Notes
     -----
-    With the mean profile m of all lines as template a line's displacement is least squares on -m'(d), its own level
-    and contrast free: light that flickers does not move it.
+    The displacement of a line is the least-squares coefficient of -m'(d), m the mean profile of all lines, with the
+    line's level and contrast free (lamp flicker).
     """
     if len(frames) < 2 or not used.any():
         return TargetMotion()
@@ -85,7 +85,7 @@ def measure_line_motion(
 
 
 def _profile(value: Array, across: Array) -> tuple[Array, Array]:
-    """Return the smoothed mean of all lines and its slope at every pixel."""
+    """Return the smoothed mean profile of all lines and its slope at every pixel."""
     from scipy.ndimage import gaussian_filter1d
 
     cell = np.floor((across - across.min()) * CELLS_PER_PX).astype(np.intp)
@@ -98,14 +98,9 @@ def _profile(value: Array, across: Array) -> tuple[Array, Array]:
 
 
 def _weights(shapes: Array, line: NDArray[np.int64]) -> tuple[Array, NDArray[np.bool_]]:
-    """Return what each pixel weighs in its line's displacement, and which lines tell theirs.
+    """Return the weight of each pixel in its line's displacement, and the usable lines.
 
-    Parameters
-    ----------
-    shapes
-        Slope, contrast and level at every pixel, shape (3, pixel).
-    line
-        Shape (pixel,).
+    `shapes` are slope, contrast and level at every pixel, shape (3, pixel).
     """
     scale = np.sqrt(np.maximum(np.mean(shapes**2, axis=1), 1e-300))
     shapes = shapes / scale[:, None]
@@ -118,19 +113,18 @@ def _weights(shapes: Array, line: NDArray[np.int64]) -> tuple[Array, NDArray[np.
 
 
 def measure_target_motion(places: Array) -> TargetMotion:
-    """Return how a target moves from frame to frame.
+    """Return the motion from line positions.
 
     Parameters
     ----------
     places
-        Where each line of the target stands in each frame, shape (frame, line), px; what is the same in all frames
-        does not matter.
+        Position of each line in each frame, shape (frame, line), px; a constant offset of a line has no effect.
 
     Notes
     -----
-    Parts of a few lines each have noise of their own; what all of them share in a frame is motion. A two-way analysis
-    of variance of frames and parts compares the means of frames with what is left over (Fisher's F). The mean of K
-    frames is blurred by their own mean square about their mean, (K - 1)/K of the variance.
+    Groups of lines have independent noise; a displacement common to all groups of a frame is motion. A two-way analysis
+    of variance compares frame means with the residual (Fisher's F). The mean of K frames is blurred by (K - 1)/K of the
+    variance.
     """
     from scipy.special import fdtrc
 

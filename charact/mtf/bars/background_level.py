@@ -18,14 +18,14 @@ OTHER_SD, OTHER_SMOOTHING_PX, OTHER_REACH_PX = 6.0, 2.0, 8
 
 @dataclass(frozen=True, kw_only=True)
 class TargetBackground:
-    """The pixels that show a target's pedestal.
+    """Pixels that show a target's pedestal.
 
     Parameters
     ----------
     beyond
-        Pixels beyond the window without light of anything else, shape (row, col).
+        Pixels beyond the window without other light, shape (row, col).
     crowded
-        Whether other light stands so near that its blur reaches into the window.
+        Whether the blur of other light reaches into the window.
     """
 
     beyond: Mask
@@ -33,7 +33,7 @@ class TargetBackground:
 
 
 def target_background(mean: Array, target: BarTarget, margin_px: float) -> TargetBackground:
-    """Return the ground of a target in a mean frame (row, col): what is not the window and not another object."""
+    """Return the background of a target in a mean frame (row, col), other objects excluded."""
     from scipy.ndimage import binary_dilation, gaussian_filter
 
     shape = (mean.shape[0], mean.shape[1])
@@ -46,15 +46,15 @@ def target_background(mean: Array, target: BarTarget, margin_px: float) -> Targe
     other = np.asarray(binary_dilation(other, iterations=OTHER_REACH_PX), bool) & outside
     crowded = bool((other & target.box(shape, margin_px + OTHER_REACH_PX)).any())
     beyond = outside & ~other
-    # Where hardly any ground is left the objects are the ground.
+    # If hardly any background remains, the objects are the background.
     return TargetBackground(beyond=beyond if beyond.sum() > 0.25 * outside.sum() else outside, crowded=crowded)
 
 
 def second_harmonic(mean: Array, target: BarTarget, window: Mask, pedestal: float, found: Amplitudes) -> float:
-    """Return the picture's spectrum at twice the bars' frequency in their phase, over the fundamental.
+    """Return the image's spectrum at twice the bar frequency in the phase of the bars, over the fundamental.
 
-    Bars as wide as their gaps have no light there (sinc 1 = 0), whatever the blur; a curved response makes some. Where
-    the fundamental's alias lies as near as the spectrum of so few bars is wide, nothing can be said: 0.
+    Bars as wide as their gaps have no such component, whatever the blur; a nonlinear response adds one. Returns 0 where
+    the alias of the fundamental overlaps.
     """
     direction = max(abs(np.cos(target.angle_rad)), abs(np.sin(target.angle_rad)))
     if abs(1.0 - 3.0 * target.frequency * direction) < 2.0 * target.frequency / target.bars:

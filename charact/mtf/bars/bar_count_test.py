@@ -1,4 +1,4 @@
-"""How many bars a picture shows: a fit of too few or too many leaves over what one more or one less explains."""
+"""Test of the number of bars: fits with one bar more and one fewer."""
 
 from dataclasses import replace
 
@@ -20,7 +20,7 @@ MIN_CHI2_GAIN, MIN_CHI2_FRACTION = 25.0, 1.0 / 3.0
 
 
 def likelier_bar_count(fit: BarFit, problem: BarLikelihood) -> int | None:
-    """Return the number of bars, one less or one more, that describes the pixels better than the one fitted, if any."""
+    """Return the number of bars, one fewer or one more, that fits the pixels better; None if none does."""
     asked = fit.cost
     begun = {n: _chi2_of_count(fit, problem, n) for n in (fit.target.bars - 1, fit.target.bars + 1) if n > 1}
     left = {
@@ -32,15 +32,12 @@ def likelier_bar_count(fit: BarFit, problem: BarLikelihood) -> int | None:
         return None
     best = min(left, key=left.__getitem__)
     shared = fit.noise.tied
-    # A wrong number leaves patterns over that pass for correlated noise, of which no number saves a third.
+    # A wrong number leaves residuals that resemble correlated noise; no other number then saves a third of them.
     return best if asked - left[best] > min(MIN_CHI2_GAIN * shared, MIN_CHI2_FRACTION * asked) else None
 
 
 def _chi2_of_count(fit: BarFit, problem: BarLikelihood, bars: int) -> tuple[float, float]:
-    """Return the least chi squared of so many bars seen through the fitted transfer, light and ground free, and where.
-
-    Where is by how much they lie beside the bars fitted, px.
-    """
+    """Return the smallest chi squared of another number of bars at the fitted transfer, and their shift, px."""
     picture = BarImageModel(problem, fit.target)
     across, along = picture.places(fit["angle_rad"], 0.0, 0.0)
     reach = picture.reach[0] + max(SHIFTS_PERIODS) / fit.target.frequency, picture.reach[1]

@@ -1,4 +1,4 @@
-"""The picture of a bar target as a function of its parameters, and what is believed of these before the pixels."""
+"""Likelihood of a bar target: image as a function of its parameters, and their priors."""
 
 from dataclasses import dataclass
 
@@ -25,7 +25,7 @@ DEPARTURE_SD, DEPARTURE_FLOOR = 0.015, 0.002
 BOUNDS = {
     "log_attenuation": (-9.0, 2.3),
     "departure": (-0.9, 5.0),
-    # Far beyond any target: a fit of what is no bars must not ask for a picture of any size.
+    # Far beyond any target: bounds the size of the image when other objects are fitted.
     "log_frequency": (float(np.log(1e-3)), 0.0),
     "log_length": (0.0, float(np.log(4e3))),
 }
@@ -34,7 +34,7 @@ START_CORE = 0.4
 
 @dataclass(frozen=True, kw_only=True)
 class BarLikelihood:
-    """What is fitted: the pixels of a window and the weight of each, and the family of the transfer."""
+    """Pixels of a window with their variances, and the blur model."""
 
     image: Array
     window: Mask
@@ -46,7 +46,7 @@ class BarLikelihood:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Parameters: bars through the whole region have no ends."""
+        """Parameters; bars that cross the region have no ends."""
         return tuple(name for name in NAMES if not (self.strip and name in ALONG))
 
     @property
@@ -69,7 +69,7 @@ def priors(problem: BarLikelihood, mtf: float) -> tuple[Array, Array]:
 
 
 def initial_parameters(problem: BarLikelihood, target: BarTarget) -> dict[str, float]:
-    """Return the parameters to begin with at a target found."""
+    """Return starting values for a detected target."""
     pixels = problem.image[problem.window]
     ground, far = np.quantile(pixels, [0.1, 0.95] if target.sign > 0 else [0.9, 0.05])
     return {
@@ -90,7 +90,7 @@ def initial_parameters(problem: BarLikelihood, target: BarTarget) -> dict[str, f
 
 
 class BarImageModel:
-    """The picture of a target as a function of its parameters over the window's pixels."""
+    """Image of a target over the window's pixels as a function of its parameters."""
 
     def __init__(self, problem: BarLikelihood, target: BarTarget) -> None:
         self.problem, self.target = problem, target
@@ -100,12 +100,12 @@ class BarImageModel:
         self.reach = (float(np.abs(across).max()) + 3.0, float(np.abs(along).max()) + 3.0)
 
     def places(self, angle_rad: float, across_px: float, along_px: float) -> tuple[Array, Array]:
-        """Return distances of the window's pixels across and along bars moved by so much, shape (pixel,), px."""
+        """Return distances of the window's pixels across and along displaced bars, shape (pixel,), px."""
         cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
         return self.x * cosine + self.y * sine - across_px, self.y * cosine - self.x * sine - along_px
 
     def shape(self, theta: dict[str, float]) -> BarShape:
-        """Return the shape of a set of parameters."""
+        """Return the image's shape for parameter values."""
         return BarShape(
             bars=self.target.bars,
             frequency=float(np.exp(theta["log_frequency"])),
@@ -116,12 +116,12 @@ class BarImageModel:
             form_one=theta["form_one"],
             form_two=theta["form_two"],
             departure=theta["departure"],
-            # The pixel turns so little with the bars that the angle they were found at will do.
+            # The fit changes the direction too little to affect the pixel's transfer.
             angle_rad=self.target.angle_rad,
         )
 
     def __call__(self, theta: dict[str, float]) -> tuple[Array, Array]:
-        """Return picture, shape (pixel,), and its derivatives, shape (parameter, pixel)."""
+        """Return the image, shape (pixel,), and its derivatives, shape (parameter, pixel)."""
         across, along = self.places(theta["angle_rad"], theta.get("across_px", 0.0), theta.get("along_px", 0.0))
         found = table_of(self.shape(theta), *self.reach).at(across, along)
         level = theta["level_dn"]

@@ -1,4 +1,4 @@
-"""Bars found and measured: those through a region and whole ones fitted, those of a described camera summed."""
+"""Detection and measurement of bars: by fit, or by sums for a camera with a description."""
 
 from dataclasses import dataclass, replace
 
@@ -48,18 +48,18 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, kw_only=True)
 class BarMeasurement:
-    """A target measured.
+    """A measured bar target.
 
     Parameters
     ----------
     target
-        Where it lies.
+        Position of the bars.
     posterior, mtf
         Draws, and the MTF of each.
     findings, notes
-        What to distrust, and what to know.
+        Findings, and notes.
     margin_px
-        How far the window reaches beyond the bars.
+        Margin of the window around the bars.
     """
 
     target: BarTarget
@@ -72,7 +72,7 @@ class BarMeasurement:
 
 @dataclass(frozen=True, kw_only=True)
 class BarRefusal:
-    """Why there is no number: the flag of a refusal and its sentence."""
+    """Refusal of a bar target: flag and reason."""
 
     reason: str
     flag: str = "no-target"
@@ -80,7 +80,7 @@ class BarRefusal:
 
 @dataclass(frozen=True, kw_only=True)
 class StatedBars:
-    """What is stated of a target, None where it is not: number of bars and cycles per column pitch."""
+    """Number of bars and cycles per column pitch as stated by the user; None: not stated."""
 
     bars: int | None
     frequency: float | None
@@ -91,13 +91,13 @@ class StatedBars:
 
     @property
     def remedy(self) -> str:
-        """The options that are left to state."""
+        """Options that would help."""
         options = [name for name, value in (("--bars", self.bars), ("--frequency", self.frequency)) if value is None]
         return " and ".join([*options, "--roi"]) + " say what to look for, and where"
 
 
 def measure_bars_in(used: FrameStack, asked: StatedBars, context: Context) -> BarMeasurement | BarRefusal:
-    """Find and measure the target of a region."""
+    """Detect and measure the target of a region."""
     mean = used.data.mean(axis=0, dtype=np.float64)
     if asked.frequency and max(mean.shape) < (asked.bars or 2) / asked.frequency:
         size = f"{mean.shape[0]} x {mean.shape[1]} px"
@@ -111,7 +111,7 @@ def measure_bars_in(used: FrameStack, asked: StatedBars, context: Context) -> Ba
 def _measure_strip(
     used: FrameStack, mean: Array, target: BarTarget, asked: StatedBars, context: Context
 ) -> BarMeasurement | BarRefusal:
-    """Measure bars that run through the region."""
+    """Measure bars that cross the region."""
     turned = abs(np.sin(target.angle_rad)) > np.sqrt(0.5)
     target = replace(target, length_px=mean.shape[1] if turned else mean.shape[0] * target.pitch_ratio)
     problem = BarLikelihood(
@@ -149,19 +149,19 @@ def _refuse_other_object(target: BarTarget, asked: StatedBars) -> BarRefusal:
 
 
 def _is_in_region(fit: BarFit) -> bool:
-    """Tell whether the fitted bars are of the sign seen, and lie in the region with their middle and some pixels."""
+    """Return whether the fitted bars have the detected sign and lie in the region."""
     (rows, cols), here = fit.window.shape, fit.target
     placed = 0 <= here.row < rows and 0 <= here.col < cols
     return placed and fit["level_dn"] * here.sign > 0 and bool(_illuminated_pixels(fit).any())
 
 
 def _illuminated_pixels(fit: BarFit) -> Mask:
-    """Return the fitted pixels that the bars change, shape (pixel,)."""
+    """Return the fitted pixels that the bars illuminate, shape (pixel,)."""
     return (fit.model_dn - fit["pedestal_dn"]) / fit["level_dn"] > 0.02
 
 
 def _margin_px(target: BarTarget, shape: tuple[int, ...]) -> float:
-    """Return how far a region reaches beyond bars that run through it, on the nearer side."""
+    """Return the margin of the region around bars that cross it, on the nearer side."""
     across, _ = target.coordinates((shape[0], shape[1]))
     return float(min(-across.min(), across.max()) - target.width_px / 2.0)
 
@@ -175,7 +175,7 @@ def _sample_measurement(
     margin: float,
     given: list[Finding],
 ) -> BarMeasurement:
-    """Draw the posterior of a fitted picture."""
+    """Sample the posterior of a fitted image and collect findings and notes."""
     own, notes = fit.target.frequency, []
     if asked.frequency is None:
         problem = replace(problem, asked=own)
@@ -186,7 +186,7 @@ def _sample_measurement(
         notes.append(f"The picture shows {fit.target.bars} {kind} ground.")
     forms = fit_all_models(fit, problem)
     _, fit, problem = forms[0]
-    # Forms that describe the picture alike bend alike; a full posterior is drawn of the best.
+    # Blur models that fit alike have about the same bias; the full posterior is that of the preferred one.
     bias = mtf_bias(fit, problem)
     posterior = sample_fit(fit, problem, context, bias)
     response = response_of(used, fit)
@@ -209,7 +209,7 @@ def _sample_measurement(
             *findings.bar_count_findings(likelier_bar_count(fit, problem), fit.target.bars),
             *findings.rounding_findings(fit),
             *response_findings(response),
-            # White is cut off where there is light, black mostly where there is none.
+            # White clips where there is light, black mostly where there is none.
             *findings.clipping_findings(used, (near, problem.window), context, fit),
         ),
         notes=tuple(notes),
@@ -220,10 +220,10 @@ def _sample_measurement(
 def _average_models(
     forms: list[tuple[float, BarFit, BarLikelihood]], drawn: Array, context: Context, bias: float
 ) -> Array:
-    """Return draws over all forms, given those of the first.
+    """Return draws over all blur models, given those of the first.
 
-    Where the pixels ask for no other form than a tube's, what others would answer is doubt about its answer; where they
-    do, of each form as many draws are taken as its share.
+    If the tube model is first, the scatter of the other models is a systematic uncertainty; otherwise the draws are
+    mixed in proportion to the weights.
     """
     (share, fit, _), others = forms[0], forms[1:]
     if fit.shape.form is TUBE:
@@ -239,7 +239,7 @@ def _average_models(
 def _measure_complete_target(
     used: FrameStack, mean: Array, target: BarTarget, asked: StatedBars, context: Context
 ) -> BarMeasurement | BarRefusal:
-    """Measure a target that lies whole in the region."""
+    """Measure a target that lies completely in the region."""
     wanted = target
     margin, cut = fitting_margin(target, (mean.shape[0], mean.shape[1]), margin_px(context, target.frequency))
     window = target.box(mean.shape, margin)
@@ -253,7 +253,7 @@ def _measure_complete_target(
     told = target.frequency
     if amplitudes.signal_to_noise > MIN_FREQUENCY_SIGNAL_SD:
         target = replace(target, frequency=measure_frequency(mean, target, margin))
-        # The bars' own frequency is a measurement too: where it is the one stated, that is where the MTF is told.
+        # The measured frequency is uncertain too: if it equals the stated one, the MTF is reported at that.
         near = asked.frequency is not None and abs(target.frequency / told - 1.0) < FREQUENCY_TOLERANCE
         told = told if near else target.frequency
         amplitudes = amplitudes_of(used.data, target, window, ground.beyond, memory)
@@ -264,7 +264,7 @@ def _measure_complete_target(
             return _refuse_faint(core.signal_to_noise)
     if not amplitudes.light > 0 or amplitudes.zeros > OTHER_OBJECT + OTHER_OBJECT_SD / amplitudes.signal_to_noise:
         return _refuse_other_object(target, asked)
-    # Where the alias lies so near, the bars' own frequency is not known either.
+    # A close alias makes the measured frequency uncertain too.
     why = not_identifiable(wanted, wanted.length_px) or not_identifiable(target, target.length_px)
     if why is not None:
         return BarRefusal(reason=why, flag="aliased")
@@ -297,7 +297,7 @@ def _measure_by_fit(
     asked: StatedBars,
     known: tuple[float, list[Finding], float, float],
 ) -> BarMeasurement | BarRefusal:
-    """Fit the picture of a whole target to the pixels around it that hold no other light."""
+    """Fit a complete target to the pixels around it that have no other light."""
     told, given, margin, inflation = known
     window = target.box(mean.shape, max(FITTED_PX, FITTED_PERIODS / target.frequency)) & clear
     problem = BarLikelihood(

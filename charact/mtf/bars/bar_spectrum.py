@@ -1,4 +1,4 @@
-"""The picture of N bars as a camera sees it: their exact spectrum through a family of transfers and the pixel."""
+"""Image of N bars: their exact spectrum through a blur model and the pixel aperture."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -21,24 +21,24 @@ POINTS_A_PERIOD = 100
 
 @dataclass(frozen=True, kw_only=True)
 class BarShape:
-    """What sets a picture's shape apart from its place.
+    """Shape parameters of an image of bars, without position.
 
     Parameters
     ----------
     bars
-        Their number N.
+        Number N.
     frequency
-        Cycles per pixel across them, f = 1/P.
+        Cycles per pixel across the bars, f = 1/P.
     length_px
-        Length of the bars; infinite: they run through the whole region.
+        Length of the bars; infinite: they cross the complete region.
     reference
-        Frequency at which the MTF is told, cycles per pixel.
+        Frequency at which the MTF is reported, cycles per pixel.
     log_attenuation
-        ln(-ln c), c the core's transfer at the reference frequency f, before the pixel.
+        ln(-ln c), c the core's transfer at the reference frequency, before the pixel.
     form, form_one, form_two
-        Family of the transfer, and both numbers of its member.
+        Blur model, and its two parameters.
     departure
-        Share by which the transfer departs from the family about the bars' own frequency.
+        Relative departure of the transfer from the blur model around the bar frequency.
     angle_rad
         Direction across the bars, for the pixel's aperture.
     """
@@ -67,17 +67,17 @@ class BarShape:
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """A quarter of a picture, which is even in both coordinates of the bars, tabulated.
+    """One quadrant of an image, which is even in both coordinates of the bars, tabulated.
 
     Parameters
     ----------
     step_across_px
         Step across the bars, px.
     along_px
-        Distance along the bars of each row, px; one row: the picture does not vary along them.
+        Distance along the bars of each row, px; one row: the image does not vary along them.
     values
-        Picture, 1 on a wide bar, and its derivatives by log attenuation, both numbers of the form, departure,
-        ln(frequency) and ln(length), shape (7, along, across).
+        Image, 1 on a wide bar, and its derivatives by log attenuation, both model parameters, departure, ln(frequency)
+        and ln(length), shape (7, along, across).
     """
 
     step_across_px: float
@@ -85,7 +85,7 @@ class Table:
     values: Array
 
     def at(self, across: Array, along: Array) -> Array:
-        """Return picture, the six derivatives, and the slopes across and along, at places, shape (9, place)."""
+        """Return image, the six derivatives, and the slopes across and along, at points, shape (9, point)."""
         _, rows, cols = self.values.shape
         x = np.minimum(np.abs(across) / self.step_across_px, cols - 1.001)
         i = x.astype(np.intp)
@@ -113,13 +113,13 @@ class Table:
 
 
 def table_of(shape: BarShape, half_across_px: float, half_along_px: float) -> Table:
-    """Return the table of a picture that reaches so far from its middle.
+    """Return the table of an image up to a distance from its centre.
 
     Notes
     -----
     Across the bars, u, the spectrum of N bars is w sinc(u w) sin(pi N u P) / sin(pi u P), along them L sinc(L v). The
-    transfer is that of a form at r = |(u, v)|, c at f, times the pixel's two sincs in its own directions. It may depart
-    from that by a share about f, over the width f/N in which the bars have light.
+    transfer is that of a blur model at r = |(u, v)|, c at f, times the pixel's two sincs in its own directions. Around
+    f, over the width f/N in which the bars have light, it may depart from the model by a fraction.
     """
     from scipy.fft import irfft, next_fast_len
 
@@ -146,7 +146,7 @@ def table_of(shape: BarShape, half_across_px: float, half_along_px: float) -> Ta
 
 
 def _rows(length_px: float, half_px: float) -> Array:
-    """Return where along the bars the picture is tabulated: closely at their ends, 0 and the reach included."""
+    """Return the rows of the table: dense at the bars' ends, 0 and the largest distance included."""
     nodes = [length_px / 2.0]
     while nodes[-1] < half_px + 1.0:
         nodes.append(nodes[-1] + STEP_AT_ENDS_PX + WIDENING * (nodes[-1] - length_px / 2.0))
@@ -156,7 +156,7 @@ def _rows(length_px: float, half_px: float) -> Array:
 
 
 def _along(length_px: float, nodes: Array) -> tuple[Array, Array, Array]:
-    """Return frequencies along the bars, and what they weigh in every row and in its derivative by ln(length)."""
+    """Return frequencies along the bars, and their weights in every row and in its derivative by ln(length)."""
     tall = float(int(2.2 * nodes[-1]) + 16)
     v = np.arange(int(HIGHEST_ALONG * tall)) / tall
     wave = np.cos(2.0 * np.pi * v[:, None] * nodes) * (2.0 - (v == 0))[:, None] * length_px / tall
@@ -173,7 +173,7 @@ def _comb(shape: BarShape, u: Array) -> tuple[Array, Array]:
 
 
 def _transfers(shape: BarShape, u: Array, v: Array) -> Array:
-    """Return the transfer and its derivatives by log attenuation and both numbers of the form, shape (4, u, v)."""
+    """Return the transfer and its derivatives by log attenuation and both model parameters, shape (4, u, v)."""
     ln_ratio = np.log(np.maximum(np.hypot(u[:, None], v) / shape.reference, 1e-9))
     core = shape.form.slopes(ln_ratio, float(np.exp(shape.log_attenuation)), shape.form_one, shape.form_two)
     core[0] = np.exp(core[0]) * _pixel(shape.angle_rad, u.size, float(u[1]), v.size, float(v[-1]))
@@ -183,9 +183,9 @@ def _transfers(shape: BarShape, u: Array, v: Array) -> Array:
 
 @lru_cache(maxsize=4)
 def _pixel(angle_rad: float, across: int, step: float, along: int, highest: float) -> Array:
-    """Return the pixel's transfer at frequencies across and along the bars; of an unchanged grid it is made once.
+    """Return the pixel's transfer at frequencies across and along the bars, cached for an unchanged grid.
 
-    A turned pixel is not quite symmetric along the bars: the mean over both senses is what sums over them see.
+    A rotated pixel is not symmetric along the bars: the mean over both senses applies to sums over them.
     """
     u, v = step * np.arange(across)[:, None], np.linspace(0.0, highest, along)
     cosine, sine = np.cos(angle_rad), np.sin(angle_rad)

@@ -1,4 +1,4 @@
-"""What noise adds to the MTF of a fitted picture on the average: its square, where the picture bends."""
+"""Second-order bias of the fitted MTF by noise, and its uncertainty by quantisation."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,17 +15,18 @@ SURE = 0.015
 
 
 def mtf_bias(fit: BarFit, problem: BarLikelihood) -> float:
-    """Return by how much the MTF of a fitted picture exceeds the truth on the average of the noise.
+    """Return the expected excess of the fitted MTF by noise.
 
     Notes
     -----
-    A phase, direction or frequency that follows the noise lifts the bars' amplitude, as a modulus is lifted. With
-    slopes J, second derivatives H, weights W, estimator E = (J' W J + P)^-1 J' W and noise covariance S the estimate
-    is off by (Box 1971, doi 10.1111/j.2517-6161.1971.tb00871.x, for weights that need not be the noise's)
+    A phase, direction or frequency that follows the noise raises the bars' amplitude. With slopes J, second derivatives
+    H, weights W, estimator E = (J' W J + P)^-1 J' W and noise covariance S the bias of the estimate is (Box 1971, doi
+    10.1111/j.2517-6161.1971.tb00871.x, for weights that may differ from the noise's)
 
         b = (J' W J + P)^-1 [sum_k H_k' W q_k - J' W tr(H C) / 2],   C = E S E',   q = (1 - J E) S E',
 
-    and its MTF M by M' b + tr(M'' C) / 2, all to the second order of the noise. An MTF that is known to 1.5 % has none.
+    and that of the MTF M is M' b + tr(M'' C) / 2, to second order in the noise. It is neglected for an MTF of less than
+    1.5 % uncertainty.
     """
     own = [fit.names.index("log_attenuation"), fit.names.index("departure")]
     first, second = _mtf_slopes(fit)
@@ -48,7 +49,7 @@ def mtf_bias(fit: BarFit, problem: BarLikelihood) -> float:
 
 
 def rounding_sd(fit: BarFit) -> float:
-    """Return the standard deviation that the digitiser's steps leave in the MTF, as a share of it."""
+    """Return the relative standard uncertainty of the MTF by quantisation."""
     rounding = fit.noise.rounding
     if rounding is None or not len(rounding):
         return 0.0
@@ -68,9 +69,9 @@ def _mtf_slopes(fit: BarFit) -> tuple[Array, Array]:
 
 
 def _bends(fit: BarFit, problem: BarLikelihood) -> dict[tuple[int, int], Array]:
-    """Return the picture's second derivatives over the pixels by pair of parameters, in the order of the parameters.
+    """Return the image's second derivatives over the pixels by pair of parameters.
 
-    Level, ground and departure enter linearly: they bend with another parameter alone.
+    Level, pedestal and departure enter linearly: they have mixed derivatives only.
     """
     picture, index = BarImageModel(problem, fit.target), fit.names.index
     here = {**fit.values, **{name: 0.0 for name in ("across_px", "along_px") if name in fit.names}}
@@ -87,7 +88,7 @@ def _bends(fit: BarFit, problem: BarLikelihood) -> dict[tuple[int, int], Array]:
 
 
 def _steps(fit: BarFit, picture: BarImageModel) -> dict[str, float]:
-    """Return how far to step each parameter that bends the picture, place and direction over some of a period."""
+    """Return the finite-difference step of each nonlinear parameter, for positions part of a period."""
     reach = picture.reach
     move = min(STEP_PERIODS / fit.target.frequency, STEP_PX)
     steps = {

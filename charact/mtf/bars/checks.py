@@ -1,4 +1,4 @@
-"""What may be wrong with a bar target measured, told by the target itself."""
+"""Checks of a bar target: bar count, field motion, nonlinearity, misfit, sharpening, aliasing."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,14 +27,14 @@ Array = NDArray[np.float64]
 
 
 def findings_of_sums(target: BarTarget, amplitudes: Amplitudes, second: float) -> list[Finding]:
-    """Return what the sums over a whole target give away: other bars, motion between fields, a curved response."""
+    """Return the findings from the sums over a target: bar count, motion between fields, nonlinear response."""
     found = []
     noise = SIGNIFICANT / amplitudes.signal_to_noise
     if amplitudes.zeros > DOUBTFUL + noise or amplitudes.flank < MIN_FLANK - noise:
         effect = f"{100 * amplitudes.zeros:.0f} % of the fundamental lies where {target.bars} bars have no light"
         found.append(misfit_finding(f"{effect}: the MTF may be off by as much", f"--bars, --frequency; {REGION}"))
     apart = abs(amplitudes.fields_apart_px)
-    # Bars that lie along rows are aliased in each field alone, which looks like motion.
+    # Bars along rows are aliased in each field, which resembles motion.
     upright = abs(np.sin(target.angle_rad)) < UPRIGHT
     if upright and apart > max(SIGNIFICANT * amplitudes.fields_apart_sd_px, FIELD_OFFSET_PX):
         found.append(_field_motion(apart, target.frequency))
@@ -48,7 +48,7 @@ def findings_of_sums(target: BarTarget, amplitudes: Amplitudes, second: float) -
 
 
 def findings_of_fit(fit: BarFit) -> list[Finding]:
-    """Return what a fitted picture gives away: another object, motion between fields, a fundamental under the noise."""
+    """Return the findings from a fitted image: misfit, model departure, sharpening, motion between fields."""
     found = []
     left = _profile_residual_rms(fit)
     if left > 0.0:
@@ -73,14 +73,14 @@ def findings_of_fit(fit: BarFit) -> list[Finding]:
 
 
 def _field_motion(apart_px: float, frequency: float) -> Finding:
-    """Return that odd rows show the bars elsewhere than even ones: their mean is as much lower."""
+    """Return the finding that the fields are displaced, with the loss of MTF in their mean."""
     lowered = 1.0 - np.cos(np.pi * frequency * apart_px)
     effect = f"odd rows show the bars {apart_px:.2f} px beside even ones: the MTF is {100 * lowered:.2g} % too low"
     return Finding(flag="interlace-motion", effect=effect, remedy="one field alone, or a target that stands still")
 
 
 def light_in_standard_errors(fit: BarFit) -> float:
-    """Return the bars' light over its standard error, their shape and place taken as known: are there any?"""
+    """Return the bars' light in its standard uncertainties at fixed shape and position."""
     slope = fit.slope[[fit.names.index("level_dn"), fit.names.index("pedestal_dn")]]
     weighed = slope / fit.noise.variance
     estimator = np.asarray(np.linalg.solve(weighed @ slope.T, weighed), dtype=np.float64)
@@ -88,7 +88,7 @@ def light_in_standard_errors(fit: BarFit) -> float:
 
 
 def fundamental_in_standard_errors(fit: BarFit) -> float:
-    """Return the modulus of the fundamental over the standard error of its parts, asked of the bars' core alone."""
+    """Return the fundamental of the bars' core in its standard uncertainties."""
     target, pixels = fit.target, fit.model_dn + fit.residual_dn - fit["pedestal_dn"]
     across, _ = target.coordinates((fit.window.shape[0], fit.window.shape[1]))
     core = target.box((fit.window.shape[0], fit.window.shape[1]), core_margin_px(target.frequency))[fit.window]
@@ -100,9 +100,9 @@ def fundamental_in_standard_errors(fit: BarFit) -> float:
 
 
 def _profile_residual_rms(fit: BarFit) -> float:
-    """Return the mean residual across the bars, DN rms, where it is more than noise and forms that are not quite exact.
+    """Return the rms of the mean residual profile across the bars, DN, where it exceeds noise and model tolerance.
 
-    Residuals of single pixels may have told the noise; along the bars noise averages away and a wrong picture stays.
+    Averaging along the bars suppresses noise, also where the noise was estimated from these residuals.
     """
     across, _ = fit.target.coordinates((fit.window.shape[0], fit.window.shape[1]))
     near = np.abs(across[fit.window]) < fit.target.width_px / 2.0 + 1.0 / fit.target.frequency
@@ -118,7 +118,7 @@ def _profile_residual_rms(fit: BarFit) -> float:
 
 
 def _field_offset_px(fit: BarFit) -> float:
-    """Return how far odd rows lie from even ones across the bars, px, where it is beyond the noise."""
+    """Return the displacement of odd rows from even rows across the bars, px, where it is significant."""
     odd = 1.0 - 2.0 * (np.nonzero(fit.window)[0] % 2)
     slope = fit.slope[fit.names.index("across_px")] * odd
     weight = 1.0 / float(slope @ slope)
@@ -128,12 +128,12 @@ def _field_offset_px(fit: BarFit) -> float:
 
 
 def not_identifiable(target: BarTarget, length_px: float) -> str | None:
-    """Return why the fundamental cannot be told from its alias; None where it can.
+    """Return why the fundamental cannot be separated from its alias; None where it can.
 
     Notes
     -----
     The alias of a component g along a grid axis lies at 1 - g. The spectrum of N bars is f/N wide on either side, so
-    that the two run into each other where 1 - 2 g < 2 f/N, unless the bars travel through the pixel's phases.
+    that the two overlap where 1 - 2 g < 2 f/N, unless the tilt of the bars covers the pixel's phases.
     """
     cosine, sine = abs(np.cos(target.angle_rad)), abs(np.sin(target.angle_rad))
     ratio = target.pitch_ratio

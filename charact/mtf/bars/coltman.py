@@ -1,4 +1,4 @@
-"""Coltman's reading of bar targets: the series of square-wave contrasts over groups, or its first term of one group."""
+"""Contrast methods for bar targets: Coltman's first term, contrast of the mean profile, and the series."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -46,7 +46,7 @@ def bars_coltman(
     frequency_cy_per_px: float | None = None,
     context: Context,
 ) -> Result:
-    """Read (pi/4)(max - min)/step from the inner bars of one group, the step being that of a large area.
+    """Measure (pi/4)(max - min)/step at the inner bars of one group, the step being that of a large area.
 
     Parameters
     ----------
@@ -56,12 +56,12 @@ def bars_coltman(
     Returns
     -------
     Result
-        `mtf` at the bars' frequency, always suspect.
+        `mtf` at the bar frequency, always suspect.
 
     Notes
     -----
-    Coltman, J. Opt. Soc. Am. 44, 468 (1954). The step of a large area is the light of the whole target over the area
-    of its bars, N w a unit length.
+    Coltman, J. Opt. Soc. Am. 44, 468 (1954). The step of a large area is the light of the target over the area of its
+    bars, N w per unit length.
     """
     used = stack if region is None else stack.region(*region)
     common: dict[str, Any] = {
@@ -89,7 +89,7 @@ def bars_coltman(
 
 
 def _read(mean: Array, seen: LocatedBars) -> tuple[float, float, BarTarget] | None:
-    """Return the reading from bars that are bright, its standard error and the target."""
+    """Return modulation, standard uncertainty and target, for bars that are bright."""
     target, through = seen.target, seen.through
     bars, frequency = target.bars, target.frequency
     across, along = target.coordinates((mean.shape[0], mean.shape[1]))
@@ -112,25 +112,25 @@ def _read(mean: Array, seen: LocatedBars) -> tuple[float, float, BarTarget] | No
     step = light / (bars * 0.5 / frequency)
     if not step > 0:
         return None
-    # A fundamental's mean over pixels so near its peaks is lower than the peaks by a known factor.
+    # The mean of a fundamental over pixels near its extrema is lower than the extremum by a known factor.
     value = np.pi / 4.0 * (on.mean() - between.mean()) / step / np.sinc(2.0 * NEAR)
     error = np.pi / 4.0 * np.hypot(on.std() / np.sqrt(on.size), between.std() / np.sqrt(between.size)) / step
     return float(value), float(error), target
 
 
 def series(modulations: Mapping[float, float]) -> dict[float, float]:
-    """Return the MTF at the frequencies of groups of bars by Coltman's series over their modulations.
+    """Return the MTF at the frequencies of bar groups from Coltman's series over their modulations.
 
     Parameters
     ----------
     modulations
-        (max - min)/step of each group by its frequency, cycles per pixel; above the highest it is taken as zero.
+        (max - min)/step of each group by its frequency, cycles per pixel; taken as zero above the highest.
 
     Returns
     -------
     dict
-        MTF by frequency, dimensionless; only the groups whose third harmonic lies within the highest group, or whose
-        modulation there is negligible, are free of harmonics.
+        MTF by frequency, dimensionless. A group is free of harmonics only if its third harmonic lies within the highest
+        group, or has negligible modulation.
 
     Raises
     ------
@@ -139,8 +139,8 @@ def series(modulations: Mapping[float, float]) -> dict[float, float]:
 
     Notes
     -----
-    M(f) = (pi/4) (C(f) + C(3f)/3 - C(5f)/5 + C(7f)/7 + C(11f)/11 - ...), exact for infinite square waves.
-    Between groups C is interpolated linearly.
+    M(f) = (pi/4) (C(f) + C(3f)/3 - C(5f)/5 + C(7f)/7 + C(11f)/11 - ...), exact for infinite square waves. C is
+    interpolated linearly between groups.
     """
     if not modulations or min(modulations) <= 0:
         raise BadInput(f"the frequencies of bar groups must be positive, got {sorted(modulations)}")
@@ -157,7 +157,8 @@ def series(modulations: Mapping[float, float]) -> dict[float, float]:
 def _sign(order: int) -> int:
     """Return the sign of a term, 0 where the order has a square factor.
 
-    The square wave's harmonics carry (-1)^((k-1)/2), which is multiplicative, so that Moebius' function inverts them.
+    The square wave's harmonics carry (-1)^((k-1)/2), which is multiplicative, so that the Moebius function inverts
+    them.
     """
     sign = (-1) ** ((order - 1) // 2)
     for prime in range(3, order + 1, 2):

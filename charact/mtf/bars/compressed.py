@@ -1,4 +1,4 @@
-"""The likelihood of a transfer's shape on the few numbers that a linear estimate makes of all pixels."""
+"""Likelihood of the transfer's shape on the linear estimates from all pixels."""
 
 from collections.abc import Callable
 
@@ -19,13 +19,13 @@ FLAT_SD = 100.0
 
 
 def shape_log_density(fit: BarFit, problem: BarLikelihood) -> Callable[[Array], Array]:
-    """Return the log-probability of (log_attenuation, form_one, departure), all else marginalised.
+    """Return the log-probability of (log_attenuation, form_one, departure), other parameters marginalised.
 
     Notes
     -----
-    t(theta) = E (y - mu(theta)), E the estimator at the best fit, is one number for each parameter, normal with the
-    covariance E S E' that the fit already knows, correlation between pixels included. Level, ground, place and
-    departure enter it linearly and are marginalised exactly; attenuation and exponent as far from a plane as they are.
+    t(theta) = E (y - mu(theta)), E the estimator at the optimum, has one value per parameter, normal with the
+    covariance E S E', which includes the correlation between pixels. Level, background, position and departure enter
+    linearly and are marginalised exactly; attenuation and exponent are tabulated.
     """
     picture = BarImageModel(problem, fit.target)
     centre = {**fit.values, **{name: 0.0 for name in PLACE if name in fit.names}}
@@ -56,22 +56,22 @@ def shape_log_density(fit: BarFit, problem: BarLikelihood) -> Callable[[Array], 
 
 
 def _tabulated_range(fit: BarFit, problem: BarLikelihood) -> tuple[Array, Array]:
-    """Return lowest and highest attenuation and exponent to tabulate."""
+    """Return the lowest and highest attenuation and exponent to tabulate."""
     value, sd = np.array([fit[name] for name in TABULATED]), np.array([fit.sd(name) for name in TABULATED])
     low, high = np.array([problem.bounds[name] for name in TABULATED]).T
     return np.maximum(low, value - RANGE_SD * sd), np.minimum(high, value + RANGE_SD * sd)
 
 
 def _powers(places: Array) -> Array:
-    """Return all products of powers of two coordinates up to the degree, shape (place, power)."""
+    """Return all products of powers of two coordinates up to the degree, shape (point, power)."""
     terms = [places[:, 0] ** i * places[:, 1] ** j for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]
     return np.stack(terms, axis=1)
 
 
 def _marginal(fit: BarFit) -> tuple[Array, Array, Array]:
-    """Return the inverse covariance of the numbers with all that enters linearly marginalised.
+    """Return the inverse covariance of the estimates with linear parameters marginalised.
 
-    With it what one unit of departure adds to them, and what the priors of the others do.
+    The other two values are the response of the estimates to one unit of departure, and the effect of the other priors.
     """
     linear = [k for k, name in enumerate(fit.names) if name not in (*TABULATED, "departure")]
     answer = fit.estimator @ fit.slope.T

@@ -1,4 +1,4 @@
-"""The plain method for bar targets: the contrast of the averaged profile times pi/4, as it is read by eye."""
+"""Contrast of the mean profile times pi/4, as read by eye."""
 
 from typing import Any
 
@@ -39,7 +39,7 @@ def bars_contrast(
     frequency_cy_per_px: float | None = None,
     context: Context,
 ) -> Result:
-    """Read pi/4 (max - min)/(max + min) over the pedestal from the profile across the bars.
+    """Measure pi/4 (max - min)/(max + min) above the pedestal from the profile across the bars.
 
     Parameters
     ----------
@@ -49,12 +49,12 @@ def bars_contrast(
     Returns
     -------
     Result
-        `mtf` at the bars' frequency, always suspect.
+        `mtf` at the bar frequency, always suspect.
 
     Notes
     -----
-    Coltman (J. Opt. Soc. Am. 44, 468, 1954), first term of the series: right for infinite square waves beyond a third
-    of the cut-off only.
+    First term of Coltman's series (J. Opt. Soc. Am. 44, 468, 1954): valid for infinite square waves above a third of
+    the cut-off.
     """
     used = stack if region is None else stack.region(*region)
     where = region or (0, 0, *used.shape[1:])
@@ -81,7 +81,7 @@ def bars_contrast(
 
 
 def _read(mean: Array, target: BarTarget) -> tuple[float, float] | None:
-    """Return the reading and its standard error, from the pixels that lie on the middles of bars and of gaps."""
+    """Return contrast and standard uncertainty from the pixels at the centres of bars and gaps."""
     across, along = target.coordinates(mean.shape)
     margin, _ = fitting_margin(target, (mean.shape[0], mean.shape[1]), 1.5 / target.frequency)
     pedestal = float(np.median(mean[~target.box(mean.shape, margin)]))

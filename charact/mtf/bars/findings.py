@@ -1,4 +1,4 @@
-"""What may be wrong with a bar target measured: each finding with how far it may move the MTF and what settles it."""
+"""Findings of bar targets: flag, effect on the MTF, remedy."""
 
 from collections.abc import Iterable
 from itertools import chain
@@ -31,12 +31,12 @@ POSTERIOR_FINDINGS = {
 
 
 def misfit_finding(effect: str, remedy: str = REGION) -> Finding:
-    """Return that the picture is not the model's."""
+    """Return the finding that the image differs from the model."""
     return Finding(flag="model-misfit", effect=effect, remedy=remedy)
 
 
 def margin_findings(margin_px: float, least_px: float) -> list[Finding]:
-    """Return that the region ends within a core's blur of the bars."""
+    """Return a finding where the region cuts off part of the core's blur."""
     if margin_px >= least_px:
         return []
     effect = f"light further than {margin_px:.0f} px from the bars is not counted: the MTF is too high by its share"
@@ -44,7 +44,7 @@ def margin_findings(margin_px: float, least_px: float) -> list[Finding]:
 
 
 def crowding_findings(crowded: bool) -> list[Finding]:
-    """Return that other light reaches into the window."""
+    """Return a finding where other light reaches into the window."""
     if not crowded:
         return []
     effect = (
@@ -54,7 +54,7 @@ def crowding_findings(crowded: bool) -> list[Finding]:
 
 
 def bar_count_findings(other: int | None, asked: int) -> list[Finding]:
-    """Return that the picture is rather that of another number of bars."""
+    """Return a finding where the data favour another number of bars."""
     if other is None:
         return []
     effect = f"the picture is rather that of {other} bars than of {asked}: the light of a bar is that of another number"
@@ -62,7 +62,7 @@ def bar_count_findings(other: int | None, asked: int) -> list[Finding]:
 
 
 def rounding_findings(fit: BarFit) -> list[Finding]:
-    """Return that the digitiser's steps may move the MTF beyond what a first order tells."""
+    """Return a finding where quantisation changes the MTF beyond first order."""
     moved = rounding_sd(fit)
     if moved <= COARSE:
         return []
@@ -73,10 +73,9 @@ def rounding_findings(fit: BarFit) -> list[Finding]:
 def clipping_findings(
     used: FrameStack, windows: Iterable[Mask], context: Context, fit: BarFit | None = None
 ) -> list[Finding]:
-    """Return that pixels of a window pile up at an end of the scale.
+    """Return a finding where pixels of a window are clipped.
 
-    Where a fit shows that the picture has hardly any noise its plateaus are still by themselves: only a scale that is
-    stated tells then that they are cut off.
+    If the frames have hardly any noise, a flat plateau proves clipping only at a stated full scale.
     """
     full_scale_dn = context.full_scale_dn or used.full_scale_dn
     if fit is not None and _is_noise_hidden(used, fit) and (full_scale_dn is None or used.data.max() < full_scale_dn):
@@ -88,25 +87,25 @@ def clipping_findings(
 
 
 def _is_noise_hidden(used: FrameStack, fit: BarFit) -> bool:
-    """Tell whether a frame's noise is hidden by whole codes, or is as small as what the picture's table is off by."""
+    """Return whether a frame's noise is below the quantisation step, or below the error of the image's table."""
     sd = float(np.sqrt(np.median(fit.noise.variance) * len(used.data)))
     return sd < (STILL_DN if used.data.dtype.kind in "ui" else STILL_FRACTION * abs(fit["level_dn"]))
 
 
 def motion_finding(wander: TargetMotion, frequency: float) -> Finding:
-    """Return that bars move from frame to frame."""
+    """Return the finding that the bars move between frames."""
     effect = f"the bars move by {wander.rms_px:.2g} px rms: the MTF is {100 * wander.mtf_loss(frequency):.2g} % too low"
     return Finding(flag="drift", effect=effect, remedy="one frame alone, or frames in which the target stands still")
 
 
 def faintness_finding(mtf: float, sd: float) -> Finding:
-    """Return that an MTF is hardly more than its error."""
+    """Return the finding that the MTF is close to its uncertainty."""
     effect = f"the MTF is {mtf / max(sd, 1e-30):.1f} standard errors: an upper limit"
     return Finding(flag="low-signal", effect=effect, remedy="more frames or more light")
 
 
 def posterior_findings(flags: Iterable[str]) -> list[Finding]:
-    """Return what a posterior says of itself; a form's exponent may lean on its bound without harm."""
+    """Return the findings from the flags of a posterior; an exponent at its bound is harmless."""
     return [
         Finding(flag=flag, effect=POSTERIOR_FINDINGS[flag][0], remedy=POSTERIOR_FINDINGS[flag][1])
         for flag in flags
@@ -115,7 +114,7 @@ def posterior_findings(flags: Iterable[str]) -> list[Finding]:
 
 
 def sum_notes(target: BarTarget, wanted: BarTarget, amplitudes: Amplitudes, *, stated: bool) -> tuple[str, ...]:
-    """Return what to know of sums over a target: its own frequency, and light that lingers."""
+    """Return notes on sums over a target: measured frequency and image lag."""
     notes = []
     if stated and abs(target.frequency / wanted.frequency - 1.0) > FREQUENCY_TOLERANCE:
         notes.append(f"The bars repeat at {target.frequency:.4g} cy/px, asked were {wanted.frequency:.4g}.")

@@ -1,4 +1,4 @@
-"""The picture of a bar target fitted to its pixels, with the errors that the noise really there makes."""
+"""Fit of a bar target's image to its pixels, with the covariance and bias by the actual noise."""
 
 from dataclasses import dataclass, replace
 
@@ -30,36 +30,36 @@ MIN_VARIANCE = 1e-8
 
 @dataclass(frozen=True, kw_only=True)
 class BarFit:
-    """A picture fitted.
+    """A fitted image.
 
     Parameters
     ----------
     target
-        Where the bars lie.
+        Position of the bars.
     shape
-        Their picture.
+        Parameters of their image.
     names, value, covariance
-        Parameters, their values and covariance.
+        Parameter names, values and covariance.
     residual_dn, model_dn
-        Pixels less the picture, and the picture, shape (pixel,).
+        Pixels less the image, and the image, shape (pixel,).
     slope
-        Derivatives of the picture, shape (parameter, pixel).
+        Derivatives of the image, shape (parameter, pixel).
     inverse
         Inverse of the normal matrix, priors included, shape (parameter, parameter).
     estimator
-        What each pixel weighs in each parameter, shape (parameter, pixel).
+        Weight of each pixel in each parameter, shape (parameter, pixel).
     noise_covariance
-        The part of the covariance that the noise makes.
+        The part of the covariance that is due to noise.
     prior_mean, precision
         Of the priors, shape (parameter,); precision 0: none.
     window
-        Which pixels were used, shape (row, col).
+        Pixels used, shape (row, col).
     noise
         Noise of the pixels.
     strip
-        Whether the bars run through the window.
+        Whether the bars cross the complete window.
     cost
-        Chi squared, and what the priors add to it.
+        Chi squared with the priors' terms.
     """
 
     target: BarTarget
@@ -95,7 +95,7 @@ class BarFit:
 
     @property
     def ln_mtf_slope(self) -> Array:
-        """Derivatives of ln of the MTF at the reference frequency, shape (parameter,)."""
+        """Derivatives of ln MTF at the reference frequency, shape (parameter,)."""
         slope = np.zeros(len(self.names))
         slope[self.names.index("log_attenuation")] = -np.exp(self["log_attenuation"])
         slope[self.names.index("departure")] = 1.0 / (1.0 + self["departure"])
@@ -111,14 +111,14 @@ def fit_bars(
     tolerance: float = SETTLED,
     hopeless: float = np.inf,
 ) -> BarFit:
-    """Fit the picture by damped Gauss-Newton steps, given up where they lead to no less than a hopeless cost.
+    """Fit the image by damped Gauss-Newton steps; stop early if the cost cannot fall below `hopeless`.
 
-    The noise, if known, tells the covariance.
+    The noise, if given, sets the covariance.
 
     Notes
     -----
-    Weighted least squares is a linear estimator near its answer, E = (J' W J + P)^-1 J' W: whatever the correlation
-    between pixels, its covariance is E S E' + the priors' part.
+    Near its optimum weighted least squares is a linear estimator, E = (J' W J + P)^-1 J' W. For any correlation between
+    pixels its covariance is E S E' plus the priors' part.
     """
     picture, names = BarImageModel(problem, target), problem.names
     theta = np.array([start[name] for name in names])
@@ -129,7 +129,7 @@ def fit_bars(
         if there is None:
             break
         gained, here = here.cost - there.cost, there
-        # Near its end a fit gains by a step at least as much as by all that follow it.
+        # Near the optimum a step gains at least as much as all later steps.
         if expected < tolerance or (step >= NEAR_END and here.cost - max(gained, expected) > hopeless):
             break
     return _fit_at(problem, target, picture, here, noise)
@@ -137,7 +137,7 @@ def fit_bars(
 
 @dataclass(frozen=True, kw_only=True)
 class _FitPoint:
-    """A point on the way to a fit: the picture there, its slopes, its cost and the priors in it."""
+    """A point of the optimisation: image, slopes, cost and priors."""
 
     theta: Array
     model: Array
@@ -149,7 +149,7 @@ class _FitPoint:
 
 
 def _evaluate_point(picture: BarImageModel, theta: Array, pixel: float) -> _FitPoint:
-    """Return the picture at a point; `pixel` is the aperture's transfer, which the priors need for the MTF."""
+    """Return the image at a point; the priors need `pixel`, the transfer of the aperture."""
     problem = picture.problem
     model, slope = picture(dict(zip(problem.names, theta, strict=True)))
     mean, precision = priors(problem, float(pixel * np.exp(-np.exp(theta[0]))))
@@ -159,12 +159,12 @@ def _evaluate_point(picture: BarImageModel, theta: Array, pixel: float) -> _FitP
 
 
 def _gauss_newton_step(picture: BarImageModel, here: _FitPoint, bounds: Array) -> tuple[_FitPoint | None, float]:
-    """Return a better point along the Gauss-Newton step, None if there is none, and the gain that was expected."""
+    """Return a better point along the Gauss-Newton step, None if there is none, and the expected gain."""
     problem = picture.problem
     weighed = here.slope / problem.variance
     normal = weighed @ here.slope.T + np.diag(here.precision)
     gradient = weighed @ (problem.image[problem.window] - here.model) + here.precision * (here.mean - here.theta)
-    # What moves nothing, such as the shape of bars of no light, has no slope.
+    # Parameters without effect, such as the shape of bars without light, have no slope.
     felt = np.diag(normal)
     scale = 1.0 / np.sqrt(np.where(felt > 0.0, felt, 1.0))
     step = scale * np.linalg.solve(normal * np.outer(scale, scale) + 1e-9 * np.eye(len(scale)), scale * gradient)
@@ -208,7 +208,7 @@ def _fit_at(
 
 
 def _target_at(target: BarTarget, point: dict[str, float]) -> BarTarget:
-    """Return the target where the fit has put it."""
+    """Return the target at the fitted position, direction and frequency."""
     cosine, sine = np.cos(point["angle_rad"]), np.sin(point["angle_rad"])
     across, along = point["across_px"], point.get("along_px", 0.0)
     return replace(
@@ -223,50 +223,50 @@ def _target_at(target: BarTarget, point: dict[str, float]) -> BarTarget:
 def fit_frames(
     frames: Array, problem: BarLikelihood, target: BarTarget, *, inflation: float = 1.0
 ) -> tuple[BarFit, BarLikelihood]:
-    """Fit the mean of frames with the noise that is in them; return the problem with each pixel's variance too.
+    """Fit the mean of frames with its noise; return the likelihood with each pixel's variance too.
 
     Parameters
     ----------
     frames
-        Shape (frame, row, col); of one alone the noise is what a first fit leaves over.
+        Shape (frame, row, col); for one frame the noise is estimated from the residuals of a first fit.
     inflation
-        Factor by which light that lingers widens the error of the mean, on its square.
+        Variance factor of the mean by image lag.
     """
     first = fit_bars(problem, target, initial_parameters(problem, target), tolerance=ROUGHLY)
     window, ground = problem.window, first["pedestal_dn"]
     if len(frames) > 1:
         noise = noise_of(frames, first.model_dn, window, ground_dn=ground, inflation=inflation)
     else:
-        # As much as white noise of what is left over would make of it.
+        # Start from white noise.
         spread = first.noise_covariance * np.mean(first.residual_dn**2) / np.mean(problem.variance)
         for _ in range(2):
             absorbed = _root(spread).T @ first.slope
             noise = noise_of_one(first.residual_dn, first.model_dn, absorbed, window, ground_dn=ground)
             spread = noise.spread(first.estimator, window)
-        # What rounding shifts alike stays in the picture: it is not in what a fit leaves over.
+        # A common quantisation shift is absorbed by the image: the residuals do not contain it.
         if frames.dtype.kind in "ui":
             noise = replace(noise, rounding=rounding_shifts(first.model_dn, noise.variance))
-    # No pixel weighs more than the average one: steep weights carry the noise of the first fit into the second.
+    # No pixel weighs more than the average one: unequal weights carry the noise of the first fit into the second.
     least = max(float(noise.variance.mean()), MIN_VARIANCE * first["level_dn"] ** 2)
     weighed = replace(problem, variance=np.maximum(noise.variance, least))
     return fit_bars(weighed, target, first.values, noise), weighed
 
 
 def fit_all_models(fit: BarFit, problem: BarLikelihood) -> list[tuple[float, BarFit, BarLikelihood]]:
-    """Return the fits of all forms that count, the weight of each and what it fits, the one that stands first.
+    """Fit all blur models; return weight, fit and likelihood of those that count, the preferred one first.
 
     Parameters
     ----------
     fit
-        A fit of one form.
+        Fit of one blur model.
     problem
-        What is fitted; its MTF may be asked for at another frequency than that of the fit.
+        Its likelihood; the reported frequency may differ from that of the fit.
 
     Notes
     -----
-    Weights are evidences (Laplace): exp(-chi^2 / 2), of noise that neighbours share as much less, times what the pixels
-    leave of the priors of a form's numbers. Where several forms describe a picture alike, their answers are all drawn.
-    A tube's form, which can be almost any blur's to first order, is the first until the pixels ask for another.
+    Weights are evidences by Laplace's approximation: exp(-chi^2 / 2), chi^2 divided by the correlation sum, times the
+    posterior-to-prior widths of the model's two parameters. The tube model, which approximates almost any blur to first
+    order, stays first unless the data clearly prefer another.
     """
     shape, ratio = fit.shape, problem.asked / fit.shape.reference
     places = np.log(np.geomspace(LIKE[0], LIKE[1], LIKE_PLACES) * ratio)
@@ -301,7 +301,7 @@ def _weights(fits: list[tuple[BarFit, BarLikelihood]]) -> list[float]:
 
 
 def _ln_evidence(fit: BarFit, problem: BarLikelihood) -> float:
-    """Return ln of how likely the picture is, and of what the pixels leave of the priors of its form."""
+    """Return ln evidence by Laplace's approximation."""
     left = [
         min(fit.sd(name) / prior[1], 1.0)
         for name, prior in (("form_one", problem.form.one), ("form_two", problem.form.two))
@@ -310,6 +310,6 @@ def _ln_evidence(fit: BarFit, problem: BarLikelihood) -> float:
 
 
 def _root(covariance: Array) -> Array:
-    """Return a matrix whose square is a covariance, shape (parameter, parameter)."""
+    """Return a matrix R with R R' equal to a covariance, shape (parameter, parameter)."""
     values, vectors = np.linalg.eigh(covariance)
     return vectors * np.sqrt(np.maximum(values, 0.0))

@@ -1,4 +1,4 @@
-"""The forward method for bar targets: the exact spectrum of N finite bars, fitted to the pixels."""
+"""Forward method for bar targets: the exact spectrum of N finite bars, fitted to the pixels."""
 
 import numpy as np
 
@@ -48,27 +48,27 @@ def bars_forward(
     stack
         Frames of one target.
     region
-        ROW, COL, HEIGHT, WIDTH that holds the whole target and its blur, or a strip across all bars; None: the whole
-        frame.
+        ROW, COL, HEIGHT, WIDTH that contains the complete target and its blur, or a strip across all bars; None: the
+        whole frame.
     bars
-        Number of bars; None: counted in the picture.
+        Number of bars; None: counted in the image.
     frequency_cy_per_px
-        Their frequency, cycles per column pitch across them; None: found in the picture, where the MTF is told.
+        Bar frequency, cycles per column pitch across the bars, at which the MTF is reported; None: measured.
     context
-        Seed, whether a Markov chain is wanted, and the camera.
+        Seed, speed and camera.
 
     Returns
     -------
     Result
-        `mtf` at the fundamental, and the profile across the bars as evidence.
+        `mtf` at the fundamental, and the profile across the bars as figure data.
 
     Notes
     -----
-    The spectrum of N bars of width w = 1/(2 f) and pitch P is O(v) = w sinc(v w) sin(pi N v P) / sin(pi v P); at their
-    own frequency it is (2/pi) O(0), so that MTF(f) = (pi/2) |I(f)| / I(0), I the spectrum of the image over its
-    pedestal. The picture O times a transfer of the form exp(-(f/fc)^n), free to depart from it at f, and the pixel is
-    fitted to the pixels as they are sampled. Of a camera described, whose halo is wide and known, whole targets are
-    summed instead; what its tails carry beyond the window is a parameter with a prior from the camera's ranges.
+    The spectrum of N bars of width w = 1/(2 f) and pitch P is O(v) = w sinc(v w) sin(pi N v P) / sin(pi v P). At the
+    bar frequency it is (2/pi) O(0), so that MTF(f) = (pi/2) |I(f)| / I(0), I the spectrum of the image above its
+    pedestal. O times a blur model, with a free departure at f, and the pixel aperture is fitted to the pixels. For a
+    camera with a description, whose halo is wide and known, complete targets are summed instead; the light beyond the
+    window is a parameter with a prior from the description.
     """
     used = stack if region is None else stack.region(*region)
     where = region or (0, 0, *used.shape[1:])

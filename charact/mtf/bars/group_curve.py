@@ -1,7 +1,4 @@
-"""Groups of bars of one camera taken together: one MTF curve through the readings at their fundamentals.
-
-A user meets it where several groups are measured: in one frame (`charact mtf bars FILE`) and in one session.
-"""
+"""One MTF curve through several bar groups of a camera."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -40,14 +37,14 @@ FINE, MAX_LOST, TRUSTED_RATIO = np.arange(0.002, 1.2, 0.002), 0.02, 1.5
 
 @dataclass(frozen=True, kw_only=True)
 class Group:
-    """What one group of bars says.
+    """Measurement of one bar group.
 
     Parameters
     ----------
     frequency
         Cycles per pixel.
     mtf, sd
-        MTF there, pixel included, and its standard deviation.
+        MTF there, pixel included, and its standard uncertainty.
     angle_rad
         Direction across the bars.
     """
@@ -59,7 +56,7 @@ class Group:
 
 
 def group_of(measurement: Measurement) -> Group:
-    """Return what a measurement of "mtf" at the frequency of bars says.
+    """Return the group of a measurement of "mtf" at a bar frequency.
 
     Raises
     ------
@@ -78,26 +75,26 @@ def group_of(measurement: Measurement) -> Group:
 
 
 def frame_curves(result: Result, *, context: Context) -> Result:
-    """Return MTF50 and curves through the groups of bars of one frame; none where they are too few.
+    """Return MTF50 and curves through the bar groups of one frame; empty if there are too few.
 
     Parameters
     ----------
     result
-        Measurements of "mtf" by "bars-forward", those of a direction taken together.
+        Measurements of "mtf" by "bars-forward".
     context
         Seed, speed and camera.
 
     Returns
     -------
     Result
-        For each of rows and columns of which groups of two frequencies and more tell: `mtf50` and the curve "mtf"
-        (rows) or "mtf_vertical" (columns), cycles per column pitch in both, and their evidence. Else nothing.
+        For rows and for columns, if groups of at least two frequencies exist: `mtf50`, the curve "mtf" (rows) or
+        "mtf_vertical" (columns), in cycles per column pitch, and their figure data.
     """
     return _by_direction(result.measurements, ("mtf", "mtf_vertical"), context)
 
 
 def session_curves(result: Result, kinds: Mapping[str, str], *, context: Context) -> Result:
-    """Return MTF50 and curves through the bar targets of a session; none where they are too few.
+    """Return MTF50 and curves through the bar targets of a session; empty if there are too few.
 
     Parameters
     ----------
@@ -111,15 +108,15 @@ def session_curves(result: Result, kinds: Mapping[str, str], *, context: Context
     Returns
     -------
     Result
-        As `frame_curves`, without a stack; the curves are "mtf_bars" and "mtf_bars_vertical", which no other analysis of a
-        session takes for those of a target.
+        As for one frame, without a stack; the curves are named "mtf_bars" and "mtf_bars_vertical", to be distinct from
+        those of single targets.
     """
     own = [m for m in result.measurements if kinds.get(m.stack or "") == "bars"]
     return _by_direction(own, ("mtf_bars", "mtf_bars_vertical"), context)
 
 
 def _by_direction(measurements: Sequence[Measurement], names: tuple[str, str], context: Context) -> Result:
-    """Return one curve along rows and one along columns, each where groups of two frequencies tell of it."""
+    """Return one curve along rows and one along columns, each where groups of two frequencies exist."""
     out = Result()
     for (way, own), name in zip(_directions(measurements).items(), names, strict=True):
         frequencies = [m.frequency_cy_per_px for m in own if m.frequency_cy_per_px]
@@ -135,7 +132,7 @@ def _by_direction(measurements: Sequence[Measurement], names: tuple[str, str], c
 
 
 def _directions(measurements: Sequence[Measurement]) -> dict[str, list[Measurement]]:
-    """Return the sound groups that tell of rows and of columns, of those that turn alike the most."""
+    """Return the valid groups near the rows' and near the columns' direction."""
     sound = [
         m for m in measurements if m.quantity == "mtf" and m.method == GROUPS_BY and m.status == "ok" and m.interval68
     ]
@@ -143,7 +140,7 @@ def _directions(measurements: Sequence[Measurement]) -> dict[str, list[Measureme
 
 
 def _parallel_groups(sound: Sequence[Measurement], axis_deg: float) -> list[Measurement]:
-    """The largest set of groups near an axis that all lie within half the widest angle of one of them."""
+    """Return the largest set of groups near an axis within half the permitted angle of one of them."""
     near = [m for m in sound if _angle_between_deg(m.orientation_deg, axis_deg) < NEAR_DEG]
     sets = [
         [m for m in near if _angle_between_deg(m.orientation_deg, middle.orientation_deg) <= 0.5 * SAME_DIRECTION_DEG]
@@ -160,30 +157,30 @@ def _angle_between_deg(one_deg: float | None, other_deg: float | None) -> float:
 
 @with_timing
 def fit_group_curve(measurements: Sequence[Measurement], *, context: Context) -> Result:
-    """Fit one curve, c^((f/f2)^n) times what is known of the camera, to several groups of bars of one direction.
+    """Fit one curve, c^((f/f2)^n) times the known transfer, to several bar groups of one direction.
 
     Parameters
     ----------
     measurements
-        Of "mtf" at the groups' frequencies, by "bars-forward"; those without a value or not ok are left out.
+        Of "mtf" by "bars-forward"; those without a value or not ok are excluded.
     context
-        Seed, whether a Markov chain is wanted, and the camera.
+        Seed, speed and camera.
 
     Returns
     -------
     Result
-        `mtf50`, the curve "mtf" with its intervals, and the groups as evidence; refused with fewer than two groups, or
-        where it lies far from all of them.
+        `mtf50`, the curve "mtf" and figure data of the groups; refused with fewer than two groups, or where MTF50 lies
+        far from all of them.
 
     Raises
     ------
     BadInput
-        If the groups point in different directions.
+        If the groups have different directions.
 
     Notes
     -----
-    Likelihood normal in each group's MTF, whose error is near linear in it. More groups than the form has parameters
-    tell whether they are of one member of the family: `model-misfit` where chi squared has a chance under 0.001.
+    The likelihood is normal in each group's MTF. With more groups than parameters, `model-misfit` is set where chi
+    squared has a p-value under 0.001.
     """
     groups = [group_of(one) for one in measurements if one.status == "ok" and one.value is not None]
     provenance = Provenance(
@@ -194,7 +191,7 @@ def fit_group_curve(measurements: Sequence[Measurement], *, context: Context) ->
         reason = f"too few groups: a curve needs bars of two frequencies measured ok, got {len(groups)}"
         return Result(measurements=(make_refusal("mtf50", "cy/px", reason, flags=("low-signal",), **common),))
     _require_one_direction(groups)
-    # Directions a half turn apart are one: the mean is that of the doubled angles.
+    # Directions half a turn apart are equal: average the doubled angles.
     turned = np.sum(np.exp(2j * np.array([group.angle_rad for group in groups])))
     form = GroupCurveModel.of(context, angle_rad=0.5 * float(np.angle(turned)))
     posterior, left = _posterior(groups, form, context)
@@ -215,7 +212,7 @@ def fit_group_curve(measurements: Sequence[Measurement], *, context: Context) ->
 
 
 def _mtf50(curves: Array, groups: Sequence[Group], common: dict[str, Any]) -> Measurement:
-    """MTF50 of drawn curves at the fine frequencies; refused where no group tells of it."""
+    """Return MTF50 of drawn curves; refused where no group is near it."""
     crossing = crossing_frequency(FINE, curves, 0.5)
     told = sorted({group.frequency for group in groups})
     notes = [f"Through {len(groups)} groups of bars at {', '.join(f'{frequency:.3g}' for frequency in told)} cy/px."]
@@ -236,7 +233,7 @@ def _misfit(left: float, freedom: int) -> list[str]:
 
 
 def _require_one_direction(groups: Sequence[Group]) -> None:
-    """Refuse groups of different directions, whose MTFs need not be the same."""
+    """Reject groups of different directions, whose MTFs may differ."""
     apart = [abs(np.rad2deg(group.angle_rad - groups[0].angle_rad)) % 180.0 for group in groups]
     largest = max(min(one, 180.0 - one) for one in apart)
     if largest > SAME_DIRECTION_DEG:
@@ -246,7 +243,7 @@ def _require_one_direction(groups: Sequence[Group]) -> None:
 
 
 def _posterior(groups: Sequence[Group], form: GroupCurveModel, context: Context) -> tuple[Posterior, float]:
-    """Return draws of the form's parameters, and chi squared at the best of them."""
+    """Return draws of the parameters, and chi squared at the optimum."""
     frequency, mtf, sd = np.array([(group.frequency, group.mtf, group.sd) for group in groups]).T
 
     def squares(theta: Array) -> Array:
@@ -260,7 +257,7 @@ def _posterior(groups: Sequence[Group], form: GroupCurveModel, context: Context)
     asked = {"names": form.names, "units": form.units, "seed": context.seed, "bounds": form.bounds}
     start = form.grid[int(np.argmax(log_probability(form.grid)))]
     best, covariance = find_maximum(log_probability, start, form.bounds)
-    # Half frequency and exponent lie along a bent ridge, of which the curvature knows the middle only.
+    # Half frequency and exponent have a curved ridge, which a Gaussian approximation misses.
     drawn = (importance_sample if context.quick else sample)(
         log_probability, start=best, covariance=covariance, **asked
     )

@@ -22,16 +22,16 @@ GRID = (np.geomspace(0.03, 0.8, 40), np.linspace(0.8, 3.0, 23))
 
 @dataclass(frozen=True, kw_only=True)
 class GroupHaloPrior:
-    """The halo of a described intensifier: its diameter and rim, and what is thought of its share of the light.
+    """Halo of a described intensifier.
 
     Parameters
     ----------
     diameter_px
         Column pitches.
     elastic_share
-        Of its electrons, dimensionless.
+        Fraction of elastically scattered electrons, dimensionless.
     mean, sd
-        Prior of its share of the light, dimensionless.
+        Prior of its fraction of the light, dimensionless.
     """
 
     diameter_px: float
@@ -41,7 +41,7 @@ class GroupHaloPrior:
 
     @classmethod
     def of(cls, context: Context) -> "GroupHaloPrior | None":
-        """Return the halo of the camera; None where none is described."""
+        """Return the halo of the camera; None without a description."""
         if context.sensor is None:
             return None
         sensor, share = context.sensor, context.sensor.photocathode.halo_fraction
@@ -56,14 +56,14 @@ class GroupHaloPrior:
 
 @dataclass(frozen=True, kw_only=True)
 class GroupCurveModel:
-    """c^((f/f2)^n) along one direction, times pixel and video and, of a described intensifier, its halo.
+    """c^((f/f2)^n) along one direction, times pixel and video filter and, if described, the halo.
 
     Parameters
     ----------
     angle_rad
         Direction from that of the rows.
     known
-        Pixel, and the video where it is described.
+        Pixel aperture, and the described video filter.
     halo
         The halo, or None.
     """
@@ -74,7 +74,7 @@ class GroupCurveModel:
 
     @classmethod
     def of(cls, context: Context, *, angle_rad: float) -> "GroupCurveModel":
-        """Return the form for a camera and a direction."""
+        """Return the model for a camera and a direction."""
         return cls(angle_rad=angle_rad, known=KnownCameraTransfer.of(context), halo=GroupHaloPrior.of(context))
 
     @property
@@ -94,7 +94,7 @@ class GroupCurveModel:
 
     @property
     def grid(self) -> Array:
-        """Points from which to climb, shape (point, parameter)."""
+        """Starting points of the optimisation, shape (point, parameter)."""
         axes = GRID if self.halo is None else (*GRID, np.array([self.halo.mean]))
         return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(self.names))
 

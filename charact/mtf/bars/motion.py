@@ -11,7 +11,7 @@ BEYOND = 0.5
 
 
 def measure_bar_motion(used: FrameStack, target: BarTarget) -> TargetMotion:
-    """Return how a target moves across its bars through a stack."""
+    """Return the motion of a target across its bars through a stack."""
     across, along = target.coordinates(used.data.shape[1:])
     inside = (np.abs(across) < target.width_px / 2.0 + BEYOND / target.frequency) & (
         np.abs(along) < target.length_px / 2.0

@@ -1,4 +1,4 @@
-"""What bars and their noise say of the response: how far it bends the picture, and how noise grows with the light."""
+"""Nonlinear camera response from bars: deformation of their image, and noise against signal."""
 
 from typing import NamedTuple
 
@@ -36,31 +36,25 @@ MOST_STEPS, LONGEST_STEP, CLOSE = 60, 1.0, 1e-5
 
 
 class Power(NamedTuple):
-    """How noise grows with the light: as its power.
-
-    Parameters
-    ----------
-    exponent, sd
-        Exponent and its standard error, dimensionless.
-    """
+    """Exponent with which noise grows with the light, and its standard uncertainty, dimensionless."""
 
     exponent: float
     sd: float
 
 
 class BarNonlinearity(NamedTuple):
-    """A camera's response as bars and their noise tell it.
+    """Evidence of a target on the camera response.
 
     Parameters
     ----------
     curvature, sd
-        c of a response y = u + c u (1 - u), u the light over that of a wide bar, and its standard error.
+        c of a response y = u + c u (1 - u), u the light over that of a wide bar, and its standard uncertainty.
     contrast
-        Of the bars and their ground.
+        Of the bars and their background.
     lifts
-        By how much a curvature of one lifts ln of the fitted MTF.
+        Change of ln MTF by a curvature of one.
     shared, own
-        Powers of the light with which the covariance of neighbours and the variance of pixels grow; None: not told.
+        Powers of the light with which the covariance of neighbours and the variance of pixels grow; None: unknown.
     """
 
     curvature: float
@@ -72,7 +66,7 @@ class BarNonlinearity(NamedTuple):
 
 
 def response_of(used: FrameStack, fit: BarFit) -> BarNonlinearity:
-    """Return what a fitted target tells of the response; without a code at no light its noise tells nothing."""
+    """Return the evidence of a fitted target; without a black level its noise is not used."""
     ground = fit["pedestal_dn"]
     dark, bright = sorted((ground, ground + fit["level_dn"]))
     black_dn = usable_black_level(used.black_level_dn, dark, bright)
@@ -82,13 +76,13 @@ def response_of(used: FrameStack, fit: BarFit) -> BarNonlinearity:
 
 
 def response_findings(response: BarNonlinearity) -> list[Finding]:
-    """Return `gamma` where the picture or the noise of bars is not that of light under a straight response.
+    """Return `gamma` where the image or the noise of bars contradicts a linear response.
 
     Notes
     -----
-    Pulses of light tie neighbours, read-out and rounding do not. Under a response of exponent g the covariance of
-    neighbours grows as the 2 - 1/g th power of the level over black: as the level itself under a straight one. The
-    variance of pixels, to which read-out adds, then grows at most so, and does not fall.
+    Light pulses correlate neighbours, read-out and quantisation do not. Under a response of exponent g the covariance
+    of neighbours grows as the level above black to the power 2 - 1/g, which is 1 for a linear response. The variance of
+    pixels, which includes read-out noise, then grows at most in proportion, and does not fall.
     """
     shared, own = response.shared, response.own
     moved = 100.0 * abs(response.lifts) * np.hypot(response.curvature, response.sd)
@@ -114,7 +108,7 @@ def response_findings(response: BarNonlinearity) -> list[Finding]:
 
 
 def linearise_mtf_draws(mtf: Array, response: BarNonlinearity, seed: int) -> Array:
-    """Return draws of the MTF less what a response that may be curved has done to them."""
+    """Return draws of the MTF corrected for a possibly nonlinear response."""
     rng = np.random.default_rng([seed, 62])
     curvature = curvatures(
         (response.curvature, response.sd),
@@ -128,9 +122,9 @@ def linearise_mtf_draws(mtf: Array, response: BarNonlinearity, seed: int) -> Arr
 
 
 def _noise_ln_odds(shared: Power | None) -> float:
-    """Return ln of how much likelier the power of neighbours' noise is under a curved response than under a straight.
+    """Return the ln Bayes factor of a nonlinear response from the power of the neighbours' covariance.
 
-    A response of exponent g makes it 2 - 1/g, which is one, give or take what exponents do.
+    A response of exponent g makes it 2 - 1/g, of mean one with the prior's spread.
     """
     if shared is None:
         return 0.0
@@ -141,12 +135,12 @@ def _noise_ln_odds(shared: Power | None) -> float:
 
 
 def _curvature(fit: BarFit) -> tuple[float, float, float]:
-    """Return the curvature that a picture asks for, its error, and by how much one of one lifts ln of the fitted MTF.
+    """Return the curvature that best fits an image, its uncertainty, and its effect on ln MTF.
 
     Notes
     -----
-    First order: the picture of bars u becomes u + c u (1 - u) times their height, of which the parameters, priors
-    and all, take up what they can.
+    To first order the image of bars u becomes u + c u (1 - u) times their height; the parameters with their priors
+    absorb part of the change.
     """
     share = np.clip((fit.model_dn - fit["pedestal_dn"]) / fit["level_dn"], 0.0, 1.0)
     bent = abs(fit["level_dn"]) * share * (1.0 - share)
@@ -162,21 +156,21 @@ def _curvature(fit: BarFit) -> tuple[float, float, float]:
 
 
 def noise_powers(data: NDArray, fit: BarFit, black_dn: float) -> tuple[Power | None, Power | None]:
-    """Return with which power of the light noise grows: what neighbours along a row share, and that of single pixels.
+    """Return the powers of the light with which the covariance of row neighbours and the pixel variance grow.
 
     Parameters
     ----------
     data
         Shape (frame, row, col), DN.
     fit
-        The picture fitted to their mean.
+        The image fitted to their mean.
     black_dn
-        Code of no light, DN.
+        Black level, DN.
 
     Returns
     -------
     shared, own
-        None: neighbours share too little, or single pixels do not show their noise.
+        None: the covariance is too small, or single pixels do not show their noise.
     """
     light = np.full(fit.window.shape, np.nan)
     light[fit.window] = fit.model_dn - black_dn
@@ -200,7 +194,7 @@ def noise_powers(data: NDArray, fit: BarFit, black_dn: float) -> tuple[Power | N
 
 
 def _shows_noise(data: NDArray, level: Array, square: Array) -> bool:
-    """Tell whether single pixels show their noise: not how unequal they are, nor how they are rounded."""
+    """Return whether the scatter of single pixels is noise, not fixed pattern or quantisation."""
     lit = level > 0.5 * level.max()
     quiet = len(data) == 1 and level[lit].mean() > QUIETEST * np.sqrt(square[lit].mean())
     dark = level <= np.quantile(level, 0.25)
@@ -209,10 +203,7 @@ def _shows_noise(data: NDArray, level: Array, square: Array) -> bool:
 
 
 def _noise(frames: Array, light: Array) -> Array:
-    """Return each frame less the mean frame, or one frame less its picture, and less what all of it has in common.
-
-    What a frame has in common is an offset and a flicker of its light.
-    """
+    """Return the residuals of frames, with each frame's offset and flicker subtracted."""
     seen = np.isfinite(light)
     share = len(frames) / max(len(frames) - 1.0, 1.0)
     expected = frames.mean(axis=0) if len(frames) > 1 else light - float(np.mean((light - frames[0])[seen]))
@@ -231,7 +222,7 @@ def _products(noise: Array, light: Array, lag: int) -> tuple[Array, Array]:
 
 
 def _between(field: Array, lag: int) -> Array:
-    """Return the mean of pixels of a field that lie a lag apart in a row, where both are known, shape (pair,)."""
+    """Return the mean of pixels a lag apart in a row, where both are known, shape (pair,)."""
     mean = 0.5 * (field[:, : field.shape[1] - lag] + field[:, lag:])
     return mean[np.isfinite(mean)]
 
@@ -246,13 +237,13 @@ def _power(share: Array, product: Array, variance: Array, tied: float) -> Power 
     product
         Products of noise, DN^2.
     variance
-        About what their errors are in proportion to, DN^2.
+        Approximate scale of their uncertainties, DN^2.
     tied
-        By how much averages are noisier than those of independent products, on the square.
+        Variance factor of averages relative to independent products.
 
     Notes
     -----
-    The least sum of ((p - c L^b) / v)^2 over c and b; their errors are those that what is left shows.
+    Minimises the sum of ((p - c L^b) / v)^2 over c and b; uncertainties follow from the residuals.
     """
     ln_light = np.log(np.maximum(share, DARKEST))
     found, weight = product / variance, 1.0 / variance
@@ -265,14 +256,14 @@ def _power(share: Array, product: Array, variance: Array, tied: float) -> Power 
         theta = theta + step
         if float(np.abs(step).max()) < CLOSE:
             covariance = inverse @ ((slopes * left**2) @ slopes.T) @ inverse * tied
-            # The size where it is told best.
+            # The scale at the level where it is most precise.
             size_sd = np.sqrt(np.linalg.det(covariance) / covariance[1, 1])
             return Power(float(theta[1]), float(np.sqrt(covariance[1, 1]))) if size_sd < 1.0 / SHARED_SD else None
     return None
 
 
 def _start(found: Array, weight: Array, ln_light: Array) -> Array:
-    """Return ln of the size, NaN: there is no noise, and the exponent of the power that fits best of a few."""
+    """Return ln scale, NaN without noise, and the best of a few exponents."""
     shapes = [weight * np.exp(exponent * ln_light) for exponent in STARTS]
     sizes = [float(found @ shape) / float(shape @ shape) for shape in shapes]
     gains = [size * float(np.sqrt(shape @ shape)) for size, shape in zip(sizes, shapes, strict=True)]

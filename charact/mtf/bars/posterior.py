@@ -1,4 +1,4 @@
-"""Draws of the MTF at the frequency of the bars: from a fitted picture, or from the sums over a whole target."""
+"""Posterior of the MTF at the bar frequency, from a fitted image or from sums over a target."""
 
 from dataclasses import replace
 
@@ -26,10 +26,10 @@ SHAPE = ("log_attenuation", "form_one", "departure")
 
 
 def sample_fit(fit: BarFit, problem: BarLikelihood, context: Context, bias: float) -> Posterior:
-    """Draw the transfer's shape: attenuation and exponent of the family, and the departure from it at the bars.
+    """Sample the transfer's shape: attenuation and exponent of the blur model, and the departure at the bar frequency.
 
-    Noise squared lifts or lowers the fitted MTF M = p exp(-a) (1 + departure) by a bias on the average: ln(a) is moved
-    by bias / (a M), which takes it off, as far as one standard deviation: beyond that its series means nothing.
+    The fitted MTF M = p exp(-a) (1 + departure) has a bias from the square of the noise. It is corrected by a shift of
+    ln(a) by bias / (a M), limited to one standard deviation, the range of the expansion.
     """
     own = [fit.names.index(name) for name in SHAPE]
     lifted = bias / fit.shape.mtf / np.exp(fit["log_attenuation"])
@@ -53,10 +53,10 @@ def sample_fit(fit: BarFit, problem: BarLikelihood, context: Context, bias: floa
 
 
 def _differs_from_fit(posterior: Posterior, fit: BarFit, shift: Array) -> bool:
-    """Tell whether draws lie where the fit does not: pixels' weights and the numbers' ask for different blurs.
+    """Return whether the draws contradict the fit.
 
-    Both are efficient under the model, and agree within a part of their error; priors that the pixels contradict, as
-    a halo does, pull them apart.
+    Both are efficient under the model and agree within part of their uncertainty; priors that the pixels contradict,
+    such as with an unmodelled halo, separate them.
     """
     start = np.array([fit[name] for name in SHAPE]) + shift
     fitted = np.log1p(start[2]) - np.exp(start[0])
@@ -65,17 +65,17 @@ def _differs_from_fit(posterior: Posterior, fit: BarFit, shift: Array) -> bool:
 
 
 def mtf_of(posterior: Posterior, fit: BarFit, context: Context) -> Array:
-    """Return the MTF of each draw at the reference frequency, pixel included, as surely as the picture is tabulated."""
+    """Return the MTF of each draw at the reference frequency, pixel included, with the error of the image's table."""
     core = np.exp(-np.exp(posterior["log_attenuation"]))
     table = 1.0 + TABLE_SD * np.random.default_rng([context.seed, len(core)]).standard_normal(len(core))
     return fit.shape.pixel * core * (1.0 + posterior["departure"]) * table
 
 
 def sample_sums(found: Amplitudes, lost: tuple[float, float], context: Context) -> Posterior:
-    """Draw light, MTF and the share of light lost beyond the window.
+    """Sample light, MTF and the fraction of light beyond the window.
 
-    Priors: light and MTF even over (0, 2 I(0)) and (0, 1.5); the share lost normal as the camera's ranges say, not
-    negative. Student's t with the freedom of the estimated covariance.
+    Priors: light and MTF uniform over (0, 2 I(0)) and (0, 1.5); the fraction normal from the sensor description, not
+    negative. Student's t likelihood with the degrees of freedom of the estimated covariance.
     """
     inverse = np.linalg.inv(found.covariance)
     share, share_sd = lost

@@ -1,4 +1,4 @@
-"""The profile across the bars and a picture of it through the measured MTF, for a figure."""
+"""Figure data of a bar target."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +15,9 @@ TUBE_EXPONENT = 1.2
 
 
 def bar_profile(used: FrameStack, target: BarTarget, mtf: float) -> dict:
-    """Return the mean profile across the bars and the model through the measured MTF, as numbers for a figure.
+    """Return the mean profile across the bars and a model with the measured MTF, as figure data.
 
-    The figure's model has the form exp(-(f/fc)^1.2) of a tube with the measured value at the fundamental: one point
-    fixes one number of it.
+    The model has the tube transfer exp(-(f/fc)^1.2) with the measured value at the fundamental.
     """
     across, along = target.coordinates(used.shape[1:])
     mean = used.data.mean(axis=0, dtype=np.float64)

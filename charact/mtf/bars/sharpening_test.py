@@ -1,7 +1,6 @@
-"""Whether light is missing about the bars, as where a camera sharpens its pictures: no blur takes any away.
+"""Test for sharpening: light missing around the bars, which no blur removes.
 
-The picture blurred over several widths is a direction in which the pixels may depart from it, all parameters free to
-give way: what a sharpening camera takes off.
+Blurred copies of the image are directions in which the pixels may depart from it, all parameters free.
 """
 
 import numpy as np
@@ -19,7 +18,7 @@ MIN_INDEPENDENT_FRACTION = 1e-5
 
 
 def sharpening(fit: BarFit) -> float:
-    """Return the share of a blurred copy of the bars that is taken off them, 0 where none is for sure."""
+    """Return the fraction of a blurred copy of the bars that is missing, 0 where not significant."""
     weight = 1.0 / np.maximum(fit.noise.variance, MIN_VARIANCE * fit["level_dn"] ** 2)
     basis = np.linalg.qr((fit.slope * np.sqrt(weight)).T)[0]
     spread = np.array([_blur_bars(fit, width) for width in WIDTHS_PX]) * np.sqrt(weight)
@@ -33,7 +32,7 @@ def sharpening(fit: BarFit) -> float:
 
 
 def _blur_bars(fit: BarFit, width_px: float) -> Array:
-    """Return the bars' light blurred, in the pixels of the window, beyond which there is none."""
+    """Return the bars' light blurred, in the pixels of the window."""
     from scipy.ndimage import gaussian_filter
 
     light = np.zeros(fit.window.shape)

@@ -1,4 +1,4 @@
-"""What bars a region shows where nobody states them: how many, how often they repeat, which way, bright or dark."""
+"""Detection of bars: number, frequency, direction, sign and position."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -33,28 +33,27 @@ MIN_BACKGROUND_PERIODS = 0.0
 
 @dataclass(frozen=True, kw_only=True)
 class LocatedBars:
-    """A target of a region, and whether its bars run through it from border to border."""
+    """Located bars, and whether they cross the region from border to border."""
 
     target: BarTarget
     through: bool
 
 
 def bars_in(image: Array, *, bars: int | None, frequency: float | None, pitch_ratio: float) -> LocatedBars | None:
-    """Return the bars that a region shows; None where it shows none.
+    """Return the bars in a region; None where there are none.
 
     Parameters
     ----------
     image
         Mean frame, shape (row, col).
     bars, frequency
-        Their number and cycles per column pitch where they are stated.
+        Their number and cycles per column pitch, where stated.
 
     Notes
     -----
-    The strongest waves of the picture's spectrum are looked at one after the other: where the picture, demodulated
-    with one, keeps half of its amplitude lie the bars; their profile is compared with those of N blurred bars on an
-    even ground by least squares, N, frequency, blur, middle and sign free. Of those that explain about as much of it
-    the strongest wave is the bars': the others are side lobes of the patch's own light.
+    The strongest spectral peaks are tried in turn. The bars lie where the image, demodulated at the peak, keeps half of
+    its amplitude. Their profile is fitted with N blurred bars on a constant background, with free N, frequency, blur,
+    centre and sign. Of the waves that explain about as much of it the strongest is chosen: the others are side lobes.
     """
     looked: list[tuple[float, LocatedBars]] = []
     for wave, angle_rad in _waves(image, frequency, pitch_ratio):
@@ -71,9 +70,9 @@ def bars_in(image: Array, *, bars: int | None, frequency: float | None, pitch_ra
 
 
 def _waves(image: Array, frequency: float | None, pitch_ratio: float) -> Iterator[tuple[float, float]]:
-    """Frequency and direction of the highest peaks of a picture's spectrum, weighted by their frequency.
+    """Yield frequency and direction of the highest peaks of an image's spectrum, weighted by frequency.
 
-    The weight lets a wave stand out beside the light of the whole patch.
+    The weight suppresses the light of the complete patch.
     """
     from scipy.fft import next_fast_len, rfft2
     from scipy.ndimage import maximum_filter
@@ -97,14 +96,14 @@ def _waves(image: Array, frequency: float | None, pitch_ratio: float) -> Iterato
 
 
 def _vertex(values: Array, peak: int) -> float:
-    """Return how far beside its highest point the parabola through three neighbours peaks; the ends are neighbours."""
+    """Return the vertex of the parabola through a peak and its cyclic neighbours, relative to the peak."""
     before, at, after = (float(values[(peak + step) % values.size]) for step in (-1, 0, 1))
     bend = before - 2.0 * at + after
     return float(np.clip(0.5 * (before - after) / bend, -0.5, 0.5)) if bend < 0 else 0.0
 
 
 def _patch(image: Array, wave: BarTarget) -> Mask:
-    """Return the pixels about the strongest place of a wave that keep half of its amplitude, shape (row, col)."""
+    """Return the pixels around the maximum of a wave that keep half of its amplitude, shape (row, col)."""
     from scipy.ndimage import gaussian_filter, label
 
     across, _ = wave.coordinates((image.shape[0], image.shape[1]))
@@ -122,13 +121,13 @@ def _patch(image: Array, wave: BarTarget) -> Mask:
 
 
 def _runs_through(patch: Mask, angle_rad: float) -> bool:
-    """Tell whether a patch reaches the borders at both ends of its bars."""
+    """Return whether a patch reaches the borders at both ends of its bars."""
     ends = patch if abs(np.cos(angle_rad)) > abs(np.sin(angle_rad)) else patch.T
     return bool(ends[0].any() and ends[-1].any())
 
 
 def _count_bars(image: Array, patch: Mask, wave: BarTarget, bars: int | None) -> tuple[float, BarTarget] | None:
-    """Return how much of the profile across a patch N blurred bars explain, and those that explain it best."""
+    """Return the fraction of a patch's profile explained by N blurred bars, and the best target."""
     across, along = wave.coordinates((image.shape[0], image.shape[1]))
     middle = 0.5 * (across[patch].min() + across[patch].max()), 0.5 * (along[patch].min() + along[patch].max())
     width, length = np.ptp(across[patch]), np.ptp(along[patch])
@@ -168,14 +167,14 @@ def _count_bars(image: Array, patch: Mask, wave: BarTarget, bars: int | None) ->
 
 
 def _match_profile(place: Array, value: Array, bars: int, peak: float) -> tuple[float, int, float, float, int]:
-    """Return the share of a profile that so many bars explain, their number, frequency, middle and sign.
+    """Return the explained fraction of a profile, and number, frequency, centre and sign of the bars.
 
     Parameters
     ----------
     place
-        Places across the bars in periods of the wave, shape (point,).
+        Positions across the bars in periods of the wave, shape (point,).
     peak
-        Where the wave has a maximum, periods: bars or gaps have their middles there.
+        Position of a maximum of the wave, periods: centre of a bar or a gap.
     """
     from scipy.special import ndtr
 
@@ -201,7 +200,7 @@ def _match_profile(place: Array, value: Array, bars: int, peak: float) -> tuple[
 
 
 def target_in(image: Array, *, bars: int | None, frequency: float | None, pitch_ratio: float) -> LocatedBars | None:
-    """Return the target of a region, what nobody states of it found from the picture; None where there is none.
+    """Return the target of a region, unstated properties measured; None where there is none.
 
     Parameters
     ----------

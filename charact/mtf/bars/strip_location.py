@@ -1,4 +1,4 @@
-"""Where bars lie that run through a whole region, whose ends nobody sees."""
+"""Location of bars that cross a complete region, whose ends are not visible."""
 
 from dataclasses import replace
 
@@ -36,7 +36,7 @@ def spans_region(image: Array, *, bars: int, frequency: float) -> bool:
 
 
 def strip_of(image: Array, *, bars: int, frequency: float, pitch_ratio: float) -> BarTarget | None:
-    """Return the target that runs through a region along either axis, or None if nothing looks like it.
+    """Return the target that crosses a region along either axis, or None.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def strip_of(image: Array, *, bars: int, frequency: float, pitch_ratio: float) -
 
     Notes
     -----
-    The mean profile along each direction tried is compared with the profile of the bars under a typical blur.
+    The mean profile along each trial direction is correlated with that of the bars under a typical blur.
     """
     middle = ((image.shape[0] - 1) / 2.0, (image.shape[1] - 1) / 2.0)
     blank = replace(blank_target(bars, frequency, pitch_ratio), row=middle[0], col=middle[1])
@@ -61,7 +61,7 @@ def strip_of(image: Array, *, bars: int, frequency: float, pitch_ratio: float) -
 
 
 def _best(image: Array, target: BarTarget, template: Array) -> tuple[float, BarTarget]:
-    """Return the likeness of the profile along one direction to the bars, in its standard errors, and the place."""
+    """Return the match of the profile along one direction in standard uncertainties, and the target there."""
     across, _ = target.coordinates((image.shape[0], image.shape[1]))
     first = float(np.floor(across.min()))
     place = ((across - first) / BIN_PX).astype(np.intp).ravel()
@@ -73,7 +73,7 @@ def _best(image: Array, target: BarTarget, template: Array) -> tuple[float, BarT
     profile = np.where(filled, profile - mean * count, 0.0)
     if template.size >= profile.size:
         return 0.0, target
-    # Least squares of the template at each shift, its mean free.
+    # Least squares of the template at each shift, with a free mean.
     weight = np.correlate(count.astype(float), np.ones(template.size), "valid")
     cross = np.correlate(profile, template, "valid")
     own = np.correlate(count.astype(float), template, "valid")
@@ -96,7 +96,7 @@ def _best(image: Array, target: BarTarget, template: Array) -> tuple[float, BarT
 
 
 def _template(target: BarTarget) -> Array:
-    """Return the profile of the bars under a typical blur, at the middles of bins."""
+    """Return the profile of the bars under a typical blur, at bin centres."""
     half = target.width_px / 2.0 + 0.75 / target.frequency
     shape = BarShape(
         bars=target.bars, frequency=target.frequency, length_px=np.inf, reference=target.frequency, angle_rad=0.0,

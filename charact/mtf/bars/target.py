@@ -1,4 +1,4 @@
-"""Finding a bar target: where it lies, which way its bars point and how often they really repeat."""
+"""Geometry of a bar target: position, direction, length, frequency, window."""
 
 from dataclasses import dataclass, replace
 
@@ -19,7 +19,7 @@ FREQUENCY_SLACK = 0.06
 
 @dataclass(frozen=True, kw_only=True)
 class BarTarget:
-    """Bars in a picture, in pixels of its columns; rows are scaled by the pitch ratio.
+    """Bars in an image, in column pitches; rows are scaled by the pitch ratio.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ class BarTarget:
     length_px
         Length of the bars, column pitches.
     sign
-        1: brighter than the ground, -1: darker.
+        1: brighter than the background, -1: darker.
     """
 
     bars: int
@@ -61,7 +61,7 @@ class BarTarget:
         return x * cosine + y * sine, y * cosine - x * sine
 
     def box(self, shape: tuple[int, int], margin_px: float) -> NDArray[np.bool_]:
-        """Return which pixels lie on the target or within a margin of it."""
+        """Return the pixels on the target or within a margin of it."""
         across, along = self.coordinates(shape)
         return (np.abs(across) < self.width_px / 2 + margin_px) & (np.abs(along) < self.length_px / 2 + margin_px)
 
@@ -75,14 +75,14 @@ def blank_target(bars: int, frequency: float, pitch_ratio: float) -> BarTarget:
 
 
 def ground_level(image: Array) -> float:
-    """Return the level of a region's rim, where no target lies that is whole."""
+    """Return the median level of a region's border, which a complete target does not reach."""
     return float(
         np.median(np.concatenate([image[:2].ravel(), image[-2:].ravel(), image[:, :2].ravel(), image[:, -2:].ravel()]))
     )
 
 
 def core_margin_px(frequency: float) -> float:
-    """Return how far around bars most of their light lies: a wider window holds the rest of their blur, and noise."""
+    """Return the margin around bars that contains most of their light."""
     return 0.5 / frequency + 2.0
 
 
@@ -93,7 +93,7 @@ def amplitude(image: Array, target: BarTarget, frequency: float, window: NDArray
 
 
 def detect_bars(image: Array, *, bars: int, frequency: float, pitch_ratio: float) -> BarTarget | None:
-    """Return the target that answers best to a filter of as many cycles, or None if nothing rises above noise.
+    """Return the target with the largest response to a matched filter, or None below the noise.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def detect_bars(image: Array, *, bars: int, frequency: float, pitch_ratio: float
         response = _response(spectrum, size, turned, reach, image.shape)
         row, col = np.unravel_index(int(np.argmax(response)), response.shape)
         height = float(response[row, col])
-        # Where and how a large target does not answer there is nothing but noise: a low quantile of a Rayleigh law.
+        # Where a large target gives no response there is only noise: a low quantile of a Rayleigh distribution.
         quiet = min(quiet, float(np.quantile(response, 0.1)) / RAYLEIGH_TENTH)
         if best is None or height > best[0]:
             best = (height, replace(turned, row=float(row), col=float(col)))
@@ -124,7 +124,7 @@ def detect_bars(image: Array, *, bars: int, frequency: float, pitch_ratio: float
 
 
 def _response(spectrum: NDArray, size: tuple[int, int], target: BarTarget, reach: int, shape: tuple) -> Array:
-    """Return the modulus of the filter's answer centred on each pixel; whole cycles answer to no even light."""
+    """Return the modulus of the filter's response at each pixel; complete cycles give none to constant light."""
     from scipy.fft import irfft2, rfft2
 
     centred = replace(target, row=float(reach), col=float(reach))
@@ -138,7 +138,7 @@ def _response(spectrum: NDArray, size: tuple[int, int], target: BarTarget, reach
 
 
 def refine_target(image: Array, target: BarTarget) -> BarTarget:
-    """Centre the target on its light, turn it until its fundamental is strongest, and take its length, twice."""
+    """Refine centre, direction (maximum fundamental) and length of a target, twice."""
     for step_deg in (2.0, 0.5):
         target = _centre_on_light(image, target)
         window = target.box(image.shape, core_margin_px(target.frequency))
@@ -151,7 +151,7 @@ def refine_target(image: Array, target: BarTarget) -> BarTarget:
 
 
 def _centre_on_light(image: Array, target: BarTarget) -> BarTarget:
-    """Move the centre to the centroid of the light on the target, or of what is missing there."""
+    """Move the centre to the centroid of the light on the target."""
     window = target.box(image.shape, core_margin_px(target.frequency))
     light = np.where(window, image - ground_level(image), 0.0)
     total = light.sum()
@@ -167,10 +167,10 @@ def _centre_on_light(image: Array, target: BarTarget) -> BarTarget:
 
 
 def _fit_length(image: Array, target: BarTarget) -> BarTarget:
-    """Return the target as long as its fundamental reaches: the stretch along the bars that matches it best.
+    """Return the target with the length of the stretch along the bars that matches its fundamental best.
 
-    Of white noise the square of a stretch's sum over its length is its likelihood; the standard length is kept where
-    another is hardly likelier.
+    In white noise the squared sum over a stretch divided by its length is its likelihood; the standard length is kept
+    unless another is clearly likelier.
     """
     across, along = target.coordinates((image.shape[0], image.shape[1]))
     inside = np.abs(across) < 0.5 * target.width_px
@@ -195,7 +195,7 @@ def _fit_length(image: Array, target: BarTarget) -> BarTarget:
 
 
 def _vertex(x: Array, y: Array) -> float:
-    """Return where the parabola through the highest point and its neighbours peaks."""
+    """Return the vertex of the parabola through the highest point and its neighbours."""
     peak = int(np.clip(np.argmax(y), 1, len(x) - 2))
     before, at, after = y[peak - 1 : peak + 2]
     bend = before - 2.0 * at + after
@@ -204,12 +204,12 @@ def _vertex(x: Array, y: Array) -> float:
 
 
 def measure_frequency(image: Array, target: BarTarget, margin_px: float) -> float:
-    """Return the frequency at which the spectrum of N bars has its zeros, next to the one asked for.
+    """Return the bar frequency from the zeros of the spectrum next to the stated one.
 
     Notes
     -----
-    N bars of pitch P have no spectrum at k/(N P), k no multiple of N: the zeros beside the fundamental tell P better
-    than its broad peak, which the falling transfer shifts.
+    The spectrum of N bars of pitch P is zero at k/(N P), k no multiple of N. The zeros adjacent to the fundamental give
+    P more precisely than its broad peak, which the falling transfer shifts.
     """
     window = target.box(image.shape, margin_px)
     level = float(np.median(image[~window])) if (~window).any() else float(image.min())

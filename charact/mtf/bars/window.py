@@ -1,4 +1,4 @@
-"""The window of a bar target: wide enough for its blur, and what the tails still carry beyond it."""
+"""Window of a bar target, and the light beyond it."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ SD_OF_RANGE = 2.0 * 1.959964
 
 
 def margin_px(context: Context, frequency: float) -> float:
-    """Return how far the window should reach beyond the bars: over the halo, where the camera has one."""
+    """Return the margin around the bars: it includes the halo of a described camera."""
     own = max(WINDOW_MARGIN_PX, 1.5 / frequency)
     if context.sensor is None:
         return own
@@ -26,7 +26,7 @@ def margin_px(context: Context, frequency: float) -> float:
 
 
 def fitting_margin(target: BarTarget, shape: tuple[int, int], wanted: float) -> tuple[float, bool]:
-    """Return the widest margin up to the one wanted at which the window fits, and whether it is less."""
+    """Return the widest margin up to `wanted` at which the window fits, and whether it is smaller."""
     for margin in np.linspace(wanted, 2.0, 24):
         inside = target.box(shape, float(margin))
         across, along = target.coordinates(shape)
@@ -39,19 +39,19 @@ def fitting_margin(target: BarTarget, shape: tuple[int, int], wanted: float) -> 
 
 
 def lost_fraction(context: Context, margin: float) -> tuple[float, float]:
-    """Return the share of the light that the tails carry beyond the window, and its standard deviation.
+    """Return the fraction of the light beyond the window, and its standard uncertainty.
 
     Parameters
     ----------
     context
-        The camera's ranges; without a camera nothing is known and nothing is taken off.
+        Its sensor description; without one the fraction is taken as 0.
     margin
-        Reach of the window beyond the bars, column pitches.
+        Margin of the window around the bars, column pitches.
 
     Notes
     -----
-    Of light spread with the transfer M the part further off than X is 1 - (2/pi) int M(f) sin(2 pi f X)/f df; a window
-    loses it on both pairs of sides. Drawn over the ranges of the tube and its halo.
+    For a transfer M the light further off than X is 1 - (2/pi) int M(f) sin(2 pi f X)/f df; a window loses it on both
+    pairs of sides. Averaged over the described ranges of the tube and its halo.
     """
     if context.sensor is None:
         return 0.0, 0.0

@@ -1,4 +1,4 @@
-"""The ways in which a point source deceives the forward fit, each looked for in the data, and what is shown of it."""
+"""Checks, notes and figure data of the forward fit of a point source."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +30,7 @@ FALLING, MIN_FRAMES = 0.35, 4
 
 
 def fit_findings(found: PointFit, window: Window, source: DetectedSource, context: Context) -> list[Finding]:
-    """Return what the pixels show against the numbers of a fitted source."""
+    """Return the findings of a fitted source."""
     out = []
     if not window.keep.all():
         lost = 100.0 * float(np.mean(~window.keep))
@@ -67,10 +67,9 @@ def fit_findings(found: PointFit, window: Window, source: DetectedSource, contex
 
 
 def _has_unmodelled_halo(found: PointFit) -> bool:
-    """Tell whether a disc of light lies about the core, of which a camera that is not described is taken to have none.
+    """Return whether a disc of light surrounds the core of a camera without a description.
 
-    Or one of missing light, as about the spots of a camera that sharpens. Its light is found to first order, all
-    parameters free to give way.
+    A disc of missing light, as by sharpening, counts too. Its light is fitted to first order, all parameters free.
     """
     model = found.model
     step = 0.01 * np.sqrt(np.diag(found.covariance))
@@ -95,9 +94,9 @@ def _disc(radius_px: Array, diameter_px: float) -> Array:
 
 
 def _noise_nonlinearity(found: PointFit, window: Window, context: Context) -> SpotNonlinearity | None:
-    """Return what the frames' noise says of the response: only a flattened one makes it grow less than pulses do.
+    """Return the nonlinearity from the frames' noise; only a compressive response makes noise grow less than pulses do.
 
-    The pulses are of a few widths only, so that noise may seem to grow faster where it does not.
+    Pulse widths are from a coarse set, so that noise may appear to grow faster.
     """
     if found.noise is None or window.frames < MIN_FRAMES:
         return None
@@ -112,7 +111,7 @@ def _noise_nonlinearity(found: PointFit, window: Window, context: Context) -> Sp
 
 
 def _is_at_prior_bound(found: PointFit, context: Context) -> bool:
-    """Tell whether the core is far from what the camera's description says, or at a bound."""
+    """Return whether the core is at a bound or far from the sensor description."""
     prior = found.model.prior
     chosen = prior.chosen
     point = dict(zip(prior.free, found.point, strict=True))
@@ -128,7 +127,7 @@ def _core(free: tuple[str, ...]) -> NDArray[np.bool_]:
 
 
 def fit_notes(found: PointFit, window: Window, context: Context, pinhole_px: float | None) -> tuple[str, ...]:
-    """Return what a reader may want to know and what lowers no trust."""
+    """Return notes that do not affect validity."""
     out = ["The response is taken as straight: one spot hardly shows a gamma correction."]
     if pinhole_px is None:
         out.append("The source is taken as a point; a pinhole's own size lowers the MTF.")
@@ -143,7 +142,7 @@ def fit_notes(found: PointFit, window: Window, context: Context, pinhole_px: flo
 
 
 def fit_figure_data(found: PointFit, window: Window) -> dict:
-    """Return the evidence of a fit for a figure, with what rounding makes of faint light by the fit."""
+    """Return the figure data of a fit, with the estimated quantisation shift of faint light."""
     core = found.pedestal + found.light * found.model.core(found.point[None])[0]
     rings = (
         found.pedestal + found.light * found.model.rings(found.point[None])[0] if window.ring_dn.size else np.empty(0)

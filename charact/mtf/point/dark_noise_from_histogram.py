@@ -1,4 +1,4 @@
-"""Noise of a pixel without light, told by the codes below the commonest one, and whether these were cut off."""
+"""Noise of pixels without light from a histogram of grey values, and its clipping at black."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ HIGHER, FURTHER, MIN_VALUES_ABOVE, ALIKE = 0.5, 0.05, 20, 1.25
 
 
 def dark_sd_from_histogram(codes: NDArray[np.integer]) -> float:
-    """Return the standard deviation of a pixel without light, DN, or what may be hidden by rounding where none is seen.
+    """Return the standard deviation of a pixel without light, DN; a default where quantisation hides it.
 
     Parameters
     ----------
@@ -25,9 +25,9 @@ def dark_sd_from_histogram(codes: NDArray[np.integer]) -> float:
 
     Notes
     -----
-    Of normal noise the shares of values below two codes lie z(share) standard deviations below the mean, which may
-    stand anywhere between codes: the codes' distance over that of the two z is one standard deviation. Pulses of light
-    lift values, and hardly change how many lie so far below.
+    For normal noise the fractions of values below two grey values lie z(fraction) standard deviations below the mean:
+    the difference of the grey values over that of z is one standard deviation. Light pulses raise values and hardly
+    change the lower tail.
     """
     from scipy.special import ndtri
 
@@ -41,7 +41,7 @@ def dark_sd_from_histogram(codes: NDArray[np.integer]) -> float:
 
 
 def is_clipped_at_black(codes: NDArray) -> bool:
-    """Tell whether what noise takes below the lowest code was cut off there.
+    """Return whether the noise is clipped at the lowest grey value.
 
     Parameters
     ----------
@@ -50,10 +50,10 @@ def is_clipped_at_black(codes: NDArray) -> bool:
 
     Notes
     -----
-    The upper side of normal noise tells its lower one: a share above a code stands z(share) standard deviations off
-    the mean, and three codes, the lowest among them, must agree on the standard deviation. What it puts below the
-    lowest code ought to be there. A pixel quieter than a code leaves nothing above the code beside it, and few pulses
-    of light on quiet pixels reach far further than normal noise does.
+    The upper half of a normal distribution predicts the lower one: the fraction above a grey value gives z(fraction)
+    standard deviations. Three grey values, including the lowest, must agree on the standard deviation; the predicted
+    fraction below the lowest must not be missing. Quiet pixels, and pulses on quiet pixels, are not normal and do not
+    count.
     """
     from scipy.special import ndtr, ndtri
 

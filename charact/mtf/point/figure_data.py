@@ -1,4 +1,4 @@
-"""The picture of a fitted source for the report: pixels, rings and the lines through its middle, model beside them."""
+"""Figure data of a point source."""
 
 from typing import Any
 
@@ -14,7 +14,7 @@ MIN_REPORTED_SHIFT_DN = 0.02
 
 
 def rounding_note(window: Window) -> list[str]:
-    """Return what is said of rounding where it may shift faint light: at most so much, and that the model follows."""
+    """Return a note where quantisation may shift faint light."""
     most = float(np.exp(-2.0 * np.pi**2 * window.quiet_sd**2) / np.pi)
     if most < MIN_REPORTED_SHIFT_DN:
         return []
@@ -27,16 +27,16 @@ def rounding_note(window: Window) -> list[str]:
 def source_figure_data(
     window: Window, place: tuple[float, float], core_dn: Array, rings_dn: Array, **fitted: float
 ) -> dict[str, Any]:
-    """Return the mean frame around the source, its model and the lines through its middle, for a figure.
+    """Return mean frame, model and the lines through the source's centre, as figure data.
 
     Parameters
     ----------
     place
-        Column and row of the source from the middle of the window, column pitches.
+        Column and row of the source from the centre of the window, column pitches.
     core_dn, rings_dn
-        What the model says of the core, shape (row, col), and of the rings, shape (ring,), DN.
+        Model of the core, shape (row, col), and of the rings, shape (ring,), DN.
     fitted
-        Numbers of the fit that are shown: light, level, chi squared.
+        Numbers of the fit that are printed: light, level, chi squared.
     """
     x_px, y_px = place
     row, col = int(np.argmin(np.abs(window.y - y_px))), int(np.argmin(np.abs(window.x - x_px)))

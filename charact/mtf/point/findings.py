@@ -1,4 +1,4 @@
-"""Findings about points: flags with the size of their effect on the MTF and the option or frame that settles them."""
+"""Findings of point sources: remedies, motion, undersampling."""
 
 from labdata.flags import Finding
 
@@ -19,12 +19,12 @@ REMEDIES = {
 
 
 def finding(flag: str, effect: str) -> Finding:
-    """Return a finding of a flag with an effect, and the flag's remedy for points."""
+    """Return the finding of a flag with its effect and remedy."""
     return Finding(flag=flag, effect=effect, remedy=REMEDIES[flag])
 
 
 def motion_findings(names: tuple[str, ...]) -> list[Finding]:
-    """Return the findings of `charact.mtf.point.motion.motion_flags`."""
+    """Return the findings of motion flags."""
     from charact.mtf.point.motion import DRIFT_PX, FIELDS_APART_PX, SHAKEN
 
     lowered = f"MTF50 is lowered by {100.0 * SHAKEN:g} % or more"

@@ -1,4 +1,4 @@
-"""The forward method for points: the pixels of a point source fitted with the noise of whole pulses of light."""
+"""Forward method for points: the core's pixels fitted with correlated pulse noise."""
 
 from dataclasses import dataclass
 
@@ -54,23 +54,23 @@ MAX_STEPS = 1200
 def point_forward(
     stack: FrameStack, *, region: Region | None = None, pinhole_px: float | None = None, context: Context
 ) -> Result:
-    """Measure the horizontal and vertical MTF of a camera from its picture of a point source.
+    """Measure the horizontal and vertical MTF of a camera from the image of a point source.
 
     Parameters
     ----------
     stack
         Frames of one point source; they are averaged, and their differences give the noise.
     region
-        ROW, COL, HEIGHT, WIDTH that holds the source; None: the whole frame.
+        ROW, COL, HEIGHT, WIDTH that contains the source; None: the whole frame.
     pinhole_px
-        Diameter of the source's image, column pitches; its own transfer is divided out. None: a point.
+        Diameter of the source's image, column pitches, whose transfer is divided out. None: a point.
     context
-        Seed, whether the whole posterior or a quick answer is wanted, and the camera.
+        Seed, speed and camera.
 
     Returns
     -------
     Result
-        `mtf50` and `mtf10` in both directions, the curves "mtf" and "mtf_vertical", and the profile as evidence. All
+        `mtf50` and `mtf10` in both directions, the curves "mtf" and "mtf_vertical", and the profile as figure data. All
         frequencies are cycles per column pitch.
 
     Raises
@@ -80,9 +80,8 @@ def point_forward(
 
     Notes
     -----
-    A pixel's mean is pedestal + light P(x, y), P the transform of
-    pinhole x pixel x video x exp(-(f/fc)^n - 2 (pi f s)^2) x [(1 - q) + q H_halo].
-    Light and pedestal are marginalised in closed form.
+    A pixel's mean is pedestal + light P(x, y), P the transform of pinhole x pixel x video x exp(-(f/fc)^n - 2 (pi f
+    s)^2) x [(1 - q) + q H_halo]. Light and pedestal are marginalised in closed form.
     """
     if pinhole_px is not None and not 0 <= pinhole_px < 50:
         raise BadInput(f"pinhole_px must lie in [0, 50) column pitches, got {pinhole_px:g}")
@@ -130,20 +129,20 @@ def _window(used: FrameStack, source: point_source.DetectedSource, context: Cont
 
 
 def _usable_light_fraction(window: Window) -> float:
-    """Return the share of the core's light in unspoilt pixels, what is spoilt counted at its cut height."""
+    """Return the fraction of the core's light in valid pixels; invalid ones count with their clipped height."""
     height = np.maximum(window.core - np.median(window.core), 0.0)
     return float(height[window.keep].sum() / max(float(height.sum()), 1e-12))
 
 
 def _motion_flags(window: Window) -> tuple[str, ...]:
-    """Return the flags of a source that moves: its light, lost in its own changes, may look like none."""
+    """Return the motion flags of a source that is too faint, or appears so by its motion."""
     if window.frames < 2 or not window.keep.all():
         return ()
     return tuple(motion_flags(window.frames_above(window.border_dn), *window.offsets_from_centre, window.row_parity))
 
 
 def _optics(context: Context, pinhole_px: float) -> KnownPointOptics:
-    """Return what is known of pixel and video filter."""
+    """Return the known pixel aperture and video filter."""
     if context.sensor is None:
         rows = 2.0 if context.interlaced else 1.0
         return KnownPointOptics(width_px=1.0, height_px=rows, video=None, pinhole_px=pinhole_px, top=2.0)
@@ -158,7 +157,7 @@ def _optics(context: Context, pinhole_px: float) -> KnownPointOptics:
 
 
 def _posterior(found: PointFit, context: Context) -> Posterior:
-    """Draw from the posterior, quickly by importance alone."""
+    """Sample the posterior, by importance sampling if quick."""
     prior = found.model.prior
     asked = {
         "names": prior.names,
@@ -175,7 +174,7 @@ def _posterior(found: PointFit, context: Context) -> Posterior:
 
 @dataclass(frozen=True, kw_only=True)
 class PointTask:
-    """What was asked."""
+    """Arguments of a measurement."""
 
     context: Context
     where: Region
@@ -188,7 +187,7 @@ class PointTask:
         return Provenance(version=charact.__version__, seed=self.context.seed, settings=settings)
 
     def nothing(self, reason: str, *flags: str) -> Result:
-        """Return the refusal of all that a point gives."""
+        """Return the refusal of all quantities."""
         common = {"method": METHOD, "flags": flags, "region": self.where}
         return Result(measurements=tuple(
             make_refusal(name, "cy/px", reason, orientation_deg=angle, provenance=self.provenance, **common)
@@ -203,7 +202,7 @@ class PointTask:
         used: FrameStack,
         posterior: Posterior,
     ) -> Result:
-        """Return measurements, curves and evidence of a fitted source."""
+        """Return measurements, curves and figure data of a fitted source."""
         findings = point_checks.fit_findings(found, window, source, self.context)
         if "not-converged" in posterior.flags:
             findings.append(finding("not-converged", "the interval comes from the curvature at the maximum"))

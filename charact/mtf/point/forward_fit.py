@@ -1,4 +1,4 @@
-"""Fitting a point source: pixels of the core and means of rings, weighed by the noise that is in them."""
+"""Fit of a point source to core pixels and ring means, with pulse noise and quantisation."""
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -28,24 +28,24 @@ AT_ONCE = 100_000
 
 @dataclass(frozen=True, kw_only=True)
 class PointFit:
-    """The most probable transfer of a point source.
+    """Most probable transfer of a point source.
 
     Parameters
     ----------
     model
         The forward model.
     data, white, rounding
-        Values used, shape (value,), the matrix that whitens them, and the covariance of what rounding adds to them.
+        Values used, shape (value,), the matrix that whitens them, and the covariance of their quantisation.
     keep
-        Which pixels of the core are used, shape (row, col).
+        Core pixels used, shape (row, col).
     point, covariance
-        Peak of the posterior and inverse of the curvature.
+        Optimum of the posterior and inverse curvature.
     light, pedestal
         Best light, DN px^2, and level, DN.
     light_sd
-        Standard error of the light.
+        Standard uncertainty of the light.
     chi2, free
-        At the peak, and the values less what the data fix.
+        At the optimum, and its degrees of freedom.
     noise
         Noise of the core.
     """
@@ -65,13 +65,13 @@ class PointFit:
     noise: PulseNoise | None = None
 
     def shapes(self, theta: Array) -> Array:
-        """Return values of unit light, shape (n, value)."""
+        """Return the values at unit light, shape (n, value)."""
         core = self.model.core(theta)[:, self.keep]
         return np.concatenate([core, self.model.rings(theta)], axis=1) if self.model.ring_px.size else core
 
     @cached_property
     def _white_level_and_data(self) -> tuple[Array, Array]:
-        """A level of one and the data as the noise weighs them, shape (value,) each."""
+        """A level of one and the data, whitened, shape (value,) each."""
         return self.white.sum(axis=1), self.white @ self.data
 
     def linear(self, theta: Array) -> tuple[Array, Array, Array]:
@@ -88,12 +88,12 @@ class PointFit:
         return np.asarray(chi2, np.float64), np.asarray(best, np.float64), normal
 
     def shift_of_rounding(self) -> Array:
-        """Return what rounding most probably added to the values at the peak, shape (value,), DN."""
+        """Return the most probable quantisation shift of the values at the optimum, shape (value,), DN."""
         left = self.data - self.pedestal - self.light * self.shapes(self.point[None])[0]
         return self.rounding @ (self.white.T @ (self.white @ left))
 
     def log_probability(self, theta: Array) -> Array:
-        """Return ln of the posterior with light and pedestal marginalised, shape (n,)."""
+        """Return ln posterior with light and pedestal marginalised, shape (n,)."""
         value = self.model.prior.log_density(theta)
         inside = np.isfinite(value)
         within, at_once = np.flatnonzero(inside), max(AT_ONCE // self.model.aperture_on_grid.size, 1)
@@ -106,7 +106,7 @@ class PointFit:
 
 
 def fit(window: Window, context: Context, optics: KnownPointOptics) -> PointFit | None:
-    """Fit a window and return the more probable of the transfers' kinds; None where none is possible."""
+    """Fit a window with the most probable kind of prior; None where no transfer is possible."""
     first, *others = priors_of(context, halo_seen=window.holds_halo)
     found = _fit(window, context, optics, first)
     for prior in others:
@@ -116,7 +116,7 @@ def fit(window: Window, context: Context, optics: KnownPointOptics) -> PointFit 
 
 
 def _fit_other_prior(found: PointFit, prior: PointPrior) -> PointFit:
-    """Return another kind of transfer at its peak under the weights of a fit, for a fair comparison."""
+    """Return the optimum under another prior with the weights of a fit, for comparison."""
     at = {name: float(value[0]) for name, value in found.model.prior.named(found.point[None]).items()}
     other = replace(found, model=replace(found.model, prior=prior))
     starts = np.array([
@@ -129,7 +129,7 @@ def _fit_other_prior(found: PointFit, prior: PointPrior) -> PointFit:
 
 
 def _evidence(found: PointFit) -> float:
-    """Return ln of the evidence by Laplace's approximation, up to what fits of the same weights share."""
+    """Return ln evidence by Laplace's approximation, up to a constant common to fits of the same weights."""
     prior = found.model.prior
     spread = prior.spread[prior.chosen]
     known = np.isfinite(spread)
@@ -139,7 +139,7 @@ def _evidence(found: PointFit) -> float:
 
 
 def _fit(window: Window, context: Context, optics: KnownPointOptics, prior: PointPrior) -> PointFit | None:
-    """Fit a window, noise and transfer in turns; None where no transfer is possible."""
+    """Fit a window, noise and transfer in turn; None where no transfer is possible."""
     model = PointModel(optics=optics, prior=prior, x=window.x, y=window.y, ring_px=window.ring_px)
     memory = image_lag_model(context, window.frames)
     point = _first(model, window)
@@ -158,7 +158,7 @@ def _fit(window: Window, context: Context, optics: KnownPointOptics, prior: Poin
             shares = _shares(context, turn)
             noise = fit_pulse_noise(model, point, max(found.light, 1e-9), window.deviations, window.floor,
                              window.parity, memory, shares)  # fmt: skip
-        # Pulses are narrower than the picture, so that their noise is found with all frequencies.
+        # Pulses are narrower than the image: their noise needs all frequencies.
         found = _apply_weights(
             model.restrict_frequencies(point, covariance), window, point, noise, memory, light=found.light
         )
@@ -166,14 +166,14 @@ def _fit(window: Window, context: Context, optics: KnownPointOptics, prior: Poin
 
 
 def _shares(context: Context, turn: int) -> tuple[float | None, ...]:
-    """Return the kinds of noise to choose from: at first the described tube's own."""
+    """Return the candidate fractions of blur after the gain; first the described tube's."""
     if context.sensor is None:
         return None, *FRACTIONS_AFTER_GAIN
     return (float(context.sensor.tube.post_gain_share),) if turn == 0 else FRACTIONS_AFTER_GAIN
 
 
 def _first(model: PointModel, window: Window) -> Array:
-    """Return where to climb from: the centre of light."""
+    """Return the starting point: the centre of light."""
     start = model.prior.centre[model.prior.chosen].copy()
     start[0], start[1] = window.centre
     return start
@@ -182,7 +182,7 @@ def _first(model: PointModel, window: Window) -> Array:
 def _apply_weights(
     model, window: Window, point: Array, noise: PulseNoise | None, memory, light: float = 0.0
 ) -> PointFit:
-    """Return a problem whose weights follow from noise, pattern and rounding at a point."""
+    """Return a fit whose weights follow from noise, phosphor pattern and quantisation at a point."""
     keep = window.keep.ravel()
     core = light * model.core(point[None])[0] if light else np.maximum(window.core - np.median(window.core), 0.0)
     rings = light * model.rings(point[None])[0] if light and window.ring_dn.size else np.zeros(window.ring_dn.size)
@@ -205,10 +205,10 @@ def _apply_weights(
 
 
 def _core_covariance(window: Window, bright: Array, noise: PulseNoise | None, memory, light: float) -> Array:
-    """Return the covariance of the core's mean: pulses, the pixels' own noise, and the screen's pattern."""
+    """Return the covariance of the core's mean: pulses, pixel noise and phosphor pattern."""
     count = window.frames
     if noise is None:
-        # A model without high frequencies rings below no light.
+        # A band-limited model can be negative.
         covariance = np.diag(0.02 * np.maximum(bright, 0.0) * max(float(bright.max()), 1.0)) / count
     else:
         same = window.parity[:, None] == window.parity[None, :]
@@ -218,7 +218,7 @@ def _core_covariance(window: Window, bright: Array, noise: PulseNoise | None, me
 
 
 def rounding_covariance(height: Array, pulse_variance: Array, quiet_sd: float, pulses_per_dn: float) -> Array:
-    """Return the covariance of what rounding to codes adds to means, shape (value, value).
+    """Return the covariance of mean values by quantisation, shape (value, value).
 
     Parameters
     ----------
@@ -229,14 +229,14 @@ def rounding_covariance(height: Array, pulse_variance: Array, quiet_sd: float, p
     quiet_sd
         Noise of a pixel without light, DN.
     pulses_per_dn
-        Pulses that make one DN: sparse ones leave quiet moments.
+        Number of pulses per DN.
 
     Notes
     -----
-    Rounding of a value x with Gaussian noise sd adds -exp(-2 (pi sd)^2) sin(2 pi x) / pi to its mean (first term of the
-    sawtooth's series). Where the pedestal lies between codes is unknown, so x = pedestal + height has any phase and
-    two values' errors go as the cosine of their difference. Sparse pulses leave quiet moments: there the factor is not
-    below exp(-their number).
+    Quantisation of a value x with Gaussian noise sd adds -exp(-2 (pi sd)^2) sin(2 pi x) / pi to its mean (first term of
+    the sawtooth's series). The fractional part of the pedestal is unknown, so that x = pedestal + height has any phase
+    and the errors of two values covary as the cosine of their difference. With few pulses the factor is at least
+    exp(-their number): some frames have none.
     """
     damping = np.minimum(2.0 * np.pi**2 * pulse_variance, pulses_per_dn * np.maximum(height, 0.0))
     size = np.exp(-2.0 * np.pi**2 * quiet_sd**2 - damping) / np.pi
@@ -245,7 +245,7 @@ def rounding_covariance(height: Array, pulse_variance: Array, quiet_sd: float, p
 
 
 def _fit_at(found: PointFit, point: Array, covariance: Array, noise: PulseNoise | None) -> PointFit:
-    """Return the fit at a peak."""
+    """Return the fit at an optimum."""
     chi2, best, normal = found.linear(point[None])
     return PointFit(
         model=found.model,

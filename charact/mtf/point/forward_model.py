@@ -1,7 +1,8 @@
-"""The forward model of a point source: from possible transfers to the pixels of its core and the rings around it.
+"""Forward model of a point source: transfer and priors, core pixels and rings.
 
-The transfer in two dimensions is exp(-(f/fc)^n - 2 (pi f s)^2), which holds tubes, lenses and fibres, times the halo,
-times the known pixel and, along rows, the known causal video filter. All lengths are column pitches, vertical ones too.
+The two-dimensional transfer is exp(-(f/fc)^n - 2 (pi f s)^2), which represents tubes, lenses and fibres, times the
+halo, the known pixel and, along rows, the known causal video filter. All lengths are column pitches, also vertical
+ones.
 """
 
 from dataclasses import dataclass, replace
@@ -31,16 +32,16 @@ NEGLIGIBLE, MARGIN_SD = 1e-6, 5.0
 
 @dataclass(frozen=True, kw_only=True)
 class KnownPointOptics:
-    """What is known of the camera before the fit.
+    """Known optics of the camera.
 
     Parameters
     ----------
     width_px, height_px
         Extent of a pixel as read, column pitches.
     video
-        Filter along rows, or None.
+        Video filter along rows, or None.
     pinhole_px
-        Diameter of the source's image, column pitches; 0 is a point.
+        Diameter of the source's image, column pitches; 0: a point.
     top
         Highest frequency with contrast, cycles per column pitch.
     """
@@ -52,22 +53,22 @@ class KnownPointOptics:
     top: float
 
     def fixed(self, fx: Array, fy: Array) -> Array:
-        """Return pixel and pinhole at frequencies along rows and columns, real."""
+        """Return the transfer of pixel and pinhole at frequencies along rows and columns, real."""
         return np.sinc(fx * self.width_px) * np.sinc(fy * self.height_px) * pinhole(np.hypot(fx, fy), self.pinhole_px)
 
     def filtered(self, frequency: Array) -> NDArray[np.complex128]:
-        """Return the described video filter, its delay removed, shape (frequency,), complex."""
+        """Return the described video filter without its delay, shape (frequency,), complex."""
         return np.ones(frequency.shape, complex) if self.video is None else self.video(frequency)
 
     def bend(self, frequency: Array) -> NDArray[np.complex128]:
-        """Return how ln of the video filter moves with ln of its bandwidth, see `VideoFilter.bend`."""
+        """Return the derivatives of the ln video filter by ln bandwidth, see `VideoFilter.bend`."""
         if self.video is None:
             return np.zeros((len(NODES_SD), frequency.size), complex)
         return self.video.bend(frequency)
 
 
 def pinhole(frequency: Array, diameter_px: float) -> Array:
-    """Return 2 J1(u)/u, u = pi d f, the transfer of a disc of even light."""
+    """Return 2 J1(u)/u, u = pi d f, the transfer of a uniform disc."""
     if diameter_px <= 0:
         return np.ones_like(frequency)
     from scipy.special import j1
@@ -78,18 +79,18 @@ def pinhole(frequency: Array, diameter_px: float) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class PointModel:
-    """Pixels and rings of a point source of unit light, for any transfer.
+    """Pixels and rings of a point source of unit light.
 
     Parameters
     ----------
     optics
-        The known part.
+        Known optics.
     prior
-        Names, bounds and probability of the parameters.
+        Names, bounds and prior of the parameters.
     x, y
-        Places of the core's columns and rows, px from the first guess of the source, shape (col,) and (row,).
+        Positions of the core's columns and rows, px from the first estimate of the source, shape (col,) and (row,).
     ring_px
-        Distances of some pixels of every ring, shape (ring, pixel), px.
+        Distances of sample pixels of every ring, shape (ring, pixel), px.
     """
 
     optics: KnownPointOptics
@@ -106,7 +107,7 @@ class PointModel:
 
     @cached_property
     def _video_lines(self) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-        """The video filter at the columns' frequencies, and how its ln moves with ln of its bandwidth."""
+        """The video filter at the columns' frequencies, and its derivatives by ln bandwidth."""
         at = self.grid[0]
         return self.optics.filtered(at), self.optics.bend(at)
 
@@ -125,7 +126,7 @@ class PointModel:
 
     @cached_property
     def aperture_on_grid(self) -> Array:
-        """Pixel and pinhole at the grid's frequencies, with the integral's weights, shape (fy, fx)."""
+        """Pixel and pinhole at the grid's frequencies, with the integration weights, shape (fy, fx)."""
         fx, fy = self.grid
         return 4.0 / PERIOD_PX**2 * self.optics.fixed(fx, fy)
 
@@ -157,7 +158,7 @@ class PointModel:
         return core * self.spread(theta, halo or HaloTable.of(np.hypot(fx, fy), self.prior.halo_px))
 
     def spread(self, theta: Array, table: "HaloTable") -> Array:
-        """Return the transfer of straight and scattered photoelectrons, shape (n, ...) as the table's."""
+        """Return the transfer of direct and scattered photoelectrons, shape (n, ...) as the table's."""
         if self.prior.halo_px is None:
             return np.ones((len(theta), *(1,) * (table.elastic.ndim - 1)))
         p = self.prior.named(theta)
@@ -170,7 +171,7 @@ class PointModel:
         return self.image(theta, self.modulus(theta, fx, fy, self.halo_table) * self.aperture_on_grid)
 
     def image(self, theta: Array, transfer: Array) -> Array:
-        """Return the picture of transfers given at the grid's frequencies with its weights, shape (n, row, col)."""
+        """Return the image of transfers given at the grid's frequencies with its weights, shape (n, row, col)."""
         p = self.prior.named(theta)
         line, lines = self.grid[0], self.grid[1][:, 0]
         described, bend = self._video_lines
@@ -183,17 +184,17 @@ class PointModel:
         return rows @ transfer @ columns
 
     def restrict_frequencies(self, point: Array, covariance: Array) -> "PointModel":
-        """Return the model without the frequencies that reach no pixel, at a peak and around it.
+        """Return the model without frequencies that are negligible near an optimum.
 
-        What is left out holds less than `NEGLIGIBLE` of the picture's height along every axis of the posterior, out to
-        `MARGIN_SD`.
+        The omitted frequencies hold less than `NEGLIGIBLE` of the image's height along every axis of the posterior, out
+        to `MARGIN_SD`.
         """
         walls = self.prior.bounds[self.prior.chosen]
         away = MARGIN_SD * covariance_root(covariance).T
         places = np.clip(np.concatenate([point[None], point + away, point - away]), walls[:, 0], walls[:, 1])
         fx, fy = self.grid
         height = np.abs(self.modulus(places, fx, fy, self.halo_table) * self.aperture_on_grid)
-        # Heights that lie beyond each frequency, rows' and columns' alike as the grid's two ends go together.
+        # Height beyond each frequency; the ends of both axes move together.
         beyond = np.maximum(np.broadcast_to(fx, height.shape[1:]), np.broadcast_to(fy / UP, height.shape[1:])).ravel()
         order = np.argsort(beyond)
         lost = np.cumsum(height.reshape(len(places), -1)[:, order][:, ::-1], axis=1)
@@ -209,7 +210,7 @@ class PointModel:
         return (radial * np.sinc(f * along / 2) * np.exp(-2.0 * (np.pi * f * RING_SMOOTHING_PX) ** 2)) @ kernel
 
     def mtf(self, theta: Array, frequency: Array, *, vertical: bool) -> Array:
-        """Return the MTF along rows or along columns, shape (n, frequency), of the camera alone, without pinhole."""
+        """Return the camera's MTF along rows or along columns, without pinhole, shape (n, frequency)."""
         p = self.prior.named(theta)
         f = np.maximum(frequency, 1e-7)
         none = np.zeros_like(f)
@@ -230,7 +231,7 @@ class HaloTable:
 
     @classmethod
     def of(cls, frequency: Array, halo_px: tuple[float, float] | None) -> "HaloTable":
-        """Make the table for diameters between two, px."""
+        """Return the table for a range of diameters, px."""
         low, high = np.log(halo_px or (1.0, 2.0))
         u = np.pi * frequency * np.exp(np.array([low, 0.5 * (low + high), high]).reshape(-1, *(1,) * frequency.ndim))
         return cls(
@@ -241,7 +242,7 @@ class HaloTable:
         )
 
     def __call__(self, fraction: Array, diameter_px: Array, elastic_share: Array) -> Array:
-        """Return 1 - q + q H for the halo's share q of the light, shape (n, frequency...)."""
+        """Return 1 - q + q H for the halo fraction q, shape (n, frequency...)."""
         x = (np.log(diameter_px) - self.middle) / self.half
         weight = fraction * np.stack([np.ones_like(x), x, x * x])
         both = np.concatenate([weight * elastic_share, weight * (1.0 - elastic_share)]).T
@@ -252,5 +253,5 @@ class HaloTable:
 
 
 def _bend(values: Array) -> Array:
-    """Return constant, slope and curvature of values at -1, 0 and 1."""
+    """Return constant, slope and curvature of the parabola through values at -1, 0 and 1."""
     return np.stack([values[1], 0.5 * (values[2] - values[0]), 0.5 * (values[2] + values[0]) - values[1]])

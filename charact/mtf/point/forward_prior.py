@@ -1,4 +1,4 @@
-"""What is believed of a point source and its camera before the pixels are looked at."""
+"""Priors of a point source and its camera."""
 
 from dataclasses import dataclass, replace
 
@@ -43,19 +43,19 @@ NO_HALO = (-30.0, 0.0, 0.0)
 
 @dataclass(frozen=True, kw_only=True)
 class PointPrior:
-    """Priors within bounds, halves of two normal laws that meet at the described value.
+    """Bounded priors: halves of two normal distributions that meet at the described value.
 
     Parameters
     ----------
     free
-        Which of `NAMES` are fitted.
+        Fitted parameters, of `NAMES`.
     centre, below, above, bounds
-        Peak, standard deviations below and above it, and bounds of all, shape (name,) and (name, 2); a parameter not
-        free stays at its peak.
+        Mode, standard deviations below and above it, and bounds of all, shape (name,) and (name, 2); a parameter that
+        is not fitted stays at its mode.
     halo_px
-        Bounds of the halo's diameter, px; None: no halo can be told.
+        Bounds of the halo's diameter, px; None: no halo is fitted.
     halo_fraction_bend
-        (a, b, c) of ln share = a + b z + c z^2, z the halo's standard normal deviate.
+        (a, b, c) of ln fraction = a + b z + c z^2, z the halo's standard normal deviate.
     """
 
     free: tuple[str, ...]
@@ -68,7 +68,7 @@ class PointPrior:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the parameters that are fitted."""
+        """Names of the fitted parameters."""
         return self.free
 
     @property
@@ -78,21 +78,21 @@ class PointPrior:
 
     @property
     def spread(self) -> Array:
-        """Mean of both standard deviations, whose normal law has the density's height, shape (name,)."""
+        """Mean of both standard deviations: the normal distribution of equal height, shape (name,)."""
         return 0.5 * (self.below + self.above)
 
     @property
     def chosen(self) -> NDArray[np.int64]:
-        """Places of the free parameters among all."""
+        """Indices of the fitted parameters among all."""
         return np.array([NAMES.index(name) for name in self.free])
 
     def named(self, theta: Array) -> dict[str, Array]:
-        """Return every parameter by name, shape (n,) each, those held (1,)."""
+        """Return every parameter by name, shape (n,) each, fixed ones (1,)."""
         held = {name: self.centre[index : index + 1] for index, name in enumerate(NAMES)}
         return held | {name: theta[:, index] for index, name in enumerate(self.free)}
 
     def halo_fraction(self, deviate: Array) -> Array:
-        """Return the halo's share of the photoelectrons."""
+        """Return the halo's fraction of the photoelectrons."""
         a, b, c = self.halo_fraction_bend
         return np.exp(a + b * deviate + c * deviate**2)
 
@@ -107,12 +107,9 @@ class PointPrior:
 
 
 def priors_of(context: Context, *, halo_seen: bool) -> tuple[PointPrior, ...]:
-    """Return the priors that the data choose from: of the described camera, or two kinds of cameras at large.
+    """Return the candidate priors: of the described camera, or two kinds of generic cameras.
 
-    Parameters
-    ----------
-    halo_seen
-        Whether the region is wide enough for the halo.
+    `halo_seen` states whether the region contains the halo.
     """
     if context.sensor is None:
         return _generic_prior(0.0), _generic_prior(ANY_BLUR_PX)
@@ -120,7 +117,7 @@ def priors_of(context: Context, *, halo_seen: bool) -> tuple[PointPrior, ...]:
 
 
 def _generic_prior(blur_px: float) -> PointPrior:
-    """Any camera: exp(-(f/fc)^n), of which n = 2 is a Gaussian, alone or with a Gaussian core to its wide tails."""
+    """Any camera: exp(-(f/fc)^n), of which n = 2 is a Gaussian, alone or with a Gaussian core."""
     free = (*NAMES[:4], *(("blur_px",) if blur_px else ()), "stretch")
     core, core_sd = (
         (np.log(0.4), TAIL if blur_px else FREE, blur_px),
@@ -133,7 +130,7 @@ def _generic_prior(blur_px: float) -> PointPrior:
 
 
 def _sensor_prior(context: Context, halo_seen: bool) -> PointPrior:
-    """The described intensifier, whose lens and fibres are Gaussians to the tube's exponential."""
+    """The described intensifier: exponential tube, Gaussian lens and fibres."""
     sensor = context.sensor
     assert sensor is not None
     pitch_um = float(sensor.ccd.pitch_x_um)
@@ -175,7 +172,7 @@ def _prior(free, core, core_sd, tail, halo, bend) -> PointPrior:
 
 
 def _sides(known: Parameter) -> tuple[float, float]:
-    """Return standard deviations below and above a described value, of which the range holds 95 %."""
+    """Return standard deviations below and above a described value, whose range contains 95 %."""
     value = float(known)
     low = (1.0 - OPEN_DIAMETER) * value if known.low is None else known.low
     high = (1.0 + OPEN_DIAMETER) * value if known.high is None else known.high
@@ -184,7 +181,7 @@ def _sides(known: Parameter) -> tuple[float, float]:
 
 
 def _bend(value: float, low: float | None, high: float | None) -> tuple[float, float, float]:
-    """Return the parabola of ln through the 95 % bounds and the value, the middle."""
+    """Return the parabola of ln through the 95 % bounds and the value, the median."""
     low, high = low or 0.3 * value, high or 2.0 * value
     middle, down, up = np.log([value, low, high])
     return float(middle), float((up - down) / (2 * TWO_SIDED_95)), float((up + down - 2 * middle) / (2 * 3.841459))

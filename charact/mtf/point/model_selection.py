@@ -1,4 +1,4 @@
-"""Which forms of the transfer points ask for: simple ones first, all that come near weighed by their evidence."""
+"""Selection and averaging of blur models of points by evidence."""
 
 from dataclasses import dataclass, replace
 
@@ -40,16 +40,16 @@ WIDE_SIZES = 6
 
 @dataclass(frozen=True, kw_only=True)
 class EvidenceWeightedModels2D:
-    """A fitted form with its share of the evidence."""
+    """A fitted blur model with its weight by evidence."""
 
     fit: BlurModelFit2D
     share: float
 
 
-def fit_sources(sites: list[SourcePixels], pinhole: float | tuple[float, float], wide: tuple[ExtendedComponent, ...]) -> tuple[
-    list[SourcePixels], PointFitter, list[EvidenceWeightedModels2D]
-]:  # fmt: skip
-    """Fit sources of one camera, places, noise and forms in turns; return all, the most probable form first."""
+def fit_sources(
+    sites: list[SourcePixels], pinhole: float | tuple[float, float], wide: tuple[ExtendedComponent, ...]
+) -> tuple[list[SourcePixels], PointFitter, list[EvidenceWeightedModels2D]]:
+    """Fit sources of one camera: positions, noise and blur models in turn; the most probable model comes first."""
     begun = [position_source(site) for site in sites]
     sites = [site for site, _ in begun]
     half = float(np.median([guess for _, guess in begun]))
@@ -67,22 +67,22 @@ def fit_sources(sites: list[SourcePixels], pinhole: float | tuple[float, float],
         sites, fitter = _update_sources(sites, best, lower)
     found = fit_models(fitter, starts, wide)
     if found[0].fit.form != best.form:
-        # Place and noise were those of a simpler form.
+        # Positions and noise were those of a simpler model.
         sites, fitter = _update_sources(sites, found[0].fit)
         found = fit_models(fitter, starts, wide)
     return sites, fitter, found
 
 
 def _likelihood(sites: list[SourcePixels], fit: BlurModelFit2D) -> float:
-    """Return by what forms are compared before the noise is known: single frames by what each leaves."""
+    """Return the score by which models are compared before the noise is known."""
     if sites[0].window.frames > 1:
         return fit.log_evidence
-    # A parameter takes half a unit of ln of the likelihood by chance (Akaike).
+    # A parameter gains half a unit of ln likelihood by chance (Akaike).
     return sum(noise_likelihood(site, fit) for site in sites) - fit.point.size
 
 
 def _fit_pupil(fitter: PointFitter, form: BlurModel2D, start: Array) -> BlurModelFit2D:
-    """Fit a form, one with a defocus from near focus and from far off it."""
+    """Fit a model; one with defocus from near focus and from far off."""
     near = fitter.fit(form, start)
     if "defocus_square" not in form.parameters:
         return near
@@ -94,13 +94,13 @@ def _fit_pupil(fitter: PointFitter, form: BlurModel2D, start: Array) -> BlurMode
 def _update_sources(
     sites: list[SourcePixels], fit: BlurModelFit2D, lower: float = 1.0
 ) -> tuple[list[SourcePixels], PointFitter]:
-    """Return sources with place and noise as a form sees them, and their fitter."""
+    """Return sources with the position and noise of a fitted model, and their fitter."""
     sites = [add_noise(site, fit, float(light), lower=lower) for site, light in zip(sites, fit.light, strict=True)]
     return sites, _fitter_for(sites, fit.form, fit.point, fit.light)
 
 
 def _fitter_for(sites: list[SourcePixels], form: BlurModel2D, point: Array, light: Array | None) -> PointFitter:
-    """Return a fitter whose weights and slopes are those of a form."""
+    """Return a fitter whose weights and slopes are those of a model."""
     top = sites[0].aperture.top
     transfer = form.transfer(point[None], radial(top)[1], cosines())[0]
     if light is None:
@@ -109,13 +109,13 @@ def _fitter_for(sites: list[SourcePixels], form: BlurModel2D, point: Array, ligh
 
 
 def _light_of_core(site: SourcePixels) -> float:
-    """Return about the light of a source, from the sum of its core above its border."""
+    """Return the approximate light of a source: the sum of its core above its border."""
     area = float(np.diff(site.window.x[:2])[0] * np.diff(site.window.y[:2])[0])
     return max(float((site.window.core - site.window.border_dn).sum()) * area, 1e-9)
 
 
 def _start_from(fit: BlurModelFit2D, form: BlurModel2D) -> Array:
-    """Return where to begin with another form: what both have in common as it was found."""
+    """Return starting values of another model from the parameters in common."""
     start = form.start(float(fit.point[0]))
     known = dict(zip(fit.form.parameters, fit.point, strict=True))
     return np.array([known.get(name, own) for name, own in zip(form.parameters, start, strict=True)])
@@ -124,7 +124,7 @@ def _start_from(fit: BlurModelFit2D, form: BlurModel2D) -> Array:
 def fit_models(
     fitter: PointFitter, starts: dict[BlurModel2D, Array], wide: tuple[ExtendedComponent, ...]
 ) -> list[EvidenceWeightedModels2D]:
-    """Fit the forms that the data may ask for and return them with their shares, the most probable first."""
+    """Fit candidate blur models and return them with their weights, the most probable first."""
     found = [fitter.fit(form, start) for form, start in starts.items()]
     found += [
         fitter.fit(form, _start_from(one, form))
@@ -144,7 +144,7 @@ def fit_models(
             more = _fit_extended(fitter, core, light, -np.inf if always else MIN_CHI2_GAIN)
             found += [] if more is None else [more]
     if any(isinstance(light, HaloComponent) for light in wide):
-        # A described intensifier has a halo, of however little light.
+        # A described intensifier has a halo.
         found = [one for one in found if one.form.wide is not None and np.isfinite(one.log_evidence)] or found
     best = max(found, key=_weight)
     found += [
@@ -156,13 +156,13 @@ def fit_models(
 
 
 def _cores_within(found: list[BlurModelFit2D], distance: float) -> list[BlurModelFit2D]:
-    """Return the cores whose ln of the evidence comes within a distance of the best, which comes first."""
+    """Return the cores whose ln evidence is within a distance of the best, best first."""
     cores = sorted((one for one in found if one.form.wide is None), key=lambda one: -_weight(one))
     return [one for one in cores if _weight(one) > _weight(cores[0]) - distance]
 
 
 def _fit_two_blurs(fitter: PointFitter, tube: BlurModelFit2D) -> BlurModelFit2D:
-    """Fit a tube's form with a Gaussian beside it, from two widths."""
+    """Fit a tube model times a Gaussian, from two widths."""
     form = replace(tube.form, lens=True)
     begun = []
     for blur in (0.3, 0.7):
@@ -174,7 +174,7 @@ def _fit_two_blurs(fitter: PointFitter, tube: BlurModelFit2D) -> BlurModelFit2D:
 
 
 def _weight(fit: BlurModelFit2D) -> float:
-    """Return ln of a form's evidence with its odds before the data."""
+    """Return ln evidence plus ln prior probability of a model."""
     form = fit.form
     odds = CORES[form.core] * (SEPARABLE_ODDS if form.separable else 1.0)
     odds *= 1.0 if form.wide is None or isinstance(form.wide, HaloComponent) else WIDE_ODDS
@@ -184,7 +184,7 @@ def _weight(fit: BlurModelFit2D) -> float:
 def _fit_extended(
     fitter: PointFitter, core: BlurModelFit2D, wide: ExtendedComponent, worth: float
 ) -> BlurModelFit2D | None:
-    """Fit a core with light beyond it from several sizes; None where chi squared gains less than it must."""
+    """Fit a core with an extended component from several sizes; None if chi squared gains less than `worth`."""
     form = replace(core.form, wide=wide)
     first = form.blur_parameters
     bounds = form.bounds[first : first + len(wide.parameters)]

@@ -1,4 +1,4 @@
-"""What moved while a point source was taken: between the fields of a frame, and through the stack."""
+"""Motion of a point source between the fields of a frame and through the stack."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,14 +19,14 @@ CHI2_MEDIAN = 0.455
 
 
 def motion_flags(frames: Array, x: Array, y: Array, parity: NDArray[np.bool_]) -> tuple[str, ...]:
-    """Return `interlace-motion` where the fields disagree about the source's column, `drift` where it moves on.
+    """Return `interlace-motion` for a displacement between fields, `drift` for one through the stack.
 
     Parameters
     ----------
     frames
         Light around the source above its background, shape (frame, row, col), DN.
     x, y
-        Places of columns and rows from the source, column pitches.
+        Positions of columns and rows from the source, column pitches.
     parity
         Field of every row, shape (row,).
     """
@@ -38,14 +38,14 @@ def motion_flags(frames: Array, x: Array, y: Array, parity: NDArray[np.bool_]) -
 
 
 def _has_field_offset(frames: Array, x: Array, y: Array, parity: NDArray[np.bool_]) -> bool:
-    """Tell whether the light of odd rows stands in other columns than that of even ones."""
+    """Return whether odd and even rows show the source in different columns."""
     near = (np.hypot(x[None, :], y[:, None]) < NEAR_PX) * frames
     centre, error = [], []
     for rows in (parity, ~parity):
         light, moment = near[:, rows].sum(axis=(1, 2)), (near * x)[:, rows].sum(axis=(1, 2))
         if light.mean() < SIGNIFICANT * light.std(ddof=1) / np.sqrt(len(light)):
             return False
-        # The quotient of the sums over frames: that of a single faint frame may be anything.
+        # The ratio of sums over frames: that of a single faint frame is unreliable.
         centre.append(moment.sum() / light.sum())
         off = moment - centre[-1] * light
         error.append(off.std(ddof=1) / np.sqrt(len(off)) / light.mean())
@@ -53,7 +53,7 @@ def _has_field_offset(frames: Array, x: Array, y: Array, parity: NDArray[np.bool
 
 
 def _drifts(frames: Array, x: Array, y: Array) -> bool:
-    """Tell whether the light moves steadily along rows or columns from frame to frame."""
+    """Return whether the source moves steadily along rows or columns."""
     time = np.linspace(-0.5, 0.5, len(frames))
     for place, _ in _places(frames, x, y):
         travel = float(time @ place / (time @ time))
@@ -65,14 +65,13 @@ def _drifts(frames: Array, x: Array, y: Array) -> bool:
 
 
 def _shakes(frames: Array, x: Array, y: Array) -> bool:
-    """Tell whether the light moves from frame to frame by more than its photons make it, and by enough to matter.
+    """Return whether the source moves between frames beyond photon noise, and enough to matter.
 
     Notes
     -----
-    Photons of a spot S scatter its place by at most a sum(w^2 S) / sum(w^2)^2, w its slope and a the variance of all
-    light over that light: pulses wider than a pixel share theirs among pixels, which moves the place less (Jensen).
-    All light hardly depends on the place, and what makes it flicker makes the bound larger. The mean of the frames is
-    blurred by the mean square of places, which lowers MTF50 by half of it over that of the blur.
+    Photons of a spot S scatter its position by at most a sum(w^2 S) / sum(w^2)^2, w its slope and a the variance of the
+    total light over that light. Pulses wider than a pixel scatter it less (Jensen); lamp flicker raises the bound. The
+    mean frame is blurred by the mean square displacement, which reduces MTF50 by half its ratio to that of the blur.
     """
     from scipy.special import fdtrc
 
@@ -87,7 +86,7 @@ def _shakes(frames: Array, x: Array, y: Array) -> bool:
     for place, rise in _places(frames, x, y):
         power = float(np.sum(rise**2))
         if not power > 0:
-            # All light in one pixel: its place does not show.
+            # Light in a single pixel: its position is undefined.
             continue
         noise = per_light * float(np.sum(rise**2 * np.maximum(mean, 0.0))) / power**2 + dark / power
         square = place.var(ddof=1)
@@ -98,7 +97,7 @@ def _shakes(frames: Array, x: Array, y: Array) -> bool:
 
 
 def _places(frames: Array, x: Array, y: Array) -> list[tuple[Array, Array]]:
-    """Return how far the light of each frame stands off their mean along rows and columns, and the slopes that tell."""
+    """Return displacements of each frame along rows and columns, and the slopes used."""
     mean = frames.mean(axis=0)
     used = (np.hypot(x[None, :], y[:, None]) < NEAR_PX) & (mean > HIGH * mean.max())
     found = []

@@ -1,8 +1,8 @@
-"""The noise around a point source: whole pulses of light that move the core up, down and sideways as one.
+"""Pulse noise of a point source: covariance of the core's pixels by single-photoelectron events.
 
-A photoelectron lands where the blur before the gain takes it and makes a pulse as wide as the blur behind the gain.
-So the pixels' covariance is a sum of pulse shapes over the places of landing, and its size is found from how the
-frames differ. A decaying screen shows a pulse in several fields, which ties frames and both fields together.
+A photoelectron lands according to the blur before the gain and makes a pulse as wide as the blur after it. The
+covariance is a sum of pulse shapes over landing positions, scaled by the frame differences. Phosphor decay correlates
+fields and frames.
 """
 
 from dataclasses import dataclass
@@ -31,11 +31,11 @@ class PulseNoise:
     Parameters
     ----------
     pulse
-        Covariance of one frame per unit light and unit gain, without the fields' factors, shape (pixel, pixel).
+        Covariance of one frame per unit light and unit gain, without image lag, shape (pixel, pixel).
     gain
         Covariance per light, DN px^2.
     share
-        Share of the blur that lies behind the gain; None: pixels whose noise is their own, as in ordinary cameras.
+        Fraction of the blur after the gain; None: independent pixels, as in ordinary cameras.
     sharpness
         Mean square of a pulse of unit light over its area, 1/px^2.
     """
@@ -47,7 +47,7 @@ class PulseNoise:
 
 
 def pulse_covariance(model: PointModel, point: Array, share: float) -> Array:
-    """Return the covariance of unit light at unit gain, shape (pixel, pixel), for a share of blur behind the gain."""
+    """Return the covariance of unit light at unit gain for a fraction of blur after the gain, shape (pixel, pixel)."""
     fx, fy = model.grid
     p = {name: float(value[0]) for name, value in model.prior.named(point[None]).items()}
     square = fx**2 + fy**2
@@ -70,12 +70,12 @@ def pulse_covariance(model: PointModel, point: Array, share: float) -> Array:
 
 
 def shot_covariance(model: PointModel, point: Array) -> Array:
-    """Return the covariance of unit light at unit gain where every pixel counts for itself, shape (pixel, pixel)."""
+    """Return the covariance of unit light at unit gain for independent pixels, shape (pixel, pixel)."""
     return np.diag(np.maximum(model.core(point[None])[0].ravel(), 0.0))
 
 
 def _shapes(model: PointModel, point: Array, transfer: Array, places: Array, keep: NDArray[np.bool_]) -> Array:
-    """Return pulses at places around the source, shape (place, pixel)."""
+    """Return pulses at positions around the source, shape (position, pixel)."""
     rows, cols = np.nonzero(keep)
     shifted = np.repeat(point[None], rows.size, axis=0)
     x, y = (model.prior.free.index(name) for name in ("x_px", "y_px"))
@@ -85,7 +85,7 @@ def _shapes(model: PointModel, point: Array, transfer: Array, places: Array, kee
 
 
 def near_pixels(model: PointModel, point: Array) -> NDArray[np.int64]:
-    """Return the pixels near the source, where nearly all of its noise is."""
+    """Return the pixels near the source, which have nearly all of its noise."""
     p = model.prior.named(point[None])
     x, y = np.broadcast_arrays(model.x - p["x_px"], (model.y - p["y_px"])[:, None])
     return np.flatnonzero((np.hypot(x, y) < NEAR_PX).ravel())
@@ -101,7 +101,7 @@ def fit_pulse_noise(
     memory: ImageLagModel,
     shares: tuple[float | None, ...] = FRACTIONS_AFTER_GAIN,
 ) -> PulseNoise:
-    """Return the noise that makes the frames' differences most probable.
+    """Return the noise that makes the frame differences most probable.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def fit_pulse_noise(
     parity
         Field of each pixel, shape (pixel,).
     shares
-        Shares of blur behind the gain to choose from; None: no gain, white noise of the light.
+        Candidate fractions of blur after the gain; None: independent pixels.
     """
     near = near_pixels(model, point)
     deviations, parity = deviations[:, near], parity[near]

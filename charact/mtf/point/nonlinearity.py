@@ -1,6 +1,6 @@
-"""What the noise of a spot says of a camera's response: it grows as the light where that is straight.
+"""Nonlinear camera response from the noise of a spot, which grows with the light if linear.
 
-A response S = c L^g makes the variance of S go as S^(2 - 1/g), by the power 1 - 1/g of the light off what pulses make.
+A response S = c L^g gives a variance of S proportional to S^(2 - 1/g): an extra power 1 - 1/g of the light.
 """
 
 from dataclasses import dataclass
@@ -24,16 +24,16 @@ ITERATIONS = 8
 
 @dataclass(frozen=True, kw_only=True)
 class SpotNonlinearity:
-    """How curved a response may be by the noise of a spot.
+    """Nonlinearity of a response from the noise of a spot.
 
     Parameters
     ----------
     significance
-        Root of twice what ln likelihood gains over a straight response, standard deviations.
+        Root of twice the gain in ln likelihood over a linear response, standard deviations.
     power
-        Likeliest power of the light by which noise goes off.
+        Likeliest extra power of the light in the noise.
     exponents
-        Bounds of the exponents, of those from 0.4 to 2.5, that the noise does not tell from the likeliest one.
+        Range of response exponents, within 0.4 to 2.5, that the noise does not exclude.
     """
 
     significance: float
@@ -42,19 +42,19 @@ class SpotNonlinearity:
 
     @property
     def is_nonlinear(self) -> bool:
-        """Whether noise is that of no straight response."""
+        """Whether the noise excludes a linear response."""
         return self.significance > SIGNIFICANT and abs(self.power) > MIN_POWER
 
     @property
     def effect(self) -> str:
-        """Size of what the likeliest response does to an MTF50."""
+        """Effect of the likeliest response on MTF50."""
         exponent = 1.0 / (1.0 - self.power)
         moved = 100.0 * (np.sqrt(exponent) - 1.0)
         return f"the noise is that of a response of exponent {exponent:.2g}, which moves MTF50 by about {moved:+.0f} %"
 
     @property
     def note(self) -> str:
-        """What the noise leaves open, and what that does to an MTF."""
+        """Range of responses that the noise does not exclude, and their effect on MTF50."""
         low, high = self.exponents
         return (
             f"The response is taken as straight; of exponents from 0.4 to 2.5 the noise leaves {low:.2g} to {high:.2g} "
@@ -63,7 +63,7 @@ class SpotNonlinearity:
 
 
 def fit_nonlinearity(profiles: list[Array]) -> SpotNonlinearity:
-    """Return what the profiles of sources of one camera say together: none of them leave all exponents open."""
+    """Return the combined nonlinearity of sources of one camera; without sources no exponent is excluded."""
     fine = CubicSpline(POWERS, np.sum([np.zeros(POWERS.size), *profiles], axis=0))(FINE_POWERS)
     best = int(np.argmax(fine))
     gain = 2.0 * (fine[best] - np.interp(0.0, FINE_POWERS, fine))
@@ -76,7 +76,7 @@ def fit_nonlinearity(profiles: list[Array]) -> SpotNonlinearity:
 
 
 def power_log_likelihoods(samples: Array, mean: Array, pulses: Array, dark: Array) -> Array:
-    """Return ln of the likelihood of each of `POWERS`, the size of the noise being the likeliest.
+    """Return ln likelihood of each of `POWERS`, maximised over the size of the noise.
 
     Parameters
     ----------
@@ -85,12 +85,12 @@ def power_log_likelihoods(samples: Array, mean: Array, pulses: Array, dark: Arra
     mean
         Light in every pixel, DN.
     pulses, dark
-        Covariance of a frame's light under a straight response and of what is there without it, shape (pixel, pixel).
+        Covariance of a frame's light under a linear response and of its dark noise, shape (pixel, pixel).
 
     Notes
     -----
-    What all pixels share from frame to frame, a flickering source, is left aside. A few pixels tell nothing: all powers
-    are as likely.
+    A common factor of all pixels, flicker of the source, is excluded. Too few pixels give no information: all powers
+    are equally likely.
     """
     lit = np.flatnonzero(mean > LIT * np.max(mean, initial=0.0))
     if lit.size < MIN_PIXELS:
@@ -103,7 +103,7 @@ def power_log_likelihoods(samples: Array, mean: Array, pulses: Array, dark: Arra
 
 
 def _likeliest(white: Array, root: Array, pulses: Array) -> float:
-    """Return ln of the likelihood of whitened samples at the likeliest size of the pulses."""
+    """Return ln likelihood of whitened samples at the likeliest size of the pulses."""
     values, vectors = np.linalg.eigh(root @ pulses @ root.T)
     values = np.maximum(values, 0.0)
     square, count = np.sum((white @ vectors) ** 2, axis=0), len(white)

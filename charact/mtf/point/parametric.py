@@ -1,4 +1,4 @@
-"""The parametric method for points: forms of the point spread, fitted to pixels and weighed by their evidence."""
+"""Parametric method for points: blur models fitted to pixels and averaged by evidence."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -73,27 +73,27 @@ def point_parametric(
     pinhole_px: float | tuple[float, float] | None = None,
     context: Context,
 ) -> Result:
-    """Measure the horizontal and vertical MTF of a camera from its picture of one or several points.
+    """Measure the horizontal and vertical MTF of a camera from the image of one or several points.
 
     Parameters
     ----------
     stack
         Frames of the sources; they are averaged, and their differences give the noise.
     region
-        ROW, COL, HEIGHT, WIDTH that holds the source; None: the whole frame.
+        ROW, COL, HEIGHT, WIDTH that contains the source; None: the whole frame.
     regions
-        Regions of several sources of one size, fitted with one transfer; they take the place of `region`.
+        Regions of several sources of one size, fitted with one transfer; they replace `region`.
     pinhole_px
-        Diameter of the source's image, column pitches, whose transfer is divided out, or the bounds between which it
-        is unknown. None: a point.
+        Diameter of the source's image, column pitches, whose transfer is divided out, or its bounds if unknown. None: a
+        point.
     context
-        Seed, whether the whole posterior or a quick answer is wanted, and the camera.
+        Seed, speed and camera.
 
     Returns
     -------
     Result
-        `mtf50`, `mtf10` and `mtf` at pinned frequencies in both directions, and the curves "mtf" and "mtf_vertical".
-        All frequencies are cycles per column pitch.
+        `mtf50`, `mtf10` and `mtf` at fixed frequencies in both directions, and the curves "mtf" and "mtf_vertical". All
+        frequencies are cycles per column pitch.
 
     Raises
     ------
@@ -102,9 +102,9 @@ def point_parametric(
 
     Notes
     -----
-    A pixel's mean is level + slopes + light P(x, y), P the transform of pinhole x pixel x video x form. Level, slopes
-    and the shift from the best place are marginalised in closed form; pixels at full scale enter by the probability
-    of being at least there. The draws are those of every form in proportion to its evidence.
+    A pixel's mean is level + slopes + light P(x, y), P the transform of pinhole x pixel x video x blur model. Level,
+    slopes and the shift from the best position are marginalised in closed form; pixels at full scale enter by the
+    probability of at least that value. The draws are those of every blur model in proportion to its evidence.
     """
     task = _Task(context=context, region=region or (0, 0, *stack.shape[1:]), pinhole=_pinhole(pinhole_px))
     if regions is not None and not regions:
@@ -118,7 +118,7 @@ def point_parametric(
         sites.append(site)
     sites, fitter, found = fit_sources(sites, task.pinhole, _extended_components(sites, parts, context))
     best = found[0].fit
-    # The noise of a single frame's light is hardly known: there the search for the source decides.
+    # The noise of a single frame's light is poorly known; there the detection decides.
     weak = best.light < MIN_LIGHT_SD * point_distrust.light_sd(fitter, best)
     if (weak.any() and sites[0].window.frames > 1) or (best.light <= 0).any():
         beside = sum(len(site.window.neighbours) for site in sites)
@@ -128,7 +128,7 @@ def point_parametric(
 
 
 def _pinhole(pinhole_px: float | tuple[float, float] | None) -> float | tuple[float, float]:
-    """Return diameter or bounds, checked."""
+    """Return valid diameter or bounds."""
     low, high = PINHOLE_PX
     if isinstance(pinhole_px, tuple | list):
         least, most = (float(number) for number in pinhole_px)
@@ -141,7 +141,7 @@ def _pinhole(pinhole_px: float | tuple[float, float] | None) -> float | tuple[fl
 
 
 def _locate_source(part: FrameStack, context: Context) -> SourcePixels | tuple[str, str]:
-    """Return the source of a part of the frames, or why there is none."""
+    """Return the source of a part of the frames, or reason and flag of a refusal."""
     if min(part.shape[1:]) < MIN_PX:
         return f"a point needs a region of at least {MIN_PX} x {MIN_PX} px", "window-too-small"
     full = context.full_scale_dn or part.full_scale_dn
@@ -174,11 +174,11 @@ def _locate_source(part: FrameStack, context: Context) -> SourcePixels | tuple[s
 def _extended_components(
     sites: list[SourcePixels], parts: list[FrameStack], context: Context
 ) -> tuple[ExtendedComponent, ...]:
-    """Return what light beyond the core the regions can show."""
+    """Return the extended components that the regions can show."""
     if context.sensor is not None:
         low, high = halo_diameters_px(context, transposed=False)
         return (HaloComponent(size_px=(low, high)),) if all(site.window.holds_halo for site in sites) else ()
-    # Rings beyond the light tell it from the background.
+    # Rings beyond the light are needed to separate it from the background.
     rings = min((site.window.ring_px for site in sites), key=len)
     if len(rings) <= BARE_RINGS:
         return ()
@@ -188,7 +188,7 @@ def _extended_components(
 
 @dataclass(frozen=True, kw_only=True)
 class _Task:
-    """What was asked."""
+    """Arguments of a measurement."""
 
     context: Context
     region: Region
@@ -201,7 +201,7 @@ class _Task:
         return {"method": METHOD, "region": self.region, "provenance": provenance}
 
     def nothing(self, reason: str, flag: str) -> Result:
-        """Return the refusal of all that a point gives."""
+        """Return the refusal of all quantities."""
         return Result(measurements=tuple(
             make_refusal(name, "cy/px", reason, orientation_deg=angle, flags=(flag,), **self._common)
             for angle in (0.0, 90.0) for name in ("mtf50", "mtf10")
@@ -264,7 +264,7 @@ class _Task:
         )
 
     def _posterior(self, fitter: PointFitter, one: EvidenceWeightedModels2D, number: int) -> Posterior:
-        """Draw from one form's posterior, quickly by importance alone."""
+        """Sample the posterior of one blur model, by importance sampling if quick."""
         fit = one.fit
         asked = {
             "names": tuple(fit.form.parameters),
@@ -287,10 +287,7 @@ class _Task:
 
 
 def _model_figure_data(site: SourcePixels, fitter: PointFitter, fit: BlurModelFit2D) -> dict[str, Any]:
-    """Return the evidence of the most probable form for a figure, with what rounding makes of it by the fit.
-
-    That of the first source.
-    """
+    """Return the figure data of the most probable model for the first source, with the estimated quantisation shift."""
     pixels, light, background = fitter.pixels[0], float(fit.light[0]), site.background()
     lit = light * (site.matrix() @ fitter.nodes(fit.form, fit.point[None])[0])
     white = pixels.root @ background[site.used]
@@ -330,7 +327,7 @@ def _level(quantity: str, level: float, fine: Array, posterior: Posterior, commo
 
 
 def _note_several_peaks(one: Measurement, draws: Array) -> Measurement:
-    """Return a number, with a note where its draws have several peaks: the interval spans them."""
+    """Add a note where the draws have several peaks, which the interval spans."""
     if not has_several_peaks(draws[:, None]):
         return one
     low, high = np.quantile(draws, (0.16, 0.84))
@@ -343,7 +340,7 @@ def _notes(
     pinhole: float | tuple[float, float],
     context: Context,
 ) -> tuple[str, ...]:
-    """Return what a reader may want to know and what lowers no trust."""
+    """Return notes that do not affect validity."""
     parts = ", ".join(f"{one.fit.form.name} {100 * one.share:.0f} %" for one in found)
     out = [f"Form of the point spread by evidence: {parts}."]
     cut = sum(int(np.count_nonzero(site.cut.any(axis=0))) for site in sites)

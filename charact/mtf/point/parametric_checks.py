@@ -1,4 +1,4 @@
-"""The ways in which points deceive a fit of forms, each looked for in the pixels."""
+"""Checks of the parametric fit of points."""
 
 from dataclasses import replace
 
@@ -29,7 +29,7 @@ ELONGATED = 1.5
 def source_findings(
     sites: list[SourcePixels], fitter: PointFitter, found: list[EvidenceWeightedModels2D], pedestals: Array
 ) -> list[Finding]:
-    """Return what the pixels show against the numbers of fitted sources."""
+    """Return the findings of fitted sources."""
     fit, out = found[0].fit, []
     if any(site.window.clipped for site in sites):
         out.append(finding("clipped", "noise below the lowest code is cut off; MTF50 is half a standard error high"))
@@ -59,13 +59,13 @@ def source_findings(
 
 
 def _half_frequencies(fit: BlurModelFit2D) -> tuple[float, float]:
-    """Return the frequencies of one half along rows and along columns, cycles per column pitch, without aperture."""
+    """Return MTF50 along rows and along columns, cycles per column pitch, without aperture."""
     along, down = crossing_frequency(FINE, fit.form.camera(fit.point[None], FINE, np.array([1.0, -1.0]))[0], 0.5)
     return float(along), float(down)
 
 
 def _misfit_effect(fitter: PointFitter, fit: BlurModelFit2D) -> str:
-    """Return how far smooth departures that the pixels show move the half frequency."""
+    """Return the effect of a misfit: the change of MTF50 by fitted model departures."""
     form = replace(fit.form, departures=max(DEPARTURES))
     start = form.start(float(fit.point[0]))
     known = dict(zip(fit.form.parameters, fit.point, strict=True))
@@ -76,16 +76,16 @@ def _misfit_effect(fitter: PointFitter, fit: BlurModelFit2D) -> str:
 
 
 def light_sd(fitter: PointFitter, fit: BlurModelFit2D) -> Array:
-    """Return the standard error of each light at a fixed form, DN px^2."""
+    """Return the standard uncertainty of each light for a fixed model, DN px^2."""
     nodes = fitter.nodes(fit.form, fit.point[None])
     return np.array([1.0 / np.sqrt(np.sum((one.matrix @ nodes[0]) ** 2)) for one in fitter.pixels])
 
 
 def has_departures(sites: list[SourcePixels], fitter: PointFitter, fit: BlurModelFit2D) -> bool:
-    """Tell whether departures from a form take more chi squared than noise leaves them.
+    """Return whether model departures reduce chi squared beyond noise.
 
-    Departures are bumps of the transfer along frequency, a tilt of the ellipse, and lopsidedness in both directions,
-    each to first order and with all parameters free to give way.
+    Departures are bumps of the transfer along frequency, a rotation of the ellipse, and asymmetry in both directions,
+    each to first order with all parameters free.
     """
     bounds = fit.form.bounds
     moves = np.where(fit.point > bounds.mean(axis=1), -1e-5, 1e-5) * (bounds[:, 1] - bounds[:, 0])
@@ -109,7 +109,7 @@ def has_departures(sites: list[SourcePixels], fitter: PointFitter, fit: BlurMode
 
 
 def _asymmetry_columns(site: SourcePixels, one, nodes: Array) -> Array:
-    """Return what a tilted ellipse and lopsidedness add to the whitened pixels at unit light, shape (value, 3)."""
+    """Return the effect of rotation and asymmetry on the whitened pixels at unit light, shape (value, 3)."""
     frequency = radial(site.aperture.top)[1]
     transfer = nodes.reshape(cosines().size, -1)
     half = float(np.interp(-0.5, -transfer[0], frequency))
@@ -121,7 +121,7 @@ def _asymmetry_columns(site: SourcePixels, one, nodes: Array) -> Array:
 
 
 def _blocks(own: list[Array]) -> Array:
-    """Return columns of all sources: lights apart, the form's parameters in common."""
+    """Return design columns of all sources: separate lights, common model parameters."""
     lights = np.zeros((sum(len(part) for part in own), len(own)))
     first = 0
     for index, part in enumerate(own):
@@ -131,14 +131,14 @@ def _blocks(own: list[Array]) -> Array:
 
 
 def _chi2_explained(columns: Array, residual: Array) -> float:
-    """Return how much of a residual's chi squared columns explain."""
+    """Return the chi squared of a residual that columns explain."""
     basis, values, _ = np.linalg.svd(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300), full_matrices=False)
     basis = basis[:, values > 1e-6 * values[0]]
     return float(np.sum((basis.T @ residual) ** 2))
 
 
 def camera_nonlinearity(sites: list[SourcePixels], fit: BlurModelFit2D) -> SpotNonlinearity:
-    """Return what the frames' noise of sources says of the camera's response."""
+    """Return the nonlinearity from the frames' noise of sources."""
     transfer = fit.form.transfer(fit.point[None], radial(sites[0].aperture.top)[1], cosines())[0]
     found = []
     for site, light in zip(sites, fit.light, strict=True):

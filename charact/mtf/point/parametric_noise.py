@@ -1,4 +1,4 @@
-"""Noise around a point by few numbers: what the dark surroundings show, and pulses of light that neighbours share."""
+"""Noise around a point source: surroundings, quiet pixels and correlated pulses."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -41,8 +41,8 @@ class SurroundingsNoise:
     variance
         Of one pixel in one frame, DN^2.
     common, width_px
-        Share of it that neighbours have in common, and how wide along rows and columns, px: the correlation is
-        common exp(-x^2 / 4 w^2) in either direction.
+        Correlated fraction of it, and the correlation widths along rows and columns, px: the correlation is common
+        exp(-x^2 / 4 w^2) in either direction.
     """
 
     variance: float
@@ -51,7 +51,7 @@ class SurroundingsNoise:
 
     @property
     def grain(self) -> float:
-        """Sum of a pixel's correlations with all others and itself."""
+        """Sum of a pixel's correlations with all pixels."""
         along, down = (np.exp(-0.25 * (np.arange(-12, 13) / w) ** 2).sum() for w in self.width_px)
         return float(1.0 - self.common + self.common * along * down)
 
@@ -67,9 +67,9 @@ class SurroundingsNoise:
 def measure_surroundings_noise(
     data: NDArray, row: int, col: int, beside: NDArray[np.bool_] | bool = False
 ) -> SurroundingsNoise:
-    """Return the noise far from a source, from how frames differ, or of one frame from its own unevenness.
+    """Return the noise far from a source, from frame differences, or in one frame from its own scatter.
 
-    Pixels `beside`, shape (row, col), are those of other sources.
+    `beside` marks pixels of other sources, shape (row, col).
     """
     rows, cols = data.shape[1:]
     distance = np.hypot(*np.ogrid[-row : rows - row, -col : cols - col])
@@ -87,10 +87,10 @@ def measure_surroundings_noise(
         off, freedom = frames - every, 1.0
     rounding = 1e-3 if data.dtype.kind in "ui" else 1e-12 * max(float(np.abs(frames).max()), 1e-6) ** 2
     if len(frames) == 1 and np.any(beside):
-        # Light of neighbours lies above what is bare, and would pass for noise that pixels share.
+        # Light of neighbours would resemble correlated noise: use the lower quantiles.
         low, high = np.quantile(off[0, far], BARE)
         return SurroundingsNoise(variance=max(float((high - low) / BARE_SD) ** 2, rounding))
-    # A flash of one ion is no noise of the camera.
+    # Exclude single bright events such as ion feedback.
     centre = np.clip(off, *np.quantile(off[:, far], (1e-4, 1.0 - 1e-4)))
     variance = float((centre[:, far] ** 2).mean()) / freedom
     if variance <= rounding:
@@ -99,7 +99,7 @@ def measure_surroundings_noise(
 
 
 def _fit_correlation(off: Array, far: NDArray[np.bool_], norm: float, variance: float) -> SurroundingsNoise:
-    """Return the surroundings' noise with the correlation of neighbours, if it is more than chance."""
+    """Return the surroundings' noise with the correlation of neighbours, if significant."""
     found, count = [], []
     rows, cols = far.shape
     for down, along in LAGS:
@@ -123,7 +123,7 @@ def _fit_correlation(off: Array, far: NDArray[np.bool_], norm: float, variance: 
 
 @dataclass(frozen=True, kw_only=True)
 class Pulses:
-    """Noise of the light itself.
+    """Noise of the light.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ class Pulses:
 
 
 def pulse_covariances(radial: tuple[Array, Array], mean: Array, x: Array, y: Array) -> list[Array]:
-    """Return covariances at unit gain of light whose pulses spread over neighbours, shape (pixel, pixel) each, DN.
+    """Return candidate covariances at unit gain of light with correlated pulses, shape (pixel, pixel) each, DN.
 
     Parameters
     ----------
@@ -152,12 +152,12 @@ def pulse_covariances(radial: tuple[Array, Array], mean: Array, x: Array, y: Arr
     mean
         Light in every pixel, DN.
     x, y
-        Places of columns and rows from the source, column pitches.
+        Positions of columns and rows from the source, column pitches.
 
     Notes
     -----
-    Pulses are Gaussians. They take a share of the blur's logarithm, and what lies before the gain is of the blur's own
-    form; or they have some width, and it is what they leave of the blur: of long tails nearly all.
+    Pulses are Gaussians. Either they have a fraction of the blur's logarithm and the blur before the gain has the same
+    model, or they have a fixed width and the blur before the gain is the remainder, which keeps long tails.
     """
     frequency, transfer = radial
     log = np.log(np.clip(transfer, 1e-12, 1.0))
@@ -171,7 +171,7 @@ def pulse_covariances(radial: tuple[Array, Array], mean: Array, x: Array, y: Arr
 
 
 def _width(frequency: Array, log: Array) -> float:
-    """Return the standard deviation of a Gaussian of the same half frequency, px."""
+    """Return the standard deviation of a Gaussian of equal half frequency, px."""
     return float(np.sqrt(np.log(2.0) / 2.0) / np.pi / np.interp(np.log(2.0), -log, frequency))
 
 
@@ -181,12 +181,12 @@ def _covariance(frequency: Array, log_before: Array, width_px: float, mean: Arra
     Parameters
     ----------
     log_before
-        ln of the transfer before the gain.
+        ln transfer before the gain.
 
     Notes
     -----
-    Photoelectrons of density d(u) with pulses p make the covariance sum_u d(u) p(x - u) p(y - u), never negative. It
-    is scaled so that variance over mean is 1 on the whole.
+    Photoelectrons of density d(u) with pulses p have the covariance sum_u d(u) p(x - u) p(y - u), which is positive. It
+    is scaled to an overall variance over mean of 1.
     """
     from scipy.special import j0
 
@@ -205,7 +205,7 @@ def _covariance(frequency: Array, log_before: Array, width_px: float, mean: Arra
 
 
 def _pulse(at: Array, places: Array, sigma: float) -> Array:
-    """Return a Gaussian pulse integrated over pixels, shape (place, pixel)."""
+    """Return a Gaussian pulse integrated over pixels, shape (position, pixel)."""
     from scipy.special import ndtr
 
     half = 0.5 * float(np.diff(at[:2])[0])
@@ -226,24 +226,23 @@ def fit_pulses(
     dark
         Covariance of the dark noise, shape (pixel, pixel).
     units
-        Covariances at unit gain among which is chosen.
+        Candidate covariances at unit gain.
     factor
-        What fields and frames share of a pulse, shape (pixel, pixel).
+        Image lag of each pair of pixels, shape (pixel, pixel).
     near
-        Pixels that are compared.
+        Pixels used.
     fitted
-        Directions in which a fit took noise out of the samples, shape (pixel, direction); None: none.
+        Directions in which a fit absorbed noise, shape (pixel, direction); None: none.
 
     Notes
     -----
-    Half of the odds before the samples are those of the first unit. The gain is the median of its posterior. One known
-    from few values, n where the variance of its ln is 2 / n, makes Student's distribution of what it weighs, whose
-    variance is n / (n - 2) times as large.
+    The first candidate has half of the prior probability. The gain is its posterior median; if n values constrain it (2
+    / n is the variance of its ln), the noise is Student's t, whose variance is n / (n - 2) times larger.
     """
     both, quiet_dn = np.ix_(near, near), float(np.sqrt(dark[near[0], near[0]]))
     root = np.linalg.inv(np.linalg.cholesky(dark[both]))
     if fitted is not None:
-        # Restricted likelihood: only what lies across the fitted directions has the noise's variance.
+        # Restricted likelihood: only directions orthogonal to the fit have the noise's variance.
         basis = np.linalg.qr(root @ fitted[near], mode="complete")[0]
         root = basis[:, fitted.shape[1] :].T @ root
     white = samples[:, near] @ root.T

@@ -1,4 +1,4 @@
-"""Where a point source is: light that stands at one place in most frames, which a single flash does not."""
+"""Detection of point sources: light that is steady over frames, unlike single bright events."""
 
 from dataclasses import dataclass
 
@@ -33,16 +33,16 @@ ROUNDING_DN = 0.05
 
 @dataclass(frozen=True, kw_only=True)
 class DetectedSource:
-    """A source found.
+    """A detected source.
 
     Parameters
     ----------
     row, col
         Brightest smoothed pixel.
     significance
-        Its height above the background in standard deviations of the smoothed background.
+        Height above the background in standard deviations of the smoothed background.
     others
-        Whether other sources stand out too.
+        Whether other sources are detected too.
     neighbours
         Rows and columns of the other peaks in the region, px.
     """
@@ -59,8 +59,8 @@ def detect_source(data: NDArray, pitch_ratio: float) -> DetectedSource | str:
 
     Notes
     -----
-    The median over frames of the smoothed frames ignores flashes of single ions; its spread over the picture, taken
-    robustly, is what a source must exceed.
+    The median over frames of the smoothed frames excludes single bright events. A source must exceed its robust spatial
+    scatter.
     """
     smooth = _smooth_frames(data)
     steady = np.median(smooth, axis=0)
@@ -68,7 +68,7 @@ def detect_source(data: NDArray, pitch_ratio: float) -> DetectedSource | str:
     row, col = (int(index) for index in np.unravel_index(int(np.argmax(steady)), steady.shape))
     spread = _spread(steady[_surroundings(steady.shape, row, col, pitch_ratio)], level, data)
     height = float(steady[row, col]) - level
-    # Neighbours that cover much of the region pass for its noise: what lies below them is bare.
+    # Neighbours that cover much of the region raise its scatter; the lower quantiles show the background.
     low, high = (float(one) for one in np.quantile(steady, BARE))
     bare, over = max((high - low) / BARE_SD, _least_spread(data)), float(steady[row, col]) - high
     if height < DENSE * DETECTED * spread and over > DETECTED * bare:
@@ -93,9 +93,9 @@ def detect_source(data: NDArray, pitch_ratio: float) -> DetectedSource | str:
 
 
 def _peaks(steady: Array, level: float, least: float) -> list[tuple[int, int]]:
-    """Return the source that is meant and the peaks beside it, from high to low, that stand so far over a level.
+    """Return the intended source and the other peaks above a level, from high to low.
 
-    A peak on its flank, with no saddle between them, is part of it.
+    A peak on the flank of another, without a saddle between them, is part of it.
     """
     from scipy import ndimage
 
@@ -113,7 +113,7 @@ def _peaks(steady: Array, level: float, least: float) -> list[tuple[int, int]]:
         if np.hypot(place[0] - row, place[1] - col) >= NEXT_PX
         and _saddle(steady, place, (row, col)) - level < SADDLE * min(steady[place] - level, steady[row, col] - level)
     ]  # fmt: skip
-    # Of a blend the brightest part is meant.
+    # The brightest part of a blend is the source.
     own = [place for place in peaks if place not in beside and np.hypot(place[0] - row, place[1] - col) < NEXT_PX]
     return [max(own, key=lambda place: float(steady[place])), *beside]
 
@@ -126,47 +126,47 @@ def _saddle(steady: Array, one: tuple[int, int], other: tuple[int, int]) -> floa
 
 
 def _steadiness(over: Array, spread: float) -> Array:
-    """Return by how many standard errors light (frame, ...) stands over the frames; of one or two nobody knows."""
+    """Return the light (frame, ...) in standard uncertainties over the frames, infinite for fewer than three."""
     if len(over) < 3:
         return np.full(over.shape[1:], np.inf)
     return over.mean(axis=0) / np.maximum(over.std(axis=0, ddof=1), spread) * np.sqrt(len(over))
 
 
 def round_down(significance: float) -> float:
-    """Return what words may say of a number that is too low, so that 8.97 of 9 is not 9.0 of 9."""
+    """Return a number rounded down to one decimal, so that 8.97 of 9 required is not printed as 9.0."""
     return float(np.floor(10.0 * significance)) / 10.0
 
 
 def source_signal(data: NDArray) -> float:
-    """Return how much light frames (frame, row, col) have of their brightest steady source, DN summed over frames."""
+    """Return the signal of the brightest steady source of frames (frame, row, col), DN summed over frames."""
     steady = np.median(_smooth_frames(data), axis=0)
     return len(data) * float(steady.max() - np.median(steady))
 
 
 def _smooth_frames(data: NDArray) -> Array:
-    """Return every frame smoothed, shape (frame, row, col), DN; single precision does and is twice as fast."""
+    """Return every frame smoothed, shape (frame, row, col), DN; single precision suffices and is twice as fast."""
     from scipy import ndimage
 
     return np.stack([ndimage.gaussian_filter(frame.astype(np.float32), SMOOTHING_PX) for frame in data])  # pyright: ignore[reportReturnType]
 
 
 def _spread(steady: Array, level: float, data: NDArray) -> float:
-    """Standard deviation of the smoothed background, not below what rounding to codes hides, nor its upper tail."""
+    """Return the standard deviation of the smoothed background, at least that hidden by quantisation."""
     if steady.size < MIN_BACKGROUND:
         return np.inf
     robust = 1.4826 * float(np.median(np.abs(steady - level)))
-    # Pulses make a tail that the median does not see: the highest per mille stands for it.
+    # Pulses have an upper tail that the median absolute deviation misses: use the highest per mille.
     tail = (float(np.quantile(steady, 0.999)) - level) / 3.1 if steady.size > 20000 else 0.0
     return max(robust, tail, _least_spread(data))
 
 
 def _least_spread(data: NDArray) -> float:
-    """Return the least standard deviation of a smoothed background: what rounding hides, DN."""
+    """Return the smallest standard deviation of a smoothed background, DN."""
     return ROUNDING_DN if data.dtype.kind in "ui" else 1e-12
 
 
 def _surroundings(shape: tuple[int, int], row: int, col: int, pitch_ratio: float) -> NDArray[np.bool_]:
-    """Return the pixels beyond the surroundings of a place; in a small picture those nearer its border."""
+    """Return the pixels beyond the surroundings of a position; in a small image the most distant quarter."""
     rows, cols = np.ogrid[: shape[0], : shape[1]]
     distance = np.hypot(cols - col, (rows - row) * pitch_ratio)
     return distance > min(APART_PX, 0.75 * float(distance.max()))

@@ -1,4 +1,4 @@
-"""The pixels of a point source that carry its MTF: its core pixel by pixel and what surrounds it in rings."""
+"""Pixels of a point source: core pixel by pixel, surroundings in rings, figure data."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -37,31 +37,32 @@ class Window:
     deviations
         Frames of the core less their mean, shape (frame, row x col), DN.
     keep
-        Core pixels that neither full scale nor a neighbour spoils, shape (row, col).
+        Valid core pixels: not affected by full scale or a neighbour, shape (row, col).
     sound
-        Whether full scale spoils none of the core's pixels.
+        Whether full scale affects no core pixel.
     x, y
-        Places of columns and rows from the middle of the core, column pitches.
+        Positions of columns and rows from the centre of the core, column pitches.
     parity
         Field of every core pixel, shape (row x col,).
     ring_px
-        Distances of some pixels of each ring, shape (ring, pixel), column pitches.
+        Distances of sample pixels of each ring, shape (ring, pixel), column pitches.
     ring_dn, ring_variance, ring_correlation
-        Mean of each ring, its variance, shape (ring,), and the correlation of one with another, shape (ring, ring).
+        Mean of each ring, its variance, shape (ring,), and the correlation between rings, shape (ring, ring).
     floor
-        Variance of a pixel in the outermost ring over frames, DN^2.
+        Temporal variance of a pixel in the outermost ring, DN^2.
     quiet_sd
-        Noise of a pixel without light, DN: where it is small, rounding hides faint light; infinite: nothing is rounded.
+        Noise of a pixel without light, DN, infinite without quantisation. Small noise lets quantisation hide faint
+        light.
     frames
         Number of frames.
     holds_halo, cut
-        Whether the region holds the whole halo, and whether it cuts into the core.
+        Whether the region contains the complete halo, and whether it cuts into the core.
     clipped
-        Whether the noise of pixels without light was cut off at black.
+        Whether the noise of pixels without light is clipped at black.
     neighbours
-        Columns and rows of other sources from the middle of the core, shape (neighbour, 2), column pitches.
+        Columns and rows of other sources from the centre of the core, shape (neighbour, 2), column pitches.
     neighbour_ring_px
-        Distances of pixels of each ring from each of them, shape (neighbour, ring, pixel), column pitches.
+        Distances of sample pixels of each ring from each neighbour, shape (neighbour, ring, pixel), column pitches.
     """
 
     core: Array
@@ -85,7 +86,7 @@ class Window:
     neighbour_ring_px: Array
 
     def ring_covariance(self, variance: Array) -> Array:
-        """Return the covariance of the rings' means of given variances, shape (ring, ring), DN^2."""
+        """Return the covariance of the rings' means for given variances, shape (ring, ring), DN^2."""
         sd = np.sqrt(variance)
         return self.ring_correlation * np.outer(sd, sd)
 
@@ -100,24 +101,24 @@ class Window:
         return self.deviations.reshape(-1, *self.core.shape) + (self.core - pedestal)
 
     def exceeds_rounding(self, variance: Array) -> NDArray[np.bool_]:
-        """Tell where noise of a variance, DN^2, is so large that rounding leaves it as it is."""
+        """Return where noise of a variance, DN^2, is so large that quantisation only adds to it."""
         return (variance > UNROUNDED_DN2) | np.isinf(self.quiet_sd)
 
     @property
     def contrasts(self) -> Array:
-        """Contrasts of frames, each an independent sample of one frame's noise, shape (frame - 1, pixel), DN."""
+        """Contrasts of frames: independent samples of one frame's noise, shape (frame - 1, pixel), DN."""
         mixed = np.linalg.qr(np.eye(self.frames)[:, : self.frames - 1] - 1.0 / self.frames)[0]
         return np.asarray(mixed.T @ self.deviations, np.float64)
 
     @property
     def offsets_from_centre(self) -> tuple[Array, Array]:
-        """Places of columns and rows from the centre of light, column pitches."""
+        """Positions of columns and rows from the centre of light, column pitches."""
         x, y = self.centre
         return self.x - x, self.y - y
 
     @property
     def border_dn(self) -> float:
-        """Median of the core's outermost pixels, DN: what is left where the source's light is small."""
+        """Median of the core's outermost pixels, DN."""
         core = self.core
         return float(np.median(np.concatenate([core[0], core[-1], core[:, 0], core[:, -1]])))
 
@@ -138,16 +139,16 @@ class Window:
 def window_of(data: NDArray, row: int, col: int, *, pitch_ratio: float, full_scale_dn: float | None,
               halo_radius_px: float | None, filtered: bool,
               neighbours: tuple[tuple[int, int], ...] = ()) -> Window:  # fmt: skip
-    """Cut the pixels around a place.
+    """Return the pixels around a position.
 
     Parameters
     ----------
     data
         Frames of the region, shape (frame, row, col).
     halo_radius_px
-        Largest radius of the halo, column pitches; None where none is known.
+        Largest radius of the halo, column pitches; None: unknown.
     filtered
-        Whether a causal filter runs along rows behind the chip.
+        Whether a causal video filter follows the sensor.
     neighbours
         Rows and columns of other sources, px.
     """
@@ -200,7 +201,7 @@ def window_of(data: NDArray, row: int, col: int, *, pitch_ratio: float, full_sca
 def neighbour_mask(
     shape: tuple[int, ...], neighbours: tuple[tuple[int, int], ...], pitch_ratio: float
 ) -> NDArray[np.bool_]:
-    """Tell which pixels lie so near a neighbouring source that they are its own, shape (row, col)."""
+    """Return the pixels that belong to neighbouring sources, shape (row, col)."""
     rows, cols = np.ogrid[: shape[0], : shape[1]]
     near = np.zeros(shape, bool)
     for row, col in neighbours:
@@ -209,7 +210,7 @@ def neighbour_mask(
 
 
 def _valid_pixels(core: Array, full_scale_dn: float | None, filtered: bool) -> NDArray[np.bool_]:
-    """Tell which core pixels never meet full scale, nor stand where a filter smears what was cut."""
+    """Return the core pixels that neither reach full scale nor follow such a pixel in a filtered row."""
     if full_scale_dn is None:
         return np.ones(core.shape[1:], bool)
     full = np.asarray(core.max(axis=0) >= FULL_FRACTION * full_scale_dn)
@@ -246,12 +247,12 @@ def _rings(mean: Array, radius: Array, outside: NDArray[np.bool_], row: int, col
 
 
 def _ring_quantiles(distances: Array) -> Array:
-    """Return evenly spread quantiles of distances, shape (pixel,)."""
+    """Return equidistant quantiles of distances, shape (pixel,)."""
     return np.quantile(distances, (np.arange(PIXELS_PER_RING) + 0.5) / PIXELS_PER_RING)
 
 
 def _sectors(values: Array, angle: Array, count: int) -> Array:
-    """Return the sectors' means less their mean, in order of their angle, shape (sector,)."""
+    """Return the sectors' means less their mean, ordered by angle, shape (sector,)."""
     sector = ((angle / (2 * np.pi) + 0.5) * count).astype(int) % count
     number = np.bincount(sector, minlength=count)
     parts = np.bincount(sector, values, minlength=count)[number > 0] / number[number > 0]
@@ -264,21 +265,21 @@ def _ring_noise(sectors: list[Array], pixels: Array, borders: Array) -> tuple[Ar
     Parameters
     ----------
     sectors
-        Sectors of every ring less their mean, DN.
+        Sector means of every ring less their mean, DN.
     pixels, borders
         Pixels of every ring, shape (ring,), and its inner and outer radius, px, shape (ring, 2).
 
     Notes
     -----
-    A pulse on a border counts on both of its sides, so the sums beside a border covary by its length times a reach l.
-    Neighbouring sectors of length s are then correlated by l/s, which gives l; the variance of all of a ring is
-    1 + 2 l/s of that of its sectors, and rings of widths v and w are correlated by l/sqrt(v w). Variance by pixel
-    changes little from ring to ring, and neighbours share theirs: of few sectors it would be too small by chance.
+    A pulse on a border contributes to both sides, so that adjacent sums covary by the border's length times a
+    correlation length l. Adjacent sectors of length s are correlated by l/s, which gives l. The variance of a ring is 1
+    + 2 l/s times that of its sectors, and rings of widths v and w are correlated by l/sqrt(v w). The variance per pixel
+    is averaged over adjacent rings: that of few sectors may be too small by chance.
     """
     count = np.array([len(own) for own in sectors], float)
     square = np.array([own @ own for own in sectors]) + 1e-300
     seen = float(np.average([own @ np.roll(own, 1) for own in sectors] / square, weights=count))
-    # Their own mean taken off makes sectors less alike.
+    # Subtracting their mean reduces the correlation of sectors.
     size = float(count.mean())
     alike = (1.0 + seen * (size - 1.0)) / (size - 2.0 + 2.0 * seen)
     reach = float(np.clip(alike * SECTOR_PX, 0.0, MAX_EXTENT_PX))

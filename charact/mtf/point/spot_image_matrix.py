@@ -1,7 +1,7 @@
-"""From a transfer at a few directions to the pixels of a point's picture and the rings around it: one matrix.
+"""Matrix from a transfer at a few directions to the pixels and rings of a point's image.
 
-pixel(x, y) = integral T(f) V(fx) exp(2 pi i f.x) over both frequencies, in polar coordinates by Gauss's rule, so that
-no copy of the source stands anywhere. The known aperture and video filter are part of the matrix.
+pixel(x, y) = integral T(f) V(fx) exp(2 pi i f.x) over both frequencies, in polar coordinates by Gaussian quadrature, so
+that there are no periodic copies. The known aperture and video filter are part of the matrix.
 """
 
 from dataclasses import dataclass
@@ -28,14 +28,14 @@ TURNS, TURNS_PER_CYCLE = 12, 36
 
 @dataclass(frozen=True, kw_only=True)
 class Aperture:
-    """What is known of the camera before the fit.
+    """Known part of the camera's transfer.
 
     Parameters
     ----------
     width_px, height_px
         Extent of a pixel as read, column pitches.
     video
-        Filter along rows, or None.
+        Video filter along rows, or None.
     top
         Highest frequency with contrast, cycles per column pitch.
     """
@@ -127,7 +127,7 @@ def pixel_matrix(aperture: Aperture, x: Array, y: Array) -> Array:
 
 
 def pictures(aperture: Aperture, transfer: Array, x: Array, y: Array) -> Array:
-    """Return picture, its slopes along x and y, and their product's, shape (4, row x col), 1/px^2 and so on.
+    """Return image, its slopes along x and y, and their product's, shape (4, row x col), 1/px^2 and so on.
 
     Parameters
     ----------

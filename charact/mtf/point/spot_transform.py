@@ -1,4 +1,4 @@
-"""The plain method for points: the Fourier transform of the spot, its background subtracted, over its light."""
+"""Transform method for points: Fourier transform of the spot above its background, over its light."""
 
 from typing import Any
 
@@ -38,7 +38,7 @@ ASYMMETRY_CY_PER_PX, MAX_ASYMMETRY, MAX_ASYMMETRY_SD = (0.06, 0.1), 0.02, 5.0
 EFFECTS = {
     "several-targets": "light of another source in the region counts as this one's",
     "window-too-small": f"light beyond {HALF_PX:g} px is not counted, and MTF50 is high by its fraction",
-    "model-misfit": f"the spot is lopsided by more than {100 * MAX_ASYMMETRY:g} % of its light; MTF50 may be off by as much",
+    "model-misfit": f"asymmetry of the spot exceeds {100 * MAX_ASYMMETRY:g} % of its light; MTF50 may err by as much",
     "clipped": "noise below the lowest code is cut off, which raises the level of the background",
 }
 # A pinhole that passes less than this leaves nothing to divide by.
@@ -63,11 +63,11 @@ def point_spread(
     Parameters
     ----------
     stack
-        Frames of one point source; leaving each out in turn gives the errors.
+        Frames of one point source; a jackknife over frames gives the uncertainties.
     region
-        ROW, COL, HEIGHT, WIDTH that holds the source; None: the whole frame.
+        ROW, COL, HEIGHT, WIDTH that contains the source; None: the whole frame.
     pinhole_px
-        Diameter of the source's image, column pitches; its transfer is divided out. None: a point.
+        Diameter of the source's image, column pitches, whose transfer is divided out. None: a point.
     context
         Pitches and full scale.
 
@@ -115,7 +115,7 @@ def _places(shape: tuple[int, int], source: point_source.DetectedSource, context
 def _spots(
     used: FrameStack, source: point_source.DetectedSource, context: Context
 ) -> tuple[Array, tuple[str, ...], float]:
-    """Return spots of the frames above their rings (frame, row, col), what is wrong, and what light may be missing."""
+    """Return spots above their rings (frame, row, col), flags, and the fraction of light that may be missing."""
     y, x = _places(used.shape[1:], source, context)
     radius = np.hypot(x, y)
     inside = radius < HALF_PX
@@ -127,45 +127,46 @@ def _spots(
     cut = min(-y[0, 0], y[-1, 0], -x[0, 0], x[0, -1]) < BACKGROUND_PX
     mean = spots.mean(axis=0)
     wide = float((mean * radius**2).sum()) > WIDE_PX**2 * float(mean.sum())
-    # The halo of an intensifier reaches beyond the disc: its light is then missing from the normalisation.
+    # The halo of an intensifier extends beyond the disc: its light is missing from the normalisation.
     beyond = bool(cut) or wide or context.sensor is not None
     tail, tail_sd = _tail(spots, radius)
     beyond |= tail > max(TAIL, 3.0 * tail_sd) or _has_halo(used.data, radius, ring)
     raised = (("saturated", saturated), ("several-targets", source.others), ("window-too-small", beyond),
-              ("model-misfit", _is_asymmetric(spots, x, y)), ("clipped", is_clipped_at_black(used.data[:, ring])))  # fmt: skip
+              ("model-misfit", _is_asymmetric(spots, x, y)),
+              ("clipped", is_clipped_at_black(used.data[:, ring])))  # fmt: skip
     moved = motion_flags(spots, *_offsets_from_centre(mean, x.ravel(), y.ravel()), np.arange(used.shape[1]) % 2 == 1)
     missing = BEYOND * float(np.hypot(max(tail, 0.0), tail_sd))
     return np.asarray(spots, np.float64), (*(name for name, seen in raised if seen), *moved), missing
 
 
 def _has_halo(data: NDArray, radius: Array, ring: NDArray[np.bool_]) -> bool:
-    """Tell whether the ring that counts as background is brighter than what lies beyond: part of a halo."""
+    """Return whether the background ring is brighter than its surroundings: part of a halo."""
     bare = (radius >= BACKGROUND_PX) & (radius < BARE_PX)
     over = data[:, ring].mean(axis=1) - data[:, bare].mean(axis=1)
     return bool(over.mean() > BARE_ERRORS * GLOW * over.std(ddof=1) / np.sqrt(len(over)))
 
 
 def _offsets_from_centre(mean: Array, x: Array, y: Array) -> tuple[Array, Array]:
-    """Return places of columns and rows from the centre of light."""
+    """Return positions of columns and rows from the centre of light."""
     light = float(mean.sum())
     return x - float((mean * x).sum()) / light, y - float((mean * y[:, None]).sum()) / light
 
 
 def _tail(spots: Array, radius: Array) -> tuple[float, float]:
-    """Return the share of light at the disc's border and its standard error: several times as much lies beyond."""
+    """Return the fraction of light at the disc's border and its standard uncertainty."""
     share = spots[:, (radius >= BORDER_PX) & (radius < HALF_PX)].sum(axis=1)
     light = float(spots.sum(axis=(1, 2)).mean())
     return float(share.mean()) / light, GLOW * float(share.std(ddof=1)) / np.sqrt(len(share)) / light
 
 
 def _is_asymmetric(spots: Array, x: Array, y: Array) -> bool:
-    """Tell whether the transform has a phase that no shift explains: two sources, or one that moved by jumps."""
+    """Return whether the transform has a phase that no shift explains: two sources, or stepwise motion."""
     mean = spots.mean(axis=0)
     across, down = _offsets_from_centre(mean, x.ravel(), y.ravel())
     for turn in np.deg2rad([0.0, 45.0, 90.0, 135.0]):
         place = across[None, :] * np.cos(turn) + down[:, None] * np.sin(turn)
         for frequency in ASYMMETRY_CY_PER_PX:
-            # A shift turns the phase at the double frequency twice as far; the rest is no shift.
+            # A shift doubles the phase at twice the frequency; the remainder is asymmetry.
             wave = np.sin(4.0 * np.pi * frequency * place) - 2.0 * np.sin(2.0 * np.pi * frequency * place)
             odd = np.tensordot(spots, wave, axes=2)
             error = GLOW * float(odd.std(ddof=1)) / np.sqrt(len(odd))
@@ -177,7 +178,7 @@ def _is_asymmetric(spots: Array, x: Array, y: Array) -> bool:
 def _direction(
     spots: Array, place: Array, pinhole_px: float, missing: float, common: dict
 ) -> tuple[list[Measurement], Curve]:
-    """Return levels and curve along one direction, errors by leaving frames out in turn."""
+    """Return levels and curve along one direction, with jackknife uncertainties."""
     from charact.mtf.point.forward_model import pinhole
 
     waves = np.exp(-2j * np.pi * FREQUENCY[:, None] * place.ravel())
@@ -215,7 +216,7 @@ def _direction(
 
 
 def _nothing(reason: str, flag: str, common: dict) -> Result:
-    """Return the refusal of all that a point gives."""
+    """Return the refusal of all quantities."""
     return Result(
         measurements=tuple(
             make_refusal(name, "cy/px", reason, flags=(flag,), orientation_deg=angle, **common)

@@ -12,12 +12,12 @@ MAX_MTF50 = 0.42
 
 
 def flag_undersampled(found: Iterable[Measurement], window: Window) -> tuple[Measurement, ...]:
-    """Return the numbers of a spot, `aliased` where its MTF50 may lie too near the sampling limit.
+    """Flag measurements of a spot as `aliased` where MTF50 may be too close to the sampling limit.
 
     Notes
     -----
-    The place of the spot is taken to first order. A spot of 0.15 pixels lights one pixel wherever in it the spot
-    lies, and MTF50 comes out 10 to 15 % low, at the corner of four 30 %.
+    The position of the spot is fitted to first order. A spot of 0.15 px illuminates one pixel wherever it lies in it:
+    MTF50 is 10 to 15 % low, and 30 % at the corner of four pixels.
     """
     numbers = tuple(found)
     step_px = {0.0: float(window.x[1] - window.x[0]), 90.0: float(window.y[1] - window.y[0])}
