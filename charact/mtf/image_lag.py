@@ -6,11 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
+from charact.mtf.thresholds import ACCURACY
 
 Array = NDArray[np.float64]
-
-# Fields over which the decay is followed, and arrival times within a field.
-FIELDS, MOMENTS = 64, 200
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +76,7 @@ def _light_fractions(context: Context) -> Array:
     tau = np.maximum([float(phosphor.fast_decay_ms), float(phosphor.slow_decay_ms)], 1e-6)
     fast = float(phosphor.fast_fraction)
     light = np.array([fast, 1.0 - fast]) * tau
-    arrival = (np.arange(MOMENTS) + 0.5) / MOMENTS * exposures
-    ends = np.arange(1, FIELDS + 1) * exposures
+    arrival = (np.arange(ACCURACY.arrival_times) + 0.5) / ACCURACY.arrival_times * exposures
+    ends = np.arange(1, ACCURACY.lag_fields + 1) * exposures
     left = np.exp(-(ends[None, :, None] - arrival[:, None, None]) / tau) @ (light / light.sum())
     return -np.diff(left, axis=1, prepend=1.0)

@@ -91,3 +91,6 @@ def mean_oriented_frame(stack: FrameStack, pitch_ratio: float, *, interlaced: bo
         pitch_ratio=pitch_ratio,
         interlaced=interlaced,
     )
+
+
+Region = tuple[int, int, int, int]

@@ -9,10 +9,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from charact.mtf.thresholds import ACCURACY, LIMITS
+
 Array = NDArray[np.float64]
 
-# Least pixels of a side.
-MIN_PIXELS = 50
 # Lags along a row: of neighbours, and of pixels so far apart that only what a row has in common ties them.
 LAGS_PX = (1, 8, 9, 10)
 
@@ -64,7 +64,7 @@ def plateau_noise(frames: Array, expected: Array, sides: NDArray[np.int64], *, a
     """
     mean = frames.mean(axis=0) if len(frames) > 1 else expected
     sums = _sum_products(frames, mean, sides, 1 - along, along)
-    if sums[:, 0].min() < MIN_PIXELS:
+    if sums[:, 0].min() < LIMITS.min_plateau_pixels:
         return None
     free = max(len(frames) - 1, 1)
     dark, bright = (_side(one / np.array([1, 1, *([free, free**2] * 2), 1, free, 1]), max(tied, 1.0)) for one in sums)
@@ -134,3 +134,89 @@ def _sum_products(values: Array, mean: Array, sides: NDArray[np.int64], down: in
                     here[7] += product
                     here[8] += 1.0
     return out
+
+
+@dataclass(frozen=True, kw_only=True)
+class SlopeNoise:
+    """Temporal variance on the slopes of a target over that expected from its plateaus.
+
+    Parameters
+    ----------
+    ratio, sd
+        Ratio and its standard uncertainty, dimensionless.
+    """
+
+    ratio: float = 1.0
+    sd: float = np.inf
+
+    @property
+    def is_smoothed(self) -> bool:
+        """Whether the plateaus are quieter than photon and read-out noise allow."""
+        return self.ratio > LIMITS.slope_noise[0] + LIMITS.slope_noise[1] * self.sd
+
+
+def noise_on_slopes(frames: Array, level: Array, steep: Array, sides: NDArray[np.int64]) -> SlopeNoise:
+    """Return the noise on the slopes of a target relative to that of its plateaus.
+
+    Parameters
+    ----------
+    frames
+        Shape (frame, row, col), DN; the target's lines run down the rows.
+    level
+        From 0 (dark) to 1 (bright), shape (row, col).
+    steep
+        Slope of the target across its lines, shape (row, col).
+    sides
+        0 for excluded pixels, 1 on the dark and 2 on the bright plateau, shape (row, col).
+
+    Notes
+    -----
+    The variance of photon and read-out noise is linear in the level. Level and contrast of each frame are subtracted
+    (lamp flicker), and from each row's slope the component of a displacement (line jitter). Correlated noise makes that
+    component larger and the ratio smaller.
+    """
+    on_slope = (np.abs(steep) > LIMITS.min_slope * np.abs(steep).max()) & (np.count_nonzero(sides, axis=1) > 0)[:, None]
+    if len(frames) < LIMITS.min_smoothing_frames or not on_slope.any():
+        return SlopeNoise()
+    left = _steady(frames - frames.mean(axis=0), level, on_slope | (sides > 0))
+    free = len(frames) - 1
+    square = np.sum(left**2, axis=0) / free
+    count = np.count_nonzero(on_slope, axis=1)
+    shape = np.where(on_slope, steep, 0.0)
+    moved = np.einsum("fij,ij->fi", left, shape) ** 2 / np.maximum(np.sum(shape**2, axis=1), 1e-300)
+    slope = np.sum(square * on_slope, axis=1) - moved.sum(axis=0) / free
+    told = count >= LIMITS.min_slope_pixels
+    # The displacement of a row takes one degree of freedom.
+    share = (count - 1) / np.maximum(count, 1)
+    bright = np.where(on_slope, np.clip(level, 0.0, 1.0), 0.0).sum(axis=1) * share
+    # Per row: variance on the slope, and the equivalent number of pixels at the dark and the bright level.
+    slope, bright, dark = ((told * one) for one in (slope, bright, count * share - bright))
+    plateaus = [(np.sum(square * (sides == one), axis=1), np.count_nonzero(sides == one, axis=1)) for one in (1, 2)]
+    parts = [slope, dark, bright, *(part for plateau in plateaus for part in plateau)]
+    return _noise_ratio(np.stack([np.asarray(part, np.float64) for part in parts]))
+
+
+def _steady(left: Array, level: Array, used: NDArray[np.bool_]) -> Array:
+    """Subtract each frame's level and contrast."""
+    design = np.stack([np.ones(np.count_nonzero(used)), level[used]])
+    found = np.linalg.lstsq(design.T, left[:, used].T, rcond=None)[0]
+    return left - found[0][:, None, None] - found[1][:, None, None] * level
+
+
+def _noise_ratio(parts: Array) -> SlopeNoise:
+    """Return the ratio from the sums of rows, with a jackknife uncertainty over blocks of rows."""
+    blocks = parts.shape[1] // ACCURACY.block_rows
+    if blocks < ACCURACY.min_blocks:
+        return SlopeNoise()
+    sums = parts[:, : blocks * ACCURACY.block_rows].reshape(len(parts), blocks, ACCURACY.block_rows).sum(axis=2)
+    total = sums.sum(axis=1)
+    if min(total[[1, 2, 3, 4, 5, 6]]) <= 0:
+        return SlopeNoise()
+    ratio, each = _ratio(total[:, None])[0], _ratio(total[:, None] - sums)
+    return SlopeNoise(ratio=float(ratio), sd=float(np.sqrt((blocks - 1) / blocks * np.sum((each - each.mean()) ** 2))))
+
+
+def _ratio(sums: Array) -> Array:
+    slope, dark, bright, dark_sum, dark_count, bright_sum, bright_count = sums
+    expected = dark * dark_sum / np.maximum(dark_count, 1.0) + bright * bright_sum / np.maximum(bright_count, 1.0)
+    return slope / np.maximum(expected, 1e-300)

@@ -9,19 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from charact.mtf.thresholds import ACCURACY, LIMITS
 
-# Probability of so much by chance below which a target moves.
-CHANCE = 1e-4
-# Standard errors of a measurement by which motion may have moved it untold.
-MAX_UNFLAGGED_SD = 0.5
-# Most and fewest lines from one part to the next, parts that are wanted and needed, and lines between two parts, whose
-# noise ties them: two where there are lines enough.
-MAX_LINES, MIN_LINES, PARTS, MIN_PARTS, WIDE_FROM = 8, 3, 4, 3, 5
-# Cells of the mean profile that tells where lines stand, and the standard deviation of what smooths it, px.
-CELLS_PER_PX, BLUR_PX = 4, 0.5
-# Share of the lines' median power to tell their place below which a line is left out.
-MIN_POWER = 0.5
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +32,7 @@ class TargetMotion:
     @property
     def moves(self) -> bool:
         """Whether the motion is significant."""
-        return self.chance < CHANCE and self.rms_px > 0
+        return self.chance < LIMITS.motion_p_value and self.rms_px > 0
 
     def mtf_loss(self, frequency_cy_per_px: float) -> float:
         """Return the relative loss of the MTF at a frequency, and approximately that of MTF50.
@@ -88,12 +78,12 @@ def _profile(value: Array, across: Array) -> tuple[Array, Array]:
     """Return the smoothed mean profile of all lines and its slope at every pixel."""
     from scipy.ndimage import gaussian_filter1d
 
-    cell = np.floor((across - across.min()) * CELLS_PER_PX).astype(np.intp)
-    blur = BLUR_PX * CELLS_PER_PX
+    cell = np.floor((across - across.min()) * ACCURACY.profile_cells_per_px).astype(np.intp)
+    blur = ACCURACY.profile_smoothing_px * ACCURACY.profile_cells_per_px
     sums, counts = (gaussian_filter1d(np.bincount(cell, one), blur) for one in (value, np.ones_like(value)))
     profile = sums / np.maximum(counts, 1e-12)
-    place = across.min() + (np.arange(profile.size) + 0.5) / CELLS_PER_PX
-    slope = np.gradient(profile) * CELLS_PER_PX if profile.size > 1 else np.zeros(1)
+    place = across.min() + (np.arange(profile.size) + 0.5) / ACCURACY.profile_cells_per_px
+    slope = np.gradient(profile) * ACCURACY.profile_cells_per_px if profile.size > 1 else np.zeros(1)
     return np.interp(across, place, profile), np.interp(across, place, slope)
 
 
@@ -108,7 +98,7 @@ def _weights(shapes: Array, line: NDArray[np.int64]) -> tuple[Array, NDArray[np.
     size = np.maximum(np.bincount(line), 1)[:, None, None]
     inverse = np.linalg.inv(normal / size + 1e-9 * np.eye(3)) / size
     power = np.where(np.bincount(line) > 0, 1.0 / inverse[:, 0, 0], 0.0)
-    holds = power > MIN_POWER * np.median(power[power > 0])
+    holds = power > LIMITS.min_line_power * np.median(power[power > 0])
     return -np.einsum("pk,kp->p", inverse[line, 0], shapes) / scale[0], holds
 
 
@@ -129,11 +119,11 @@ def measure_target_motion(places: Array) -> TargetMotion:
     from scipy.special import fdtrc
 
     frames, lines = places.shape
-    size = min(max(lines // PARTS, MIN_LINES), MAX_LINES)
+    size = min(max(lines // ACCURACY.line_groups, ACCURACY.min_group_lines), ACCURACY.max_group_lines)
     parts = lines // size
-    if frames < 2 or parts < MIN_PARTS:
+    if frames < 2 or parts < ACCURACY.min_line_groups:
         return TargetMotion()
-    kept = size - (2 if size >= WIDE_FROM else 1)
+    kept = size - (2 if size >= ACCURACY.wide_gap_lines else 1)
     means = places[:, : parts * size].reshape(frames, parts, size)[:, :, :kept].mean(axis=2)
     means = means - means.mean(axis=0)
     of_frame = means.mean(axis=1)

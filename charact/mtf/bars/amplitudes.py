@@ -7,15 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.mtf.bars.target import BarTarget, amplitude
+from charact.mtf.bars.thresholds import ACCURACY, LIMITS
 from charact.mtf.image_lag import ImageLagModel
 
 Array = NDArray[np.float64]
-
-# From this many frames on, their own scatter says what the noise is.
-MIN_COVARIANCE_FRAMES = 4
-# Frames from which on pixels tell how long light lingers.
-MIN_LAG_FRAMES = 7
-SLAB_PX = 4.0
+Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +86,7 @@ def amplitudes_of(
     phase = float(np.angle(fundamental.mean()))
     turned = np.real(fundamental * np.exp(-1j * phase))
     lag = _image_lag_factor(data, window, memory)
-    if len(data) >= MIN_COVARIANCE_FRAMES:
+    if len(data) >= ACCURACY.min_covariance_frames:
         covariance, freedom = _frame_covariance(light, turned, lag)
     else:
         covariance, freedom = _slab_covariance(data.mean(axis=0), target, window, beyond, phase)
@@ -122,7 +118,7 @@ def _image_lag_factor(data: NDArray, window: NDArray[np.bool_], memory: ImageLag
     seen = frame_correlation(data, window)
     if memory is None:
         return seen
-    told = seen if len(data) >= MIN_LAG_FRAMES else memory.widening
+    told = seen if len(data) >= ACCURACY.min_lag_frames else memory.widening
     return max(told * memory.widening_of_sums / memory.widening, 1.0)
 
 
@@ -169,7 +165,7 @@ def frame_correlation(data: NDArray, window: NDArray[np.bool_]) -> float:
     All pixels of the window contribute, so that a dozen frames suffice.
     """
     count = len(data)
-    if count < MIN_LAG_FRAMES:
+    if count < ACCURACY.min_lag_frames:
         return 1.0
     pixels = data[:, window].astype(np.float32)
     halves = [0.5 * float(np.mean((pixels[lag:] - pixels[:-lag]) ** 2)) for lag in range(1, count - 1)]
@@ -192,7 +188,7 @@ def _slab_covariance(
     across, along = target.coordinates(mean.shape)
     values = mean - mean[beyond].mean()
     half = target.length_px / 2
-    edges = np.linspace(-half, half, max(int(target.length_px / SLAB_PX), 2) + 1)
+    edges = np.linspace(-half, half, max(int(target.length_px / ACCURACY.slab_px), 2) + 1)
     terms = np.real(values * np.exp(-2j * np.pi * target.frequency * across - 1j * phase))
     slabs = [window & (along >= low) & (along < high) for low, high in pairwise(edges)]
     sums = np.array([[values[slab].sum(), terms[slab].sum()] for slab in slabs])
@@ -200,3 +196,50 @@ def _slab_covariance(
     outside = float(values[beyond].std()) * np.sqrt(np.count_nonzero(window))
     covariance = len(slabs) * (jumps.T @ jumps) / (2.0 * len(jumps)) + np.diag([outside**2, 0.5 * outside**2])
     return covariance, float(max(len(jumps), 2))
+
+
+@dataclass(frozen=True, kw_only=True)
+class TargetBackground:
+    """Pixels that show a target's pedestal.
+
+    Parameters
+    ----------
+    beyond
+        Pixels beyond the window without other light, shape (row, col).
+    crowded
+        Whether the blur of other light reaches into the window.
+    """
+
+    beyond: Mask
+    crowded: bool
+
+
+def target_background(mean: Array, target: BarTarget, margin_px: float) -> TargetBackground:
+    """Return the background of a target in a mean frame (row, col), other objects excluded."""
+    from scipy.ndimage import binary_dilation, gaussian_filter
+
+    shape = (mean.shape[0], mean.shape[1])
+    outside = ~target.box(shape, margin_px)
+    smooth = np.asarray(gaussian_filter(mean, ACCURACY.other_smoothing_px))
+    level = float(np.median(smooth[outside]))
+    spread = 1.4826 * float(np.median(np.abs(smooth[outside] - level)))
+    height = float(np.abs(smooth[target.box(shape, 0.0)] - level).max())
+    other = outside & (np.abs(smooth - level) > max(LIMITS.max_other_sd * spread, LIMITS.max_other_light * height))
+    other = np.asarray(binary_dilation(other, iterations=ACCURACY.other_margin_px), bool) & outside
+    crowded = bool((other & target.box(shape, margin_px + ACCURACY.other_margin_px)).any())
+    beyond = outside & ~other
+    # If hardly any background remains, the objects are the background.
+    return TargetBackground(beyond=beyond if beyond.sum() > 0.25 * outside.sum() else outside, crowded=crowded)
+
+
+def second_harmonic(mean: Array, target: BarTarget, window: Mask, pedestal: float, found: Amplitudes) -> float:
+    """Return the image's spectrum at twice the bar frequency in the phase of the bars, over the fundamental.
+
+    Bars as wide as their gaps have no such component, whatever the blur; a nonlinear response adds one. Returns 0 where
+    the alias of the fundamental overlaps.
+    """
+    direction = max(abs(np.cos(target.angle_rad)), abs(np.sin(target.angle_rad)))
+    if abs(1.0 - 3.0 * target.frequency * direction) < 2.0 * target.frequency / target.bars:
+        return 0.0
+    double = amplitude(mean - pedestal, target, 2.0 * target.frequency, window)
+    return float(np.real(double * np.exp(-2j * found.phase_rad)) / found.fundamental)

@@ -6,37 +6,36 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.mtf.bars import findings
-from charact.mtf.bars.amplitudes import amplitudes_of, frame_correlation
-from charact.mtf.bars.background_level import second_harmonic, target_background
-from charact.mtf.bars.bar_count_test import likelier_bar_count
+from charact.mtf.bars.amplitudes import amplitudes_of, frame_correlation, second_harmonic, target_background
 from charact.mtf.bars.bar_image_model import BarLikelihood
-from charact.mtf.bars.bias import mtf_bias
+from charact.mtf.bars.blur_models import TUBE
 from charact.mtf.bars.checks import (
+    bar_count_findings,
+    clipping_findings,
+    crowding_findings,
     findings_of_fit,
     findings_of_sums,
     fundamental_in_standard_errors,
     light_in_standard_errors,
+    likelier_bar_count,
+    margin_findings,
     not_identifiable,
+    rounding_findings,
+    sum_notes,
 )
-from charact.mtf.bars.fit import BarFit, fit_all_models, fit_frames
-from charact.mtf.bars.forms import TUBE
+from charact.mtf.bars.detection import target_in
+from charact.mtf.bars.fit import BarFit, fit_all_models, fit_frames, mtf_bias
 from charact.mtf.bars.nonlinearity import linearise_mtf_draws, response_findings, response_of
 from charact.mtf.bars.posterior import mtf_of, sample_fit, sample_sums
-from charact.mtf.bars.sight import target_in
-from charact.mtf.bars.target import BarTarget, core_margin_px, measure_frequency
-from charact.mtf.bars.thresholds import (
-    FITTED_PERIODS,
-    FITTED_PX,
-    FREQUENCY_TOLERANCE,
-    MIN_FREQUENCY_SIGNAL_SD,
-    MIN_LIGHT_SD,
-    MIN_MARGIN_PX,
-    MIN_SIGNAL_SD,
-    OTHER_OBJECT,
-    OTHER_OBJECT_SD,
+from charact.mtf.bars.target import (
+    BarTarget,
+    core_margin_px,
+    fitting_margin,
+    lost_fraction,
+    margin_px,
+    measure_frequency,
 )
-from charact.mtf.bars.window import fitting_margin, lost_fraction, margin_px
+from charact.mtf.bars.thresholds import ACCURACY, LIMITS
 from charact.mtf.image_lag import image_lag_model
 from labdata.flags import Finding
 from labdata.frames import FrameStack
@@ -126,20 +125,20 @@ def _measure_strip(
     if why is not None:
         return BarRefusal(reason=why, flag="aliased")
     fit, problem = fit_frames(used.data, problem, target, inflation=frame_correlation(used.data, problem.window))
-    if not light_in_standard_errors(fit) > MIN_LIGHT_SD:
-        return BarRefusal(reason=f"no target: the light of the bars is under {MIN_LIGHT_SD:g} standard errors")
+    if not light_in_standard_errors(fit) > LIMITS.min_light_sd:
+        return BarRefusal(reason=f"no target: the light of the bars is under {LIMITS.min_light_sd:g} standard errors")
     margin = _margin_px(fit.target, mean.shape)
     if not _is_in_region(fit):
         return _refuse_other_object(target, asked)
     return _sample_measurement(
-        used, fit, problem, context, asked, margin, findings.margin_findings(margin, MIN_MARGIN_PX)
+        used, fit, problem, context, asked, margin, margin_findings(margin, LIMITS.min_margin_px)
     )
 
 
 def _refuse_faint(standard_errors: float) -> BarRefusal:
     return BarRefusal(
         reason=f"no target: the fundamental stands {standard_errors:.1f} standard errors out of the noise, "
-        f"fewer than {MIN_SIGNAL_SD:g}"
+        f"fewer than {LIMITS.min_signal_sd:g}"
     )
 
 
@@ -179,7 +178,7 @@ def _sample_measurement(
     own, notes = fit.target.frequency, []
     if asked.frequency is None:
         problem = replace(problem, asked=own)
-    elif abs(np.log(own / problem.asked)) > max(FREQUENCY_TOLERANCE, 3.0 * fit.sd("log_frequency")):
+    elif abs(np.log(own / problem.asked)) > max(LIMITS.frequency_tolerance, 3.0 * fit.sd("log_frequency")):
         notes.append(f"The bars repeat at {own:.4g} cy/px, told is the MTF at {problem.asked:.4g}.")
     if asked.bars is None:
         kind = "bright bars on a darker" if fit.target.sign > 0 else "dark bars on a brighter"
@@ -206,11 +205,11 @@ def _sample_measurement(
         findings=(
             *given,
             *findings_of_fit(fit),
-            *findings.bar_count_findings(likelier_bar_count(fit, problem), fit.target.bars),
-            *findings.rounding_findings(fit),
+            *bar_count_findings(likelier_bar_count(fit, problem), fit.target.bars),
+            *rounding_findings(fit),
             *response_findings(response),
             # White clips where there is light, black mostly where there is none.
-            *findings.clipping_findings(used, (near, problem.window), context, fit),
+            *clipping_findings(used, (near, problem.window), context, fit),
         ),
         notes=tuple(notes),
         margin_px=margin,
@@ -251,18 +250,21 @@ def _measure_complete_target(
     memory = None if context.sensor is None else image_lag_model(context, len(used.data))
     amplitudes = amplitudes_of(used.data, target, window, ground.beyond, memory)
     told = target.frequency
-    if amplitudes.signal_to_noise > MIN_FREQUENCY_SIGNAL_SD:
+    if amplitudes.signal_to_noise > LIMITS.min_frequency_signal_sd:
         target = replace(target, frequency=measure_frequency(mean, target, margin))
         # The measured frequency is uncertain too: if it equals the stated one, the MTF is reported at that.
-        near = asked.frequency is not None and abs(target.frequency / told - 1.0) < FREQUENCY_TOLERANCE
+        near = asked.frequency is not None and abs(target.frequency / told - 1.0) < LIMITS.frequency_tolerance
         told = told if near else target.frequency
         amplitudes = amplitudes_of(used.data, target, window, ground.beyond, memory)
     if context.sensor is not None:
         box = target.box(mean.shape, core_margin_px(wanted.frequency))
         core = amplitudes_of(used.data, target, box, ground.beyond, memory)
-        if core.signal_to_noise < MIN_SIGNAL_SD:
+        if core.signal_to_noise < LIMITS.min_signal_sd:
             return _refuse_faint(core.signal_to_noise)
-    if not amplitudes.light > 0 or amplitudes.zeros > OTHER_OBJECT + OTHER_OBJECT_SD / amplitudes.signal_to_noise:
+    if (
+        not amplitudes.light > 0
+        or amplitudes.zeros > LIMITS.max_zeros + LIMITS.max_zeros_sd / amplitudes.signal_to_noise
+    ):
         return _refuse_other_object(target, asked)
     # A close alias makes the measured frequency uncertain too.
     why = not_identifiable(wanted, wanted.length_px) or not_identifiable(target, target.length_px)
@@ -270,8 +272,8 @@ def _measure_complete_target(
         return BarRefusal(reason=why, flag="aliased")
     second = second_harmonic(mean, target, window, float(mean[ground.beyond].mean()), amplitudes)
     given = findings_of_sums(target, amplitudes, second)
-    given += findings.crowding_findings(ground.crowded)
-    given += findings.margin_findings(margin, MIN_MARGIN_PX if cut else 0.0)
+    given += crowding_findings(ground.crowded)
+    given += margin_findings(margin, LIMITS.min_margin_px if cut else 0.0)
     if context.sensor is not None:
         box = target.box(used.shape[1:], 1.0)
         posterior = sample_sums(amplitudes, lost_fraction(context, margin), context)
@@ -280,8 +282,8 @@ def _measure_complete_target(
             target=target,
             posterior=posterior,
             mtf=posterior["mtf"],
-            findings=(*given, *findings.clipping_findings(used, (box,), context)),
-            notes=(*findings.sum_notes(target, wanted, amplitudes, stated=asked.frequency is not None), *notes),
+            findings=(*given, *clipping_findings(used, (box,), context)),
+            notes=(*sum_notes(target, wanted, amplitudes, stated=asked.frequency is not None), *notes),
             margin_px=margin,
         )
     inflation = amplitudes.frame_correlation
@@ -299,7 +301,7 @@ def _measure_by_fit(
 ) -> BarMeasurement | BarRefusal:
     """Fit a complete target to the pixels around it that have no other light."""
     told, given, margin, inflation = known
-    window = target.box(mean.shape, max(FITTED_PX, FITTED_PERIODS / target.frequency)) & clear
+    window = target.box(mean.shape, max(ACCURACY.fit_margin_px, ACCURACY.fit_margin_periods / target.frequency)) & clear
     problem = BarLikelihood(
         image=mean,
         window=window,
@@ -310,7 +312,7 @@ def _measure_by_fit(
     )
     fit, problem = fit_frames(used.data, problem, target, inflation=inflation)
     standing = fundamental_in_standard_errors(fit)
-    if standing < MIN_SIGNAL_SD:
+    if standing < LIMITS.min_signal_sd:
         return _refuse_faint(standing)
     if not _is_in_region(fit):
         return _refuse_other_object(target, asked)

@@ -5,27 +5,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.bars.bar_image_model import BarImageModel, BarLikelihood, initial_parameters, priors
-from charact.mtf.bars.bar_spectrum import BarShape
-from charact.mtf.bars.forms import BLUR_MODELS
+from charact.mtf.bars.bar_image_model import BarImageModel, BarLikelihood, BarShape, initial_parameters, priors
+from charact.mtf.bars.blur_models import BLUR_MODELS
 from charact.mtf.bars.noise import BarWindowNoise, noise_of, noise_of_one
 from charact.mtf.bars.target import BarTarget
-from charact.mtf.rounding import rounding_shifts
+from charact.mtf.bars.thresholds import ACCURACY, LIMITS
+from charact.mtf.quantisation_checks import rounding_shifts
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-
-ITERATIONS, SETTLED, ROUGHLY, NEAR_END = 12, 3e-3, 0.1, 2
-# Shares of a step that are tried until one betters the fit.
-STEP_FRACTIONS = (1.0, 0.4, 0.1, 0.02)
-# Standard errors by which the pixels must ask for another form before there is one: it costs others their certainty.
-MIN_PREFERENCE_SD = 3.0
-# A form of less weight than this changes no interval.
-MIN_WEIGHT = 0.01
-# Forms begin where they are most like the one fitted, over these multiples of the bars' frequency.
-LIKE, LIKE_PLACES = (0.02, 3.0), 40
-# Least variance of a pixel, on the square of the bars' height: the table of the picture is no better.
-MIN_VARIANCE = 1e-8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,7 +96,7 @@ def fit_bars(
     start: dict[str, float],
     noise: BarWindowNoise | None = None,
     *,
-    tolerance: float = SETTLED,
+    tolerance: float = ACCURACY.fit_tolerance,
     hopeless: float = np.inf,
 ) -> BarFit:
     """Fit the image by damped Gauss-Newton steps; stop early if the cost cannot fall below `hopeless`.
@@ -124,13 +112,13 @@ def fit_bars(
     theta = np.array([start[name] for name in names])
     here = _evaluate_point(picture, theta, picture.shape(start).pixel)
     bounds = np.array([problem.bounds.get(name, (-np.inf, np.inf)) for name in names])
-    for step in range(ITERATIONS):
+    for step in range(ACCURACY.fit_iterations):
         there, expected = _gauss_newton_step(picture, here, bounds)
         if there is None:
             break
         gained, here = here.cost - there.cost, there
         # Near the optimum a step gains at least as much as all later steps.
-        if expected < tolerance or (step >= NEAR_END and here.cost - max(gained, expected) > hopeless):
+        if expected < tolerance or (step >= ACCURACY.give_up_after and here.cost - max(gained, expected) > hopeless):
             break
     return _fit_at(problem, target, picture, here, noise)
 
@@ -168,7 +156,7 @@ def _gauss_newton_step(picture: BarImageModel, here: _FitPoint, bounds: Array) -
     felt = np.diag(normal)
     scale = 1.0 / np.sqrt(np.where(felt > 0.0, felt, 1.0))
     step = scale * np.linalg.solve(normal * np.outer(scale, scale) + 1e-9 * np.eye(len(scale)), scale * gradient)
-    for share in STEP_FRACTIONS:
+    for share in ACCURACY.step_fractions:
         there = _evaluate_point(picture, np.clip(here.theta + share * step, bounds[:, 0], bounds[:, 1]), here.pixel)
         if there.cost < here.cost:
             return there, float(gradient @ step)
@@ -232,7 +220,7 @@ def fit_frames(
     inflation
         Variance factor of the mean by image lag.
     """
-    first = fit_bars(problem, target, initial_parameters(problem, target), tolerance=ROUGHLY)
+    first = fit_bars(problem, target, initial_parameters(problem, target), tolerance=ACCURACY.rough_tolerance)
     window, ground = problem.window, first["pedestal_dn"]
     if len(frames) > 1:
         noise = noise_of(frames, first.model_dn, window, ground_dn=ground, inflation=inflation)
@@ -247,7 +235,7 @@ def fit_frames(
         if frames.dtype.kind in "ui":
             noise = replace(noise, rounding=rounding_shifts(first.model_dn, noise.variance))
     # No pixel weighs more than the average one: unequal weights carry the noise of the first fit into the second.
-    least = max(float(noise.variance.mean()), MIN_VARIANCE * first["level_dn"] ** 2)
+    least = max(float(noise.variance.mean()), ACCURACY.min_variance * first["level_dn"] ** 2)
     weighed = replace(problem, variance=np.maximum(noise.variance, least))
     return fit_bars(weighed, target, first.values, noise), weighed
 
@@ -269,7 +257,7 @@ def fit_all_models(fit: BarFit, problem: BarLikelihood) -> list[tuple[float, Bar
     order, stays first unless the data clearly prefer another.
     """
     shape, ratio = fit.shape, problem.asked / fit.shape.reference
-    places = np.log(np.geomspace(LIKE[0], LIKE[1], LIKE_PLACES) * ratio)
+    places = np.log(np.geomspace(ACCURACY.matched_range[0], ACCURACY.matched_range[1], ACCURACY.matched_points) * ratio)
     now = (float(np.exp(shape.log_attenuation)), shape.form_one, shape.form_two)
     core = np.exp(shape.form.ln(places, *now))
     attenuation = -float(shape.form.ln(np.log([ratio]), *now)[0])
@@ -282,11 +270,13 @@ def fit_all_models(fit: BarFit, problem: BarLikelihood) -> list[tuple[float, Bar
         scale, (log_attenuation, one, two) = form.nearest(places - np.log(ratio), core, attenuation)
         start = {**fit.values, "across_px": 0.0, "along_px": 0.0, "level_dn": scale * fit["level_dn"]}
         start |= {"log_attenuation": float(log_attenuation), "form_one": float(one), "form_two": float(two)}
-        hopeless = least - 2.0 * fit.noise.tied * np.log(MIN_WEIGHT)
+        hopeless = least - 2.0 * fit.noise.tied * np.log(ACCURACY.min_model_weight)
         fits.append((fit_bars(own, fit.target, start, fit.noise, hopeless=hopeless), own))
         least = min(least, fits[-1][0].cost)
-    asked = min(one.cost for one, _ in fits[1:]) < fits[0][0].cost - MIN_PREFERENCE_SD**2 * fit.noise.tied
-    weighed = [(share, *one) for share, one in zip(_weights(fits), fits, strict=True) if share > MIN_WEIGHT]
+    asked = min(one.cost for one, _ in fits[1:]) < fits[0][0].cost - LIMITS.min_model_preference_sd**2 * fit.noise.tied
+    weighed = [
+        (share, *one) for share, one in zip(_weights(fits), fits, strict=True) if share > ACCURACY.min_model_weight
+    ]
     if not asked:
         plain = (_weights(fits)[0], *fits[0])
         return [plain, *(one for one in weighed if one[1] is not fits[0][0])]
@@ -313,3 +303,92 @@ def _root(covariance: Array) -> Array:
     """Return a matrix R with R R' equal to a covariance, shape (parameter, parameter)."""
     values, vectors = np.linalg.eigh(covariance)
     return vectors * np.sqrt(np.maximum(values, 0.0))
+
+
+def mtf_bias(fit: BarFit, problem: BarLikelihood) -> float:
+    """Return the expected excess of the fitted MTF by noise.
+
+    Notes
+    -----
+    A phase, direction or frequency that follows the noise raises the bars' amplitude. With slopes J, second derivatives
+    H, weights W, estimator E = (J' W J + P)^-1 J' W and noise covariance S the bias of the estimate is (Box 1971, doi
+    10.1111/j.2517-6161.1971.tb00871.x, for weights that may differ from the noise's)
+
+        b = (J' W J + P)^-1 [sum_k H_k' W q_k - J' W tr(H C) / 2],   C = E S E',   q = (1 - J E) S E',
+
+    and that of the MTF M is M' b + tr(M'' C) / 2, to second order in the noise. It is neglected for an MTF of less than
+    1.5 % uncertainty.
+    """
+    own = [fit.names.index("log_attenuation"), fit.names.index("departure")]
+    first, second = _mtf_slopes(fit)
+    covariance = fit.noise_covariance
+    if first @ covariance[np.ix_(own, own)] @ first < (ACCURACY.negligible_bias_sd * fit.shape.mtf) ** 2:
+        return 0.0
+    shared = fit.noise.shared(fit.estimator, fit.window)
+    unlike = shared - covariance @ fit.slope
+    bends = _bends(fit, problem)
+    pull = np.zeros(len(fit.names))
+    bent = np.zeros(fit.slope.shape[1])
+    for (one, other), bend in bends.items():
+        pull[one] += np.sum(bend * unlike[other] / problem.variance)
+        bent += covariance[one, other] * bend
+        if one != other:
+            pull[other] += np.sum(bend * unlike[one] / problem.variance)
+            bent += covariance[one, other] * bend
+    off = fit.inverse @ pull - 0.5 * fit.estimator @ bent
+    return float(first @ off[own] + 0.5 * np.sum(second * covariance[np.ix_(own, own)]))
+
+
+def rounding_sd(fit: BarFit) -> float:
+    """Return the relative standard uncertainty of the MTF by quantisation."""
+    rounding = fit.noise.rounding
+    if rounding is None or not len(rounding):
+        return 0.0
+    own = [fit.names.index("log_attenuation"), fit.names.index("departure")]
+    moved = rounding @ fit.estimator[own].T @ _mtf_slopes(fit)[0]
+    return float(np.sqrt(np.mean(moved**2))) / fit.shape.mtf
+
+
+def _mtf_slopes(fit: BarFit) -> tuple[Array, Array]:
+    """Return the MTF's first and second derivatives by log attenuation and departure."""
+    attenuation = np.exp(fit["log_attenuation"])
+    family = fit.shape.pixel * np.exp(-attenuation)
+    whole = fit.shape.mtf
+    by_both = -attenuation * family
+    second = np.array([[whole * attenuation * (attenuation - 1.0), by_both], [by_both, 0.0]])
+    return np.array([-attenuation * whole, family]), second
+
+
+def _bends(fit: BarFit, problem: BarLikelihood) -> dict[tuple[int, int], Array]:
+    """Return the image's second derivatives over the pixels by pair of parameters.
+
+    Level, pedestal and departure enter linearly: they have mixed derivatives only.
+    """
+    picture, index = BarImageModel(problem, fit.target), fit.names.index
+    here = {**fit.values, **{name: 0.0 for name in ("across_px", "along_px") if name in fit.names}}
+    bends: dict[tuple[int, int], Array] = {}
+    for name, step in _steps(fit, picture).items():
+        up, down = (picture({**here, name: here[name] + sign * step})[1] for sign in (1.0, -1.0))
+        own = index(name)
+        for other, bend in enumerate((up - down) / (2.0 * step)):
+            pair = (min(own, other), max(own, other))
+            bends[pair] = 0.5 * (bends[pair] + bend) if pair in bends else bend
+    departure, level = index("departure"), index("level_dn")
+    bends[departure, level] = fit.slope[departure] / fit["level_dn"]
+    return bends
+
+
+def _steps(fit: BarFit, picture: BarImageModel) -> dict[str, float]:
+    """Return the finite-difference step of each nonlinear parameter, for positions part of a period."""
+    reach = picture.reach
+    move = min(ACCURACY.position_step_periods / fit.target.frequency, ACCURACY.max_position_step_px)
+    steps = {
+        "log_attenuation": ACCURACY.shape_step,
+        "form_one": ACCURACY.shape_step,
+        "log_frequency": ACCURACY.shape_step / fit.target.bars,
+        "log_length": ACCURACY.shape_step / fit.target.bars,
+        "across_px": move,
+        "along_px": move,
+        "angle_rad": move / reach[1],
+    }
+    return {name: step for name, step in steps.items() if name in fit.names}

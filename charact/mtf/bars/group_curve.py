@@ -11,28 +11,127 @@ from scipy.special import chdtrc
 import charact
 from charact.method import Context
 from charact.method.stopwatch import with_timing
-from charact.mtf.bars.group_curve_model import GroupCurveModel
+from charact.mtf.bars.thresholds import LIMITS
+from charact.mtf.blur_models import transfer as forms
 from charact.mtf.curve import REPORTED, crossing_frequency, curve_of
+from charact.mtf.session.joint_model import KnownCameraTransfer
+from charact.mtf.session.stage_transfers import prior_sd_of
 from charact.posterior import find_maximum, importance_sample, sample
 from labdata.errors import BadInput
 from labdata.measurement import Curve, Measurement, Posterior, Provenance, Result, make_refusal, measurement_from_draws
 
 Array = NDArray[np.float64]
 
+# Half frequency, cycles per column pitch, exponent and the halo's share of the light lie in these ranges.
+BOUNDS = ((0.01, 1.5), (0.7, 3.5), (0.0, 0.5))
+NAMES, UNITS = ("half_frequency", "exponent", "halo_fraction"), ("cy/px", "1", "1")
+# The exponent's prior is n = 2, a Gaussian, to 1.2, a tube.
+EXPONENT_PRIOR = (1.6, 0.6)
+GRID = (np.geomspace(0.03, 0.8, 40), np.linspace(0.8, 3.0, 23))
+
+
+@dataclass(frozen=True, kw_only=True)
+class GroupHaloPrior:
+    """Halo of a described intensifier.
+
+    Parameters
+    ----------
+    diameter_px
+        Column pitches.
+    elastic_share
+        Fraction of elastically scattered electrons, dimensionless.
+    mean, sd
+        Prior of its fraction of the light, dimensionless.
+    """
+
+    diameter_px: float
+    elastic_share: float
+    mean: float
+    sd: float
+
+    @classmethod
+    def of(cls, context: Context) -> "GroupHaloPrior | None":
+        """Return the halo of the camera; None without a description."""
+        if context.sensor is None:
+            return None
+        sensor, share = context.sensor, context.sensor.photocathode.halo_fraction
+        column_um = float(sensor.ccd.pitch_x_um) * float(sensor.taper.demagnification)
+        return cls(
+            diameter_px=4e3 * float(sensor.photocathode.gap_mm) / column_um,
+            elastic_share=float(sensor.photocathode.halo_elastic_share),
+            mean=float(share),
+            sd=prior_sd_of(share),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class GroupCurveModel:
+    """c^((f/f2)^n) along one direction, times pixel and video filter and, if described, the halo.
+
+    Parameters
+    ----------
+    angle_rad
+        Direction from that of the rows.
+    known
+        Pixel aperture, and the described video filter.
+    halo
+        The halo, or None.
+    """
+
+    angle_rad: float
+    known: KnownCameraTransfer
+    halo: GroupHaloPrior | None
+
+    @classmethod
+    def of(cls, context: Context, *, angle_rad: float) -> "GroupCurveModel":
+        """Return the model for a camera and a direction."""
+        return cls(angle_rad=angle_rad, known=KnownCameraTransfer.of(context), halo=GroupHaloPrior.of(context))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return NAMES if self.halo else NAMES[:2]
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Their units."""
+        return UNITS[: len(self.names)]
+
+    @property
+    def bounds(self) -> Array:
+        """Their bounds, shape (parameter, 2)."""
+        return np.array(BOUNDS[: len(self.names)])
+
+    @property
+    def grid(self) -> Array:
+        """Starting points of the optimisation, shape (point, parameter)."""
+        axes = GRID if self.halo is None else (*GRID, np.array([self.halo.mean]))
+        return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(self.names))
+
+    def log_prior(self, theta: Array) -> Array:
+        """Return ln of the prior density up to a constant, shape (n,)."""
+        mean, sd = EXPONENT_PRIOR
+        density = -0.5 * ((theta[:, 1] - mean) / sd) ** 2
+        return density if self.halo is None else density - 0.5 * ((theta[:, 2] - self.halo.mean) / self.halo.sd) ** 2
+
+    def mtf(self, theta: Array, frequency: Array) -> Array:
+        """Return the MTF at frequencies across the bars, cycles per column pitch, (n, parameter) and (f,) -> (n, f)."""
+        at = np.maximum(frequency, 1e-9)
+        core = np.exp(forms.exponential(at, theta[:, 0], theta[:, 1]))
+        if self.halo is not None:
+            far = forms.halo(at, np.array(self.halo.diameter_px), np.array(self.halo.elastic_share))
+            core = core * (1.0 - theta[:, 2:3] * (1.0 - far))
+        return core * self.known(frequency * np.cos(self.angle_rad), frequency * np.sin(self.angle_rad))
+
+
 METHOD = "bars-joint"
 # The method whose readings are free of harmonics and of phase.
 GROUPS_BY = "bars-forward"
 # Half of a 68 % interval in standard deviations.
 HALF68_SD = 0.994458
-# Chance below which the groups do not tell of one member of the family, and directions that have one MTF, degrees.
-MISFIT_LEVEL, SAME_DIRECTION_DEG = 0.001, 15.0
-# Bars within this of the rows' or columns' direction tell of it, degrees.
-NEAR_DEG = 30.0
-# Two frequencies nearer than this factor are one, measured twice.
-MIN_FREQUENCY_RATIO = 1.1
 # Frequencies at which one half is looked for, the share of draws that may not fall to it, and how far beyond the
 # groups, as a factor of the frequency, the form is trusted.
-FINE, MAX_LOST, TRUSTED_RATIO = np.arange(0.002, 1.2, 0.002), 0.02, 1.5
+FINE = np.arange(0.002, 1.2, 0.002)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,7 +219,7 @@ def _by_direction(measurements: Sequence[Measurement], names: tuple[str, str], c
     out = Result()
     for (way, own), name in zip(_directions(measurements).items(), names, strict=True):
         frequencies = [m.frequency_cy_per_px for m in own if m.frequency_cy_per_px]
-        if not frequencies or max(frequencies) < MIN_FREQUENCY_RATIO * min(frequencies):
+        if not frequencies or max(frequencies) < LIMITS.min_frequency_ratio * min(frequencies):
             continue
         found = fit_group_curve(own, context=context)
         out += Result(
@@ -141,9 +240,13 @@ def _directions(measurements: Sequence[Measurement]) -> dict[str, list[Measureme
 
 def _parallel_groups(sound: Sequence[Measurement], axis_deg: float) -> list[Measurement]:
     """Return the largest set of groups near an axis within half the permitted angle of one of them."""
-    near = [m for m in sound if _angle_between_deg(m.orientation_deg, axis_deg) < NEAR_DEG]
+    near = [m for m in sound if _angle_between_deg(m.orientation_deg, axis_deg) < LIMITS.max_axis_angle_deg]
     sets = [
-        [m for m in near if _angle_between_deg(m.orientation_deg, middle.orientation_deg) <= 0.5 * SAME_DIRECTION_DEG]
+        [
+            m
+            for m in near
+            if _angle_between_deg(m.orientation_deg, middle.orientation_deg) <= 0.5 * LIMITS.max_direction_spread_deg
+        ]
         for middle in near
     ]
     return max(sets, key=len, default=[])
@@ -217,9 +320,12 @@ def _mtf50(curves: Array, groups: Sequence[Group], common: dict[str, Any]) -> Me
     told = sorted({group.frequency for group in groups})
     notes = [f"Through {len(groups)} groups of bars at {', '.join(f'{frequency:.3g}' for frequency in told)} cy/px."]
     half = float(np.median(np.where(np.isfinite(crossing), crossing, FINE[-1])))
-    if not told[0] / TRUSTED_RATIO < half < told[-1] * TRUSTED_RATIO or np.mean(~np.isfinite(crossing)) > MAX_LOST:
+    if (
+        not told[0] / LIMITS.max_extrapolation < half < told[-1] * LIMITS.max_extrapolation
+        or np.mean(~np.isfinite(crossing)) > LIMITS.max_lost_draws
+    ):
         reason = (
-            f"MTF50 must lie within a factor of {TRUSTED_RATIO:g} of the groups' frequencies, {told[0]:.3g} to {told[-1]:.3g} "
+            f"MTF50 must lie within a factor of {LIMITS.max_extrapolation:g} of the groups' frequencies, {told[0]:.3g} to {told[-1]:.3g} "
             f"cy/px, got some {half:.2g}"
         )
         return make_refusal("mtf50", "cy/px", reason, notes=tuple(notes), **common)
@@ -229,16 +335,16 @@ def _mtf50(curves: Array, groups: Sequence[Group], common: dict[str, Any]) -> Me
 
 
 def _misfit(left: float, freedom: int) -> list[str]:
-    return ["model-misfit"] if freedom > 0 and chdtrc(freedom, left) < MISFIT_LEVEL else []
+    return ["model-misfit"] if freedom > 0 and chdtrc(freedom, left) < LIMITS.min_group_p_value else []
 
 
 def _require_one_direction(groups: Sequence[Group]) -> None:
     """Reject groups of different directions, whose MTFs may differ."""
     apart = [abs(np.rad2deg(group.angle_rad - groups[0].angle_rad)) % 180.0 for group in groups]
     largest = max(min(one, 180.0 - one) for one in apart)
-    if largest > SAME_DIRECTION_DEG:
+    if largest > LIMITS.max_direction_spread_deg:
         raise BadInput(
-            f"groups of bars for one curve must lie within {SAME_DIRECTION_DEG:g} degrees, got {largest:.0f} apart"
+            f"groups of bars for one curve must lie within {LIMITS.max_direction_spread_deg:g} degrees, got {largest:.0f} apart"
         )
 
 

@@ -5,18 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.rounding import rounding_shifts
+from charact.mtf.bars.thresholds import ACCURACY, LIMITS
+from charact.mtf.quantisation_checks import rounding_shifts
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-
-# Pixels further apart share nothing; less far, unless neighbours share more than this.
-NEAR_PX, FAR_PX, SHARED = 2, 4, 0.2
-# Lags along a row at which only what a row has in common ties pixels, standard errors from which on it does, share of
-# the bars' height up to which pixels are ground, and how many must be.
-ALONG_ROWS, ROWS_SD, GROUND, MIN_GROUND = (8, 12, 16), 6.0, 0.1, 300
-# Frames whose scatter tells the correlation.
-MAX_FRAMES = 6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,7 +96,7 @@ def noise_of(frames: Array, model: Array, window: Mask, *, ground_dn: float, inf
     left = frames - frames.mean(axis=0)
     share = len(frames) / (len(frames) - 1.0)
     variance = variance_of(model, share * np.mean(left[:, window] ** 2, axis=0))
-    field = np.zeros((min(len(frames), MAX_FRAMES), *window.shape))
+    field = np.zeros((min(len(frames), ACCURACY.max_correlation_frames), *window.shape))
     field[:, window] = left[: len(field), window] / np.sqrt(variance)
     return BarWindowNoise(
         variance=variance / len(frames),
@@ -152,20 +145,20 @@ def row_offset_variance(left: Array, height: Array, window: Mask) -> float:
     Distant pixels of a row have only the row offset in common. The mean of each frame's background is subtracted.
     """
     ground = np.zeros(window.shape, bool)
-    ground[window] = height <= GROUND * height.max()
-    if np.count_nonzero(ground) < MIN_GROUND:
+    ground[window] = height <= LIMITS.max_background_height * height.max()
+    if np.count_nonzero(ground) < ACCURACY.min_background_pixels:
         return 0.0
     left = np.where(ground, left - left[:, ground].mean(axis=1)[:, None, None], 0.0)
     products = []
-    for lag in ALONG_ROWS:
+    for lag in ACCURACY.row_lags_px:
         last = window.shape[1] - lag
         pairs = ground[:, :last] & ground[:, lag:]
         products.append(np.mean(left[:, :, :last] * left[:, :, lag:], axis=0)[pairs])
     told = np.concatenate(products)
-    if told.size < MIN_GROUND:
+    if told.size < ACCURACY.min_background_pixels:
         return 0.0
     mean = float(told.mean())
-    return mean if mean > ROWS_SD * float(told.std()) / np.sqrt(told.size) else 0.0
+    return mean if mean > LIMITS.min_row_noise_sd * float(told.std()) / np.sqrt(told.size) else 0.0
 
 
 def variance_of(level: Array, square: Array) -> Array:
@@ -181,11 +174,11 @@ def variance_of(level: Array, square: Array) -> Array:
 
 def correlation_of(fields: Array, window: Mask) -> Array:
     """Return the correlation of noise fields (field, row, col) between pixels of a window."""
-    near = _correlation(fields, window, NEAR_PX)
-    middle = NEAR_PX
-    if max(near[middle + 1, middle], near[middle, middle + 1]) < SHARED:
+    near = _correlation(fields, window, ACCURACY.correlation_px)
+    middle = ACCURACY.correlation_px
+    if max(near[middle + 1, middle], near[middle, middle + 1]) < LIMITS.long_correlation:
         return near
-    return _correlation(fields, window, FAR_PX)
+    return _correlation(fields, window, ACCURACY.long_correlation_px)
 
 
 def _correlation(fields: Array, window: Mask, reach: int) -> Array:

@@ -5,16 +5,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.bars.thresholds import LENGTH_MATTERS, LENGTH_OVER_WIDTH
+from charact.method import Context
+from charact.mtf.bars.thresholds import ACCURACY, LIMITS
+from charact.mtf.blur_models import transfer as forms
+from charact.mtf.known_transfer import halo_diameters_px
+from labdata.parameter import Parameter
 
 Array = NDArray[np.float64]
 
 DIRECTIONS_DEG = np.arange(0.0, 180.0, 10.0)
-# The tallest response of noise alone over a whole frame, in its own robust standard deviations, stays below this.
-MIN_RESPONSE = 8.0
 RAYLEIGH_TENTH = float(np.sqrt(-2.0 * np.log(0.9)))
-# Longest departure of the bars' own frequency from the one asked for.
-FREQUENCY_SLACK = 0.06
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,7 +70,7 @@ def blank_target(bars: int, frequency: float, pitch_ratio: float) -> BarTarget:
     """Return bars of the standard length at the first pixel, upright."""
     return BarTarget(
         bars=bars, frequency=frequency, angle_rad=0.0, row=0.0, col=0.0, pitch_ratio=pitch_ratio,
-        length_px=LENGTH_OVER_WIDTH / (2.0 * frequency),
+        length_px=LIMITS.length_over_width / (2.0 * frequency),
     )  # fmt: skip
 
 
@@ -118,7 +118,7 @@ def detect_bars(image: Array, *, bars: int, frequency: float, pitch_ratio: float
         quiet = min(quiet, float(np.quantile(response, 0.1)) / RAYLEIGH_TENTH)
         if best is None or height > best[0]:
             best = (height, replace(turned, row=float(row), col=float(col)))
-    if best is None or not best[0] > MIN_RESPONSE * quiet + 1e-9 * np.abs(image).max():
+    if best is None or not best[0] > LIMITS.min_filter_response * quiet + 1e-9 * np.abs(image).max():
         return None
     return refine_target(image, best[1])
 
@@ -182,9 +182,9 @@ def _fit_length(image: Array, target: BarTarget) -> BarTarget:
     lengths = np.unique(np.round(np.geomspace(max(1.0 / target.frequency, 3.0), sums.size, 60)).astype(np.intp))
     matches = [np.abs(whole[length:] - whole[:-length]) ** 2 / length for length in lengths]
     gain = np.array([float(one.max()) for one in matches])
-    usual = int(np.argmin(np.abs(lengths - LENGTH_OVER_WIDTH / (2.0 * target.frequency))))
-    best = usual if gain[usual] > LENGTH_MATTERS * gain.max() else int(np.argmax(gain))
-    length = LENGTH_OVER_WIDTH / (2.0 * target.frequency) if best == usual else float(lengths[best])
+    usual = int(np.argmin(np.abs(lengths - LIMITS.length_over_width / (2.0 * target.frequency))))
+    best = usual if gain[usual] > LIMITS.min_length_match * gain.max() else int(np.argmax(gain))
+    length = LIMITS.length_over_width / (2.0 * target.frequency) if best == usual else float(lengths[best])
     middle = first + int(np.argmax(matches[best])) + 0.5 * lengths[best]
     return replace(
         target,
@@ -213,9 +213,73 @@ def measure_frequency(image: Array, target: BarTarget, margin_px: float) -> floa
     """
     window = target.box(image.shape, margin_px)
     level = float(np.median(image[~window])) if (~window).any() else float(image.min())
-    tried = target.frequency * (1.0 + np.linspace(-FREQUENCY_SLACK, FREQUENCY_SLACK, 25))
+    tried = target.frequency * (1.0 + np.linspace(-LIMITS.max_frequency_error, LIMITS.max_frequency_error, 25))
     power = np.zeros(tried.size)
     for order in (target.bars - 1, target.bars + 1):
         share = order / target.bars
         power += [abs(amplitude(image - level, target, share * one, window)) ** 2 for one in tried]
     return _vertex(tried, -power)
+
+
+SD_OF_RANGE = 2.0 * 1.959964
+
+
+def margin_px(context: Context, frequency: float) -> float:
+    """Return the margin around the bars: it includes the halo of a described camera."""
+    own = max(ACCURACY.window_margin_px, 1.5 / frequency)
+    if context.sensor is None:
+        return own
+    return max(own, 0.5 * halo_diameters_px(context, transposed=False)[1] + ACCURACY.halo_margin_px)
+
+
+def fitting_margin(target: BarTarget, shape: tuple[int, int], wanted: float) -> tuple[float, bool]:
+    """Return the widest margin up to `wanted` at which the window fits, and whether it is smaller."""
+    for margin in np.linspace(wanted, 2.0, 24):
+        inside = target.box(shape, float(margin))
+        across, along = target.coordinates(shape)
+        reach = (np.abs(across).max(), np.abs(along).max())
+        fits = reach[0] > target.width_px / 2 + margin and reach[1] > target.length_px / 2 + margin
+        touches = inside[0].any() or inside[-1].any() or inside[:, 0].any() or inside[:, -1].any()
+        if fits and not touches:
+            return float(margin), margin < wanted - 1e-9
+    return 2.0, True
+
+
+def lost_fraction(context: Context, margin: float) -> tuple[float, float]:
+    """Return the fraction of the light beyond the window, and its standard uncertainty.
+
+    Parameters
+    ----------
+    context
+        Its sensor description; without one the fraction is taken as 0.
+    margin
+        Margin of the window around the bars, column pitches.
+
+    Notes
+    -----
+    For a transfer M the light further off than X is 1 - (2/pi) int M(f) sin(2 pi f X)/f df; a window loses it on both
+    pairs of sides. Averaged over the described ranges of the tube and its halo.
+    """
+    if context.sensor is None:
+        return 0.0, 0.0
+    sensor = context.sensor
+    rng = np.random.default_rng(0)
+    pitch_mm = float(sensor.ccd.pitch_x_um) * 1e-3 * float(sensor.taper.demagnification)
+    corner = _draw_parameter(sensor.tube.mtf_frequency_lp_per_mm, rng) * pitch_mm
+    exponent = _draw_parameter(sensor.tube.mtf_exponent, rng)
+    diameter = 4.0 * _draw_parameter(sensor.photocathode.gap_mm, rng) / pitch_mm
+    share = _draw_parameter(sensor.photocathode.halo_fraction, rng)
+    elastic = _draw_parameter(sensor.photocathode.halo_elastic_share, rng)
+    f = np.asarray((np.arange(16384) + 0.5) / 8192.0, dtype=np.float64)
+    kernel = np.sin(2.0 * np.pi * f * margin) / f * (f[1] - f[0])
+    core = np.exp(-((f / corner[:, None]) ** exponent[:, None]))
+    both = core * (1.0 - share[:, None] + share[:, None] * forms.halo(f, diameter, elastic))
+    outside = 2.0 * (1.0 - 2.0 / np.pi * both @ kernel)
+    return float(outside.mean()), float(max(outside.std(), 0.25 * abs(outside.mean())))
+
+
+def _draw_parameter(parameter: Parameter, rng: np.random.Generator) -> Array:
+    if parameter.low is None or parameter.high is None:
+        return np.full(ACCURACY.description_draws, parameter.value)
+    sd = (parameter.high - parameter.low) / SD_OF_RANGE
+    return np.clip(rng.normal(parameter.value, sd, ACCURACY.description_draws), parameter.low, parameter.high)

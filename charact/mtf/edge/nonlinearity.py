@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from charact.mtf.curve import FINE
 from charact.mtf.edge.pixels.profile import EdgeProfile
-from charact.mtf.nonlinearity_prior import contrast_of, curvatures
+from charact.mtf.nonlinearity import contrast_of, curvatures
 from labdata.measurement import Posterior
 
 Array = NDArray[np.float64]

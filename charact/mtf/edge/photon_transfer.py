@@ -4,7 +4,7 @@ import numpy as np
 
 from charact.method import Context
 from charact.mtf.edge.pixels.prepare_edge import PreparedEdge
-from charact.mtf.photon_transfer_check import (
+from charact.mtf.nonlinearity import (
     PlateauNoiseRatio,
     covariance_ratio,
     ln_bayes_factor_nonlinear,

@@ -7,23 +7,133 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.mtf.image_lag import image_lag_model
-from charact.mtf.point.forward_model import KnownPointOptics, PointModel
-from charact.mtf.point.forward_prior import NAMES, PointPrior, priors_of
-from charact.mtf.point.noise import FRACTIONS_AFTER_GAIN, PulseNoise, fit_pulse_noise
+from charact.mtf.image_lag import ImageLagModel, image_lag_model
+from charact.mtf.point.forward_model import NAMES, KnownPointOptics, PointModel, PointPrior, priors_of
 from charact.mtf.point.source_window import Window
+from charact.mtf.point.thresholds import ACCURACY, LIMITS
 from charact.posterior import find_maximum
 
 Array = NDArray[np.float64]
 
-# Share by which a screen's own pattern makes pixels unequal, and over how many pixels it is alike.
-PATTERN, PATTERN_PX = 0.015, 1.5
-# Noise from which on rounding hides nothing, DN; mean square over squared mean of pulses; pulses per DN before they are
-# known.
-UNROUNDED_SD, PULSE_VARIANCE, SPARSE = 1.0, 3.0, 1.0
-MAX_TURNS = 3
-# So many frequencies of transfers at a time: more do not stay in the processor's cache, and take twice as long.
-AT_ONCE = 100_000
+FRACTIONS_AFTER_GAIN = (0.4, 0.6, 0.8, 1.0)
+# Variances of light tried, in those of a dark pixel.
+GAINS = np.exp(np.linspace(np.log(1e-3), np.log(1e5), 200))
+
+
+@dataclass(frozen=True, kw_only=True)
+class PulseNoise:
+    """Noise of the core's pixels.
+
+    Parameters
+    ----------
+    pulse
+        Covariance of one frame per unit light and unit gain, without image lag, shape (pixel, pixel).
+    gain
+        Covariance per light, DN px^2.
+    share
+        Fraction of the blur after the gain; None: independent pixels, as in ordinary cameras.
+    sharpness
+        Mean square of a pulse of unit light over its area, 1/px^2.
+    """
+
+    pulse: Array
+    gain: float
+    share: float | None
+    sharpness: float
+
+
+def pulse_covariance(model: PointModel, point: Array, share: float) -> Array:
+    """Return the covariance of unit light at unit gain for a fraction of blur after the gain, shape (pixel, pixel)."""
+    fx, fy = model.grid
+    p = {name: float(value[0]) for name, value in model.prior.named(point[None]).items()}
+    square = fx**2 + fy**2
+    tube = np.exp(p["exponent"] * (0.5 * np.log(square) - p["ln_cut_off"]))
+    gauss = (np.pi * p["blur_px"]) ** 2 * square
+    behind = np.exp(-share * tube - gauss) * model.aperture_on_grid
+    before = np.exp(-(1.0 - share) * tube - gauss) * model.spread(point[None], model.halo_table)[0]
+    out = np.zeros((model.x.size * model.y.size,) * 2)
+    for (step, reach), inner in (
+        (ACCURACY.near_landing_px, 0.0),
+        (ACCURACY.far_landing_px, ACCURACY.near_landing_px[1]),
+    ):
+        places = np.arange(-reach, reach + 1e-9, step)
+        cell = np.sinc(fx * step) * np.sinc(fy * step)
+        along, down = (np.cos(2 * np.pi * np.outer(places, f)) for f in (fx, fy))
+        density = down @ (before * cell) @ along.T * (4.0 / ACCURACY.image_period_px**2)
+        weight = np.maximum(density, 0.0) * step**2
+        keep = np.maximum(*np.broadcast_arrays(np.abs(places)[:, None], np.abs(places))) > inner - 1e-9
+        keep = keep if inner else np.ones_like(keep)
+        shapes = _shapes(model, point, behind, places, keep)
+        out += (shapes * weight[keep][:, None]).T @ shapes
+    return out
+
+
+def shot_covariance(model: PointModel, point: Array) -> Array:
+    """Return the covariance of unit light at unit gain for independent pixels, shape (pixel, pixel)."""
+    return np.diag(np.maximum(model.core(point[None])[0].ravel(), 0.0))
+
+
+def _shapes(model: PointModel, point: Array, transfer: Array, places: Array, keep: NDArray[np.bool_]) -> Array:
+    """Return pulses at positions around the source, shape (position, pixel)."""
+    rows, cols = np.nonzero(keep)
+    shifted = np.repeat(point[None], rows.size, axis=0)
+    x, y = (model.prior.free.index(name) for name in ("x_px", "y_px"))
+    shifted[:, x] += places[cols]
+    shifted[:, y] += places[rows]
+    return model.image(shifted, transfer).reshape(rows.size, -1)
+
+
+def near_pixels(model: PointModel, point: Array) -> NDArray[np.int64]:
+    """Return the pixels near the source, which have nearly all of its noise."""
+    p = model.prior.named(point[None])
+    x, y = np.broadcast_arrays(model.x - p["x_px"], (model.y - p["y_px"])[:, None])
+    return np.flatnonzero((np.hypot(x, y) < ACCURACY.noise_radius_px).ravel())
+
+
+def fit_pulse_noise(
+    model: PointModel,
+    point: Array,
+    light: float,
+    deviations: Array,
+    floor: float,
+    parity: NDArray[np.bool_],
+    memory: ImageLagModel,
+    shares: tuple[float | None, ...] = FRACTIONS_AFTER_GAIN,
+) -> PulseNoise:
+    """Return the noise that makes the frame differences most probable.
+
+    Parameters
+    ----------
+    light
+        Light of the source, DN px^2.
+    deviations
+        Frames less their mean, shape (frame, pixel), DN.
+    floor
+        Variance of a pixel far from the source, DN^2.
+    parity
+        Field of each pixel, shape (pixel,).
+    shares
+        Candidate fractions of blur after the gain; None: independent pixels.
+    """
+    near = near_pixels(model, point)
+    deviations, parity = deviations[:, near], parity[near]
+    factor = memory.between_rows(parity)
+    best: tuple[float, PulseNoise] | None = None
+    area = float(np.diff(model.y[:2])[0] * np.diff(model.x[:2])[0])
+    freedom = len(deviations) - 1
+    for share in shares:
+        pulse = shot_covariance(model, point) if share is None else pulse_covariance(model, point, share)
+        sharp = float(np.trace(pulse)) * area
+        values, vectors = np.linalg.eigh(pulse[np.ix_(near, near)] * factor * light)
+        gains = GAINS * floor / max(float(values.mean()), 1e-300)
+        power = ((deviations @ vectors) ** 2).sum(axis=0)
+        variance = gains[:, None] * np.maximum(values, 0.0) + floor
+        fit = -0.5 * (freedom * np.log(variance) + power / variance).sum(axis=1)
+        top = int(np.argmax(fit))
+        if best is None or fit[top] > best[0]:
+            best = float(fit[top]), PulseNoise(pulse=pulse, gain=float(gains[top]), share=share, sharpness=sharp)
+    assert best is not None
+    return best[1]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,7 +206,7 @@ class PointFit:
         """Return ln posterior with light and pedestal marginalised, shape (n,)."""
         value = self.model.prior.log_density(theta)
         inside = np.isfinite(value)
-        within, at_once = np.flatnonzero(inside), max(AT_ONCE // self.model.aperture_on_grid.size, 1)
+        within, at_once = np.flatnonzero(inside), max(ACCURACY.batch_size // self.model.aperture_on_grid.size, 1)
         for begin in range(0, within.size, at_once):
             part = within[begin : begin + at_once]
             chi2, _, normal = self.linear(theta[part])
@@ -145,14 +255,14 @@ def _fit(window: Window, context: Context, optics: KnownPointOptics, prior: Poin
     point = _first(model, window)
     noise = None
     found = _apply_weights(model, window, point, None, memory)
-    for turn in range(MAX_TURNS):
+    for turn in range(ACCURACY.noise_turns):
         if not np.isfinite(found.log_probability(point[None])[0]):
             return None
         point, covariance = find_maximum(found.log_probability, point, prior.bounds[prior.chosen])
         found = _fit_at(found, point, covariance, noise)
         if found.light <= 0:
             return None
-        if turn == MAX_TURNS - 1:
+        if turn == ACCURACY.noise_turns - 1:
             break
         if window.frames > 2:
             shares = _shares(context, turn)
@@ -195,8 +305,10 @@ def _apply_weights(
     pulse = np.zeros(bright.size) if noise is None else noise.gain * light * np.diag(noise.pulse) * memory.frame_same
     scatter = np.append(pulse[keep], np.full(rings.size, np.inf))
     rounding = np.zeros_like(whole)
-    if window.quiet_sd < UNROUNDED_SD:
-        pulses = SPARSE if noise is None else PULSE_VARIANCE / (noise.gain * noise.sharpness)
+    if window.quiet_sd < LIMITS.max_rounded_sd:
+        pulses = (
+            ACCURACY.pulses_per_dn if noise is None else ACCURACY.pulse_height_square / (noise.gain * noise.sharpness)
+        )
         rounding = rounding_covariance(np.append(bright[keep], rings), scatter, window.quiet_sd, pulses)
     whole += rounding
     root = np.asarray(np.linalg.inv(np.linalg.cholesky(whole)), np.float64)
@@ -213,8 +325,12 @@ def _core_covariance(window: Window, bright: Array, noise: PulseNoise | None, me
     else:
         same = window.parity[:, None] == window.parity[None, :]
         covariance = noise.gain * light * noise.pulse * np.where(same, memory.mean_same, memory.mean_other) / count
-    pattern = np.exp(-0.5 * window.distances**2 / PATTERN_PX**2)
-    return covariance + np.eye(bright.size) * window.floor / count + PATTERN**2 * np.outer(bright, bright) * pattern
+    pattern = np.exp(-0.5 * window.distances**2 / ACCURACY.phosphor_pattern_px**2)
+    return (
+        covariance
+        + np.eye(bright.size) * window.floor / count
+        + ACCURACY.phosphor_pattern**2 * np.outer(bright, bright) * pattern
+    )
 
 
 def rounding_covariance(height: Array, pulse_variance: Array, quiet_sd: float, pulses_per_dn: float) -> Array:

@@ -10,18 +10,10 @@ from charact.mtf.point.blur_models_2d import BlurModel2D, Core
 from charact.mtf.point.model_fit import BlurModelFit2D, PointFitter
 from charact.mtf.point.source_pixels import SourcePixels, add_noise, noise_likelihood, position_source, whiten_source
 from charact.mtf.point.spot_image_matrix import cosines, radial
-from charact.mtf.point.thresholds import FAR_FROM_FOCUS, LOWER, MAX_CORES
+from charact.mtf.point.thresholds import ACCURACY
 
 Array = NDArray[np.float64]
 
-# A form this much less probable than the best, as a fraction, adds nothing to the draws.
-MIN_WEIGHT = 0.02
-# Forms within this of the best in ln of the evidence are worth pursuing.
-CLOSE = 8.0
-# Cores within this of the best are asked for light beyond them also where it gains nothing: it may hide in the noise.
-NEAR = 3.0
-# Gain in chi squared from which on wide light is worth a fit of its own for the others.
-MIN_CHI2_GAIN = 4.0
 # Odds before the data of each of the two kinds of light beyond a core, of which the camera's description says nothing:
 # together they are as likely as none.
 WIDE_ODDS = 0.5
@@ -35,7 +27,6 @@ CORES: dict[Core, float] = {
 TUBES: tuple[Core, ...] = ("gaussian", "exponential", "moffat")
 # Departures from the best form, fraction of the transfer: small and large, and their odds before the data.
 DEPARTURES, DEPARTURES_ODDS = (0.02, 0.1), 0.03
-WIDE_SIZES = 6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,7 +51,7 @@ def fit_sources(
     first = next(form for form in cores if form.core == "exponential")
     fitter = _fitter_for(sites, first, first.start(np.log(half)), None)
     starts = {form: form.start(np.log(half)) for form in cores}
-    for lower in LOWER:
+    for lower in ACCURACY.noise_factors:
         fits = [_fit_pupil(fitter, form, starts[form]) for form in cores]
         starts = {fit.form: fit.point for fit in fits}
         best = max(fits, key=lambda fit: _likelihood(sites, fit))
@@ -87,7 +78,10 @@ def _fit_pupil(fitter: PointFitter, form: BlurModel2D, start: Array) -> BlurMode
     if "defocus_square" not in form.parameters:
         return near
     far = start.copy()
-    far[0], far[list(form.parameters).index("defocus_square")] = start[0] + np.log(FAR_FROM_FOCUS[0]), FAR_FROM_FOCUS[1]
+    far[0], far[list(form.parameters).index("defocus_square")] = (
+        start[0] + np.log(ACCURACY.defocus_start[0]),
+        ACCURACY.defocus_start[1],
+    )
     return min(near, fitter.fit(form, far), key=lambda one: one.cost)
 
 
@@ -128,20 +122,20 @@ def fit_models(
     found = [fitter.fit(form, start) for form, start in starts.items()]
     found += [
         fitter.fit(form, _start_from(one, form))
-        for one in _cores_within(found, CLOSE)
+        for one in _cores_within(found, ACCURACY.candidate_ln_evidence)
         if one.form.round and (form := replace(one.form, round=False))
     ]
     tubes = [one for one in found if one.form.core == "exponential"]
     likeliest = max(tubes, key=lambda one: one.log_evidence)
-    if likeliest in _cores_within(found, CLOSE):
+    if likeliest in _cores_within(found, ACCURACY.candidate_ln_evidence):
         found.append(_fit_two_blurs(fitter, likeliest))
         if not likeliest.form.round and abs(likeliest.point[1] - 2.0) > 2.0 * np.sqrt(likeliest.covariance[1, 1]):
             found.append(fitter.fit(replace(likeliest.form, separable=True), likeliest.point))
-    near = _cores_within(found, NEAR)
+    near = _cores_within(found, ACCURACY.extended_ln_evidence)
     for light in wide:
-        for core in _cores_within(found, CLOSE)[:MAX_CORES]:
+        for core in _cores_within(found, ACCURACY.candidate_ln_evidence)[: ACCURACY.max_cores]:
             always = core in near or isinstance(light, HaloComponent)
-            more = _fit_extended(fitter, core, light, -np.inf if always else MIN_CHI2_GAIN)
+            more = _fit_extended(fitter, core, light, -np.inf if always else ACCURACY.min_extended_chi2_gain)
             found += [] if more is None else [more]
     if any(isinstance(light, HaloComponent) for light in wide):
         # A described intensifier has a halo.
@@ -188,7 +182,7 @@ def _fit_extended(
     form = replace(core.form, wide=wide)
     first = form.blur_parameters
     bounds = form.bounds[first : first + len(wide.parameters)]
-    sizes = bounds[1, 0] * (bounds[1, 1] / bounds[1, 0]) ** np.linspace(0.1, 0.9, WIDE_SIZES)
+    sizes = bounds[1, 0] * (bounds[1, 1] / bounds[1, 0]) ** np.linspace(0.1, 0.9, ACCURACY.extended_sizes)
     begun = []
     for size in sizes:
         beyond = [0.05, size, *([0.5] if len(bounds) > 2 else [])]
@@ -207,5 +201,5 @@ def _rank_by_evidence(found: list[BlurModelFit2D]) -> list[EvidenceWeightedModel
     return [
         EvidenceWeightedModels2D(fit=found[i], share=float(share[i]))
         for i in np.argsort(-share)
-        if share[i] > MIN_WEIGHT
+        if share[i] > ACCURACY.min_model_weight
     ]

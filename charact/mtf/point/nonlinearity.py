@@ -9,17 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from charact.mtf.point.thresholds import ACCURACY, LIMITS
+
 Array = NDArray[np.float64]
 
 # Powers of the light by which noise may go off: exponents of the response from 0.4 to 2.5.
 POWERS = np.array([-1.5, -1.2, -0.9, -0.7, -0.5, -0.35, -0.2, -0.1, 0.0, 0.1, 0.2, 0.3, 0.45, 0.6])
 FINE_POWERS = np.linspace(POWERS[0], POWERS[-1], 421)
-# Standard deviations, and power, from which on a response is called curved: noise of few pulses scatters more widely
-# than a Gaussian's.
-SIGNIFICANT, MIN_POWER = 4.0, 0.1
-# Pixels of less than this share of the brightest tell nothing of light, and as few as these tell no power.
-LIT, MIN_PIXELS = 0.02, 6
-ITERATIONS = 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +39,7 @@ class SpotNonlinearity:
     @property
     def is_nonlinear(self) -> bool:
         """Whether the noise excludes a linear response."""
-        return self.significance > SIGNIFICANT and abs(self.power) > MIN_POWER
+        return self.significance > LIMITS.nonlinear_sd and abs(self.power) > LIMITS.min_nonlinear_power
 
     @property
     def effect(self) -> str:
@@ -67,7 +63,7 @@ def fit_nonlinearity(profiles: list[Array]) -> SpotNonlinearity:
     fine = CubicSpline(POWERS, np.sum([np.zeros(POWERS.size), *profiles], axis=0))(FINE_POWERS)
     best = int(np.argmax(fine))
     gain = 2.0 * (fine[best] - np.interp(0.0, FINE_POWERS, fine))
-    within = FINE_POWERS[fine > fine[best] - 0.5 * SIGNIFICANT**2]
+    within = FINE_POWERS[fine > fine[best] - 0.5 * LIMITS.nonlinear_sd**2]
     return SpotNonlinearity(
         significance=float(np.sqrt(max(gain, 0.0))),
         power=float(FINE_POWERS[best]),
@@ -92,8 +88,8 @@ def power_log_likelihoods(samples: Array, mean: Array, pulses: Array, dark: Arra
     A common factor of all pixels, flicker of the source, is excluded. Too few pixels give no information: all powers
     are equally likely.
     """
-    lit = np.flatnonzero(mean > LIT * np.max(mean, initial=0.0))
-    if lit.size < MIN_PIXELS:
+    lit = np.flatnonzero(mean > ACCURACY.min_light_fraction * np.max(mean, initial=0.0))
+    if lit.size < ACCURACY.min_lit_pixels:
         return np.zeros(POWERS.size)
     light = mean[lit] / mean.max()
     aside = np.linalg.svd(light[None])[2][1:]
@@ -108,7 +104,7 @@ def _likeliest(white: Array, root: Array, pulses: Array) -> float:
     values = np.maximum(values, 0.0)
     square, count = np.sum((white @ vectors) ** 2, axis=0), len(white)
     size = 1.0
-    for _ in range(ITERATIONS):
+    for _ in range(ACCURACY.noise_iterations):
         variance = 1.0 + size * values
         part = size * values / variance
         slope = 0.5 * np.sum((square / variance - count) * part)

@@ -10,22 +10,20 @@ from numpy.typing import NDArray
 import charact
 from charact.method import Context, register
 from charact.mtf.blur_models.one_dimensional import DiscComponent, ExtendedComponent, HaloComponent, ScatterComponent
-from charact.mtf.curve import FINE, PINNED, REPORTED, crossing_frequency, curve_of
-from charact.mtf.filter_uncertainty import LEVELS, flag_filter_uncertainty
+from charact.mtf.curve import FINE, LEVELS, PINNED, REPORTED, crossing_frequency, curve_of, flag_filter_uncertainty
 from charact.mtf.image_lag import image_lag_model
 from charact.mtf.known_transfer import halo_diameters_px
+from charact.mtf.mean_frame import Region
 from charact.mtf.point import parametric_checks as point_distrust
-from charact.mtf.point import source as point_source
-from charact.mtf.point.figure_data import rounding_note, source_figure_data
-from charact.mtf.point.findings import finding
+from charact.mtf.point.findings import finding, flag_undersampled
 from charact.mtf.point.model_fit import BlurModelFit2D, PointFitter
 from charact.mtf.point.model_selection import EvidenceWeightedModels2D, fit_sources
 from charact.mtf.point.parametric_noise import measure_surroundings_noise
+from charact.mtf.point.source import detect_source
 from charact.mtf.point.source_pixels import SourcePixels
-from charact.mtf.point.source_window import neighbour_mask, window_of
+from charact.mtf.point.source_window import neighbour_mask, rounding_note, source_figure_data, window_of
 from charact.mtf.point.spot_image_matrix import Aperture
-from charact.mtf.point.undersampled_spot import flag_undersampled
-from charact.mtf.region import Region
+from charact.mtf.point.thresholds import ACCURACY, LIMITS
 from charact.posterior import has_several_peaks, importance_sample, sample_posterior
 from charact.video_filter import VideoFilter
 from labdata.errors import BadInput
@@ -35,18 +33,6 @@ from labdata.measurement import Measurement, Posterior, Provenance, Result, make
 Array = NDArray[np.float64]
 
 METHOD = "point-parametric"
-MIN_PX = 9
-MIN_LIGHT_SD = 6.0
-# Least share of the light that pixels below full scale must hold.
-MIN_USABLE_FRACTION = 0.2
-DRAWS, QUICK_DRAWS = 1000, 500
-# Effective draws by importance where the posterior of the only form is wanted quickly, draws to begin with, and the
-# least share of both that a form of little evidence gets, and of what it gets in full.
-QUICK_ESS, QUICK_FIRST, MIN_QUICK_EFFORT, MIN_FULL_EFFORT = 500.0, 1000, 0.25, 0.25
-MAX_STEPS = 1500
-# Rings that a disc or glare must leave bare.
-BARE_RINGS = 2
-PINHOLE_PX = (0.0, 50.0)
 
 
 @register(
@@ -119,17 +105,19 @@ def point_parametric(
     sites, fitter, found = fit_sources(sites, task.pinhole, _extended_components(sites, parts, context))
     best = found[0].fit
     # The noise of a single frame's light is poorly known; there the detection decides.
-    weak = best.light < MIN_LIGHT_SD * point_distrust.light_sd(fitter, best)
+    weak = best.light < LIMITS.min_light_sd * point_distrust.light_sd(fitter, best)
     if (weak.any() and sites[0].window.frames > 1) or (best.light <= 0).any():
         beside = sum(len(site.window.neighbours) for site in sites)
         crowd = f"; {beside} neighbours stand in the way, --roi around one that stands alone" if beside else ""
-        return task.nothing(f"no target: the light must stand {MIN_LIGHT_SD:g} standard errors out{crowd}", "no-target")
+        return task.nothing(
+            f"no target: the light must stand {LIMITS.min_light_sd:g} standard errors out{crowd}", "no-target"
+        )
     return task.result(sites, fitter, found, stack.notes)
 
 
 def _pinhole(pinhole_px: float | tuple[float, float] | None) -> float | tuple[float, float]:
     """Return valid diameter or bounds."""
-    low, high = PINHOLE_PX
+    low, high = LIMITS.pinhole_px
     if isinstance(pinhole_px, tuple | list):
         least, most = (float(number) for number in pinhole_px)
         if not low <= least < most < high:
@@ -142,10 +130,13 @@ def _pinhole(pinhole_px: float | tuple[float, float] | None) -> float | tuple[fl
 
 def _locate_source(part: FrameStack, context: Context) -> SourcePixels | tuple[str, str]:
     """Return the source of a part of the frames, or reason and flag of a refusal."""
-    if min(part.shape[1:]) < MIN_PX:
-        return f"a point needs a region of at least {MIN_PX} x {MIN_PX} px", "window-too-small"
+    if min(part.shape[1:]) < LIMITS.min_region_px:
+        return (
+            f"a point needs a region of at least {LIMITS.min_region_px} x {LIMITS.min_region_px} px",
+            "window-too-small",
+        )
     full = context.full_scale_dn or part.full_scale_dn
-    source = point_source.detect_source(part.data, context.pitch_ratio)
+    source = detect_source(part.data, context.pitch_ratio)
     if isinstance(source, str):
         bright = full is not None and np.median(part.data, axis=0).max() >= full
         return ("the source is too bright: nothing is dark", "saturated") if bright else (source, "no-target")
@@ -155,7 +146,7 @@ def _locate_source(part: FrameStack, context: Context) -> SourcePixels | tuple[s
         filtered=context.sensor is not None, neighbours=source.neighbours,
     )  # fmt: skip
     height = np.maximum(window.core - np.median(window.core), 0.0)
-    if height[window.keep].sum() < MIN_USABLE_FRACTION * height.sum():
+    if height[window.keep].sum() < LIMITS.min_unclipped_light * height.sum():
         return "the source is too bright: pixels below full scale hold too little of its light", "saturated"
     rows = 2.0 if context.interlaced else 1.0
     site = SourcePixels(
@@ -180,9 +171,9 @@ def _extended_components(
         return (HaloComponent(size_px=(low, high)),) if all(site.window.holds_halo for site in sites) else ()
     # Rings beyond the light are needed to separate it from the background.
     rings = min((site.window.ring_px for site in sites), key=len)
-    if len(rings) <= BARE_RINGS:
+    if len(rings) <= ACCURACY.empty_rings:
         return ()
-    reach = float(rings[-1 - BARE_RINGS].max())
+    reach = float(rings[-1 - ACCURACY.empty_rings].max())
     return DiscComponent(size_px=(6.0, 2.0 * reach)), ScatterComponent(size_px=(2.0, reach / 3.0))
 
 
@@ -230,7 +221,7 @@ class _Task:
             "notes": (*notes, *_notes(sites, found, self.pinhole, self.context), response.note),
         }
         total = sum(one.share for one in found)
-        wanted = QUICK_DRAWS if self.context.quick else DRAWS
+        wanted = ACCURACY.quick_draws if self.context.quick else ACCURACY.draws
         counts = [max(1, round(wanted * one.share / total)) for one in found]
         measurements: list[Measurement] = []
         curves = {}
@@ -273,17 +264,22 @@ class _Task:
             "covariance": fit.covariance,
             "seed": self.context.seed + number,
             "bounds": fit.form.bounds,
-            "draws": QUICK_DRAWS if self.context.quick else DRAWS,
+            "draws": ACCURACY.quick_draws if self.context.quick else ACCURACY.draws,
         }
 
         def log_probability(theta: Array) -> Array:
             return fitter.log_probability(fit.form, theta)
 
         if self.context.quick:
-            share = max(one.share, MIN_QUICK_EFFORT)
-            enough, first = QUICK_ESS * share, round(QUICK_FIRST * share)
+            share = max(one.share, ACCURACY.min_quick_effort)
+            enough, first = ACCURACY.quick_ess * share, round(ACCURACY.quick_first_draws * share)
             return importance_sample(log_probability, **asked, enough=enough, first_draws=first)
-        return sample_posterior(log_probability, **asked, max_steps=MAX_STEPS, effort=max(one.share, MIN_FULL_EFFORT))
+        return sample_posterior(
+            log_probability,
+            **asked,
+            max_steps=ACCURACY.parametric_chain_steps,
+            effort=max(one.share, ACCURACY.min_full_effort),
+        )
 
 
 def _model_figure_data(site: SourcePixels, fitter: PointFitter, fit: BlurModelFit2D) -> dict[str, Any]:

@@ -7,23 +7,16 @@ from numpy.typing import NDArray
 
 from charact.mtf.curve import FINE, crossing_frequency
 from charact.mtf.point.blur_models_2d import BUMP_WIDTH, BUMPS
-from charact.mtf.point.findings import finding, motion_findings
+from charact.mtf.point.findings import finding, motion_findings, motion_flags
 from charact.mtf.point.model_fit import BlurModelFit2D, PointFitter
 from charact.mtf.point.model_selection import DEPARTURES, EvidenceWeightedModels2D
-from charact.mtf.point.motion import motion_flags
 from charact.mtf.point.nonlinearity import SpotNonlinearity, fit_nonlinearity, power_log_likelihoods
 from charact.mtf.point.source_pixels import SourcePixels, dark_noise
 from charact.mtf.point.spot_image_matrix import cosines, pictures, radial
+from charact.mtf.point.thresholds import LIMITS
 from labdata.flags import Finding
 
 Array = NDArray[np.float64]
-
-# Chi squared that departures from a form may take, in standard deviations of what noise leaves them.
-DEPARTED_SD = 4.5
-MISFIT, SIGNIFICANT = 1.8, 5.0
-LOW_LIGHT = 10.0
-# Ratio of the half frequencies along rows and columns from which on light is that of no one source.
-ELONGATED = 1.5
 
 
 def source_findings(
@@ -34,13 +27,17 @@ def source_findings(
     if any(site.window.clipped for site in sites):
         out.append(finding("clipped", "noise below the lowest code is cut off; MTF50 is half a standard error high"))
     stands = float((fit.light / light_sd(fitter, fit)).min())
-    if stands < LOW_LIGHT:
-        effect = f"the light stands {stands:.1f} standard errors out; intervals are tested from {LOW_LIGHT:g} on"
+    if stands < LIMITS.low_light_sd:
+        effect = (
+            f"the light stands {stands:.1f} standard errors out; intervals are tested from {LIMITS.low_light_sd:g} on"
+        )
         out.append(finding("low-signal", effect))
-    if fit.chi2 / fit.free > MISFIT + SIGNIFICANT * np.sqrt(2.0 / fit.free) or has_departures(sites, fitter, fit):
+    if fit.chi2 / fit.free > LIMITS.max_chi2 + LIMITS.max_chi2_sd * np.sqrt(2.0 / fit.free) or has_departures(
+        sites, fitter, fit
+    ):
         out.append(finding("model-misfit", _misfit_effect(fitter, fit)))
     along, down = _half_frequencies(fit)
-    if max(along / down, down / along) > ELONGATED:
+    if max(along / down, down / along) > LIMITS.max_elongation:
         effect = f"MTF50 along rows is {along / down:.2f} times that along columns; light beside the source does that"
         out.append(finding("several-targets", effect))
     if any(site.window.cut or (site.screen and not site.window.holds_halo) for site in sites):
@@ -105,7 +102,7 @@ def has_departures(sites: list[SourcePixels], fitter: PointFitter, fit: BlurMode
     gain = _chi2_explained(np.concatenate([_blocks(own), np.concatenate(more)], axis=1), np.concatenate(residual))
     gain -= _chi2_explained(_blocks(own), np.concatenate(residual))
     count = more[0].shape[1]
-    return bool(gain > count + DEPARTED_SD * np.sqrt(2.0 * count))
+    return bool(gain > count + LIMITS.max_departure_sd * np.sqrt(2.0 * count))
 
 
 def _asymmetry_columns(site: SourcePixels, one, nodes: Array) -> Array:

@@ -7,35 +7,18 @@ from numpy.typing import NDArray
 
 from charact.mtf.image_lag import ImageLagModel
 from charact.mtf.point.blur_models_2d import BlurModel2D
-from charact.mtf.point.censored import Censored
-from charact.mtf.point.forward_fit import (
-    PATTERN,
-    PATTERN_PX,
-    PULSE_VARIANCE,
-    SPARSE,
-    UNROUNDED_SD,
-    rounding_covariance,
-)
-from charact.mtf.point.model_fit import BlurModelFit2D, WhitenedPixels
-from charact.mtf.point.parametric_noise import GAINS, NEAR_PX, Pulses, SurroundingsNoise, fit_pulses, pulse_covariances
-from charact.mtf.point.source_window import FULL_FRACTION, Window
+from charact.mtf.point.forward_fit import rounding_covariance
+from charact.mtf.point.model_fit import BlurModelFit2D, Censored, WhitenedPixels
+from charact.mtf.point.parametric_noise import GAINS, Pulses, SurroundingsNoise, fit_pulses, pulse_covariances
+from charact.mtf.point.source_window import Window
 from charact.mtf.point.spot_image_matrix import Aperture, cosines, pictures, pixel_matrix, radial, ring_matrix
-from charact.mtf.point.thresholds import FELT_PX
+from charact.mtf.point.thresholds import ACCURACY, LIMITS
 
 Array = NDArray[np.float64]
 
 # Half frequencies among which the first guess is taken, cycles per column pitch.
 GUESSES = np.exp(np.linspace(np.log(0.03), np.log(0.8), 14))
 GUESSED = BlurModel2D(core="exponential")
-PLACINGS = 3
-# Fewest pixels near a source whose noise is looked at.
-MIN_NEAR = 9
-# Share of the brightest pixel by which the first guess distrusts bright ones.
-FIRST_SHARE = 0.02
-# What the tables of the model are good for, share of a value and of a tenth of the brightest.
-EXACT = 3e-4
-# A variance from 12 sectors is itself unsure: Student's distribution is wider by this.
-SECTORS_UNSURE = 11.0 / 9.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,7 +63,7 @@ class SourcePixels:
     def near(self) -> NDArray[np.int64]:
         """Valid core pixels near the source."""
         x, y = self.axes
-        return np.flatnonzero((np.hypot(x, y[:, None]) < NEAR_PX).ravel() & self.window.keep.ravel())
+        return np.flatnonzero((np.hypot(x, y[:, None]) < ACCURACY.pulse_radius_px).ravel() & self.window.keep.ravel())
 
     @property
     def used(self) -> NDArray[np.bool_]:
@@ -102,7 +85,7 @@ class SourcePixels:
         """Values of the frames at full scale, shape (frame, pixel)."""
         if self.full_scale_dn is None:
             return np.zeros(self.window.deviations.shape, bool)
-        return np.asarray(self.frames >= FULL_FRACTION * self.full_scale_dn)
+        return np.asarray(self.frames >= LIMITS.full_fraction * self.full_scale_dn)
 
     def ring_variance(self) -> Array:
         """Return the variance of the rings' means: from the scatter of their sectors, at least the dark noise."""
@@ -111,7 +94,7 @@ class SourcePixels:
             return np.empty(0)
         area = np.pi * (ring[:, -1] ** 2 - ring[:, 0] ** 2) / float(np.diff(self.window.y[:2])[0])
         least = self.dark.variance * self.dark.grain / self.window.frames / np.maximum(area, 1.0)
-        return SECTORS_UNSURE * np.maximum(self.window.ring_variance, least)
+        return ACCURACY.sector_variance_factor * np.maximum(self.window.ring_variance, least)
 
     def matrix(self) -> Array:
         """Return the matrix from a transfer to core pixels and rings of unit light, shape (value, node)."""
@@ -130,7 +113,7 @@ def position_source(site: SourcePixels) -> tuple[SourcePixels, float]:
     """Return a source at its position, and its approximate half frequency."""
     height = np.maximum(site.window.core.ravel() - np.median(site.window.core), 0.0)
     top = max(float(height.max()), 1e-12)
-    variance = site.dark.variance + FIRST_SHARE * height * top + (FIRST_SHARE * top) ** 2
+    variance = site.dark.variance + ACCURACY.first_relative_sd * height * top + (ACCURACY.first_relative_sd * top) ** 2
     sd = np.append(np.sqrt(variance / site.window.frames), np.sqrt(site.ring_variance()))
     used = site.used
     site = replace(site, place=site.window.centre)
@@ -142,7 +125,7 @@ def position_source(site: SourcePixels) -> tuple[SourcePixels, float]:
     basis = np.linalg.qr(flat)[0]
     free, left = shapes - (shapes @ basis) @ basis.T, data - basis @ (basis.T @ data)
     best = int(np.argmax((free @ left) * np.abs(free @ left) / np.sum(free**2, axis=1)))
-    for _ in range(PLACINGS):
+    for _ in range(ACCURACY.position_turns):
         site, move = _reposition(site, transfers[best], sd[: height.size])
         if move < 0.01:
             break
@@ -190,8 +173,10 @@ def _reposition(site: SourcePixels, transfer: Array, sd: Array) -> tuple[SourceP
 def _sd(site: SourcePixels) -> Array:
     """Return standard deviations of the core's pixels with the noise known so far, shape (pixel,)."""
     height = np.maximum(site.window.core.ravel() - np.median(site.window.core), 0.0)
-    light = FIRST_SHARE * height * height.max() if site.pulses is None else np.diag(site.pulses.covariance)
-    return np.sqrt(site.dark.variance + light + (EXACT * height.max()) ** 2)
+    light = (
+        ACCURACY.first_relative_sd * height * height.max() if site.pulses is None else np.diag(site.pulses.covariance)
+    )
+    return np.sqrt(site.dark.variance + light + (ACCURACY.model_relative_sd * height.max()) ** 2)
 
 
 def noise_likelihood(site: SourcePixels, fit: BlurModelFit2D) -> float:
@@ -218,7 +203,7 @@ def add_noise(site: SourcePixels, fit: BlurModelFit2D, light: float, *, lower: f
     x, y = site.axes
     mean = light * pictures(site.aperture, transfer, x, y)[0]
     near = site.near
-    if near.size < MIN_NEAR:
+    if near.size < ACCURACY.min_near_pixels:
         return site
     blur = fit.form.camera(fit.point[None], *_nodes(site))[0].mean(axis=0)
     units = pulse_covariances((_nodes(site)[0], blur), mean, x, y)
@@ -260,30 +245,32 @@ def covariance(site: SourcePixels, mean: Array, light: float) -> Array:
     window, count, size = site.window, site.window.frames, site.window.core.size
     out = np.zeros((mean.size, mean.size))
     if site.pulses is None:
-        core = np.diag(FIRST_SHARE * np.maximum(mean[:size], 0.0) * max(float(mean[:size].max()), 0.0))
+        core = np.diag(ACCURACY.first_relative_sd * np.maximum(mean[:size], 0.0) * max(float(mean[:size].max()), 0.0))
     else:
         same = window.parity[:, None] == window.parity[None, :]
         core = site.pulses.covariance * np.where(same, site.memory.mean_same, site.memory.mean_other)
     out[:size, :size] = (core + dark_noise(site)) / count
     if site.screen:
-        pattern = np.exp(-0.5 * window.distances**2 / PATTERN_PX**2)
-        out[:size, :size] += PATTERN**2 * np.outer(mean[:size], mean[:size]) * pattern
+        pattern = np.exp(-0.5 * window.distances**2 / ACCURACY.phosphor_pattern_px**2)
+        out[:size, :size] += ACCURACY.phosphor_pattern**2 * np.outer(mean[:size], mean[:size]) * pattern
     out[size:, size:] = window.ring_covariance(site.ring_variance())
-    out += np.diag((EXACT * (mean + 0.1 * float(mean.max()))) ** 2)
+    out += np.diag((ACCURACY.model_relative_sd * (mean + 0.1 * float(mean.max()))) ** 2)
     return out + rounding(site, mean)
 
 
 def rounding(site: SourcePixels, mean: Array) -> Array:
     """Return the covariance of core pixels and rings by quantisation, shape (value, value), DN^2."""
     window, size = site.window, site.window.core.size
-    if window.quiet_sd >= UNROUNDED_SD:
+    if window.quiet_sd >= LIMITS.max_rounded_sd:
         return np.zeros((mean.size, mean.size))
     pulse = np.zeros(size)
     if site.pulses is not None:
         pulse = np.diag(site.pulses.covariance) * site.memory.frame_same
     gain = 0.0 if site.pulses is None else site.pulses.gain
     scatter = np.append(pulse, np.full(mean.size - size, np.inf))
-    common = rounding_covariance(mean, scatter, window.quiet_sd, PULSE_VARIANCE / gain if gain > 0 else SPARSE)
+    common = rounding_covariance(
+        mean, scatter, window.quiet_sd, ACCURACY.pulse_height_square / gain if gain > 0 else ACCURACY.pulses_per_dn
+    )
     # A height is known to a fraction of a step only where it is small: otherwise quantisation errors are independent.
     lit = np.append(np.clip(2.0 * np.abs(mean[:size]), 0.0, 1.0), np.zeros(mean.size - size))
     return common + np.diag(lit * _rounding_variance(site) * np.exp(-4.0 * np.pi**2 * np.minimum(scatter, 9.0)))
@@ -329,7 +316,7 @@ def _neighbours(site: SourcePixels, transfer: Array) -> Array:
     """Return images of neighbouring sources and their derivatives by position, shape (value, 3 each)."""
     window, columns = site.window, []
     for at, ring_px in zip(window.neighbours, window.neighbour_ring_px, strict=True):
-        if np.hypot(*at) > FELT_PX:
+        if np.hypot(*at) > LIMITS.max_neighbour_px:
             continue
         core = pictures(site.aperture, transfer, window.x - at[0], window.y - at[1])[:3]
         rings = ring_matrix(site.aperture, ring_px) @ transfer.ravel()
@@ -351,7 +338,7 @@ def _pixels_at_full_scale(
     assert site.full_scale_dn is not None
     return Censored(
         matrix=matrix[:size][hidden] - beside @ (back @ raw),
-        limit=FULL_FRACTION * site.full_scale_dn - level,
+        limit=LIMITS.full_fraction * site.full_scale_dn - level,
         sd=np.sqrt(np.diag(whole)[:size][hidden] * site.window.frames),
         cut=cut.sum(axis=0).astype(float),
         left=left.astype(float),

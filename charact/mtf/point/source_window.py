@@ -3,27 +3,15 @@
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.point.dark_noise_from_histogram import dark_sd_from_histogram, is_clipped_at_black
-from charact.mtf.point.thresholds import NEIGHBOUR_PX
+from charact.mtf.point.parametric_noise import dark_sd_from_histogram, is_clipped_at_black
+from charact.mtf.point.thresholds import ACCURACY, LIMITS
 
 Array = NDArray[np.float64]
-
-HALF_ROWS, HALF_COLS = 6, 7
-RING_BORDERS_PX = (7.0, 9.0, 12.0, 15.0, 18.0, 21.0, 24.0, 27.0, 31.0, 36.0)
-# Length of the sectors whose scatter tells a ring's noise, px, and the furthest that noise may reach across a border.
-SECTOR_PX, MAX_EXTENT_PX = 6.0, 1.0
-MIN_RING_PIXELS = 24
-PIXELS_PER_RING = 48
-# Share of full scale from which single frames are clipped or their chip's wells full.
-FULL_FRACTION = 0.97
-# Columns behind a full well that a causal filter spoils.
-AFTERMATH_PX = 8
-# Variance from which on rounding to whole codes adds its own and changes nothing else, DN^2.
-UNROUNDED_DN2 = 0.25
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,7 +90,7 @@ class Window:
 
     def exceeds_rounding(self, variance: Array) -> NDArray[np.bool_]:
         """Return where noise of a variance, DN^2, is so large that quantisation only adds to it."""
-        return (variance > UNROUNDED_DN2) | np.isinf(self.quiet_sd)
+        return (variance > LIMITS.min_variance_dn2) | np.isinf(self.quiet_sd)
 
     @property
     def contrasts(self) -> Array:
@@ -153,8 +141,8 @@ def window_of(data: NDArray, row: int, col: int, *, pitch_ratio: float, full_sca
         Rows and columns of other sources, px.
     """
     frames, rows, cols = data.shape
-    top, bottom = max(0, row - HALF_ROWS), min(rows, row + HALF_ROWS + 1)
-    left, right = max(0, col - HALF_COLS), min(cols, col + HALF_COLS + 1)
+    top, bottom = max(0, row - ACCURACY.half_rows), min(rows, row + ACCURACY.half_rows + 1)
+    left, right = max(0, col - ACCURACY.half_cols), min(cols, col + ACCURACY.half_cols + 1)
     mean = data.mean(axis=0, dtype=np.float64)
     core = data[:, top:bottom, left:right].astype(float)
     x = np.arange(left, right) - float(col)
@@ -189,12 +177,12 @@ def window_of(data: NDArray, row: int, col: int, *, pitch_ratio: float, full_sca
         quiet_sd=min(dark_sd_from_histogram(values), float(np.sqrt(floor))) if rounded else np.inf,
         frames=frames,
         holds_halo=halo_radius_px is not None and reach >= halo_radius_px + 5.0,
-        cut=core.shape[1:] != (2 * HALF_ROWS + 1, 2 * HALF_COLS + 1),
+        cut=core.shape[1:] != (2 * ACCURACY.half_rows + 1, 2 * ACCURACY.half_cols + 1),
         clipped=is_clipped_at_black(values),
         neighbours=places,
         neighbour_ring_px=np.array(
             [[_ring_quantiles(np.hypot(*(ring - at[:, None]))) for ring in rings[4]] for at in places]
-        ).reshape(len(places), len(rings[4]), PIXELS_PER_RING),
+        ).reshape(len(places), len(rings[4]), ACCURACY.pixels_per_ring),
     )
 
 
@@ -205,7 +193,7 @@ def neighbour_mask(
     rows, cols = np.ogrid[: shape[0], : shape[1]]
     near = np.zeros(shape, bool)
     for row, col in neighbours:
-        near |= np.hypot(cols - col, (rows - row) * pitch_ratio) < NEIGHBOUR_PX
+        near |= np.hypot(cols - col, (rows - row) * pitch_ratio) < LIMITS.neighbour_px
     return near
 
 
@@ -213,10 +201,10 @@ def _valid_pixels(core: Array, full_scale_dn: float | None, filtered: bool) -> N
     """Return the core pixels that neither reach full scale nor follow such a pixel in a filtered row."""
     if full_scale_dn is None:
         return np.ones(core.shape[1:], bool)
-    full = np.asarray(core.max(axis=0) >= FULL_FRACTION * full_scale_dn)
+    full = np.asarray(core.max(axis=0) >= LIMITS.full_fraction * full_scale_dn)
     spoilt = full.copy()
     if filtered:
-        for step in range(1, AFTERMATH_PX + 1):
+        for step in range(1, ACCURACY.filter_tail_px + 1):
             spoilt[:, step:] |= full[:, :-step]
         spoilt[:, :-1] |= full[:, 1:]
     return ~spoilt
@@ -227,28 +215,28 @@ def _rings(mean: Array, radius: Array, outside: NDArray[np.bool_], row: int, col
     """Return distances, means, variances and correlations of rings, and columns and rows of their pixels."""
     angle = np.arctan2(*np.broadcast_arrays((np.arange(mean.shape[0]) - row)[:, None], np.arange(mean.shape[1]) - col))
     distances, values, sectors, pixels, lengths, places = [], [], [], [], [], []
-    for low, high in pairwise(RING_BORDERS_PX):
+    for low, high in pairwise(ACCURACY.ring_borders_px):
         if high > reach:
             break
         inside = outside & (radius >= low) & (radius < high)
-        if inside.sum() < MIN_RING_PIXELS:
+        if inside.sum() < ACCURACY.min_ring_pixels:
             continue
         distances.append(_ring_quantiles(radius[inside]))
         values.append(float(mean[inside].mean()))
-        sectors.append(_sectors(mean[inside], angle[inside], round(np.pi * (low + high) / SECTOR_PX)))
+        sectors.append(_sectors(mean[inside], angle[inside], round(np.pi * (low + high) / ACCURACY.sector_px)))
         pixels.append(float(inside.sum()))
         lengths.append((low, high))
         y, x = np.nonzero(inside)
         places.append(np.stack([x - col, (y - row) * pitch_ratio]))
     if not distances:
-        return np.empty((0, PIXELS_PER_RING)), np.empty(0), np.empty(0), np.empty((0, 0)), []
+        return np.empty((0, ACCURACY.pixels_per_ring)), np.empty(0), np.empty(0), np.empty((0, 0)), []
     variance, correlation = _ring_noise(sectors, np.array(pixels), np.array(lengths))
     return np.array(distances), np.array(values), variance, correlation, places
 
 
 def _ring_quantiles(distances: Array) -> Array:
     """Return equidistant quantiles of distances, shape (pixel,)."""
-    return np.quantile(distances, (np.arange(PIXELS_PER_RING) + 0.5) / PIXELS_PER_RING)
+    return np.quantile(distances, (np.arange(ACCURACY.pixels_per_ring) + 0.5) / ACCURACY.pixels_per_ring)
 
 
 def _sectors(values: Array, angle: Array, count: int) -> Array:
@@ -282,8 +270,8 @@ def _ring_noise(sectors: list[Array], pixels: Array, borders: Array) -> tuple[Ar
     # Subtracting their mean reduces the correlation of sectors.
     size = float(count.mean())
     alike = (1.0 + seen * (size - 1.0)) / (size - 2.0 + 2.0 * seen)
-    reach = float(np.clip(alike * SECTOR_PX, 0.0, MAX_EXTENT_PX))
-    wider = 1.0 + 2.0 * reach / SECTOR_PX
+    reach = float(np.clip(alike * ACCURACY.sector_px, 0.0, ACCURACY.max_correlation_px))
+    wider = 1.0 + 2.0 * reach / ACCURACY.sector_px
     by_pixel = pixels * wider * square / (count - wider) / count
     weight = np.eye(count.size) + np.eye(count.size, k=1) + np.eye(count.size, k=-1)
     variance = (weight @ (count * by_pixel)) / (weight @ count) / pixels + 1e-6
@@ -291,3 +279,49 @@ def _ring_noise(sectors: list[Array], pixels: Array, borders: Array) -> tuple[Ar
     touch = np.isclose(borders[1:, 0], borders[:-1, 1])
     beside = np.where(touch, reach / np.sqrt(width[1:] * width[:-1]), 0.0)
     return variance, np.eye(count.size) + np.diag(beside, 1) + np.diag(beside, -1)
+
+
+def rounding_note(window: Window) -> list[str]:
+    """Return a note where quantisation may shift faint light."""
+    most = float(np.exp(-2.0 * np.pi**2 * window.quiet_sd**2) / np.pi)
+    if most < LIMITS.min_rounding_shift_dn:
+        return []
+    return [
+        f"Rounding to whole codes may shift faint light and its level by up to {most:.2f} DN: "
+        "the fit allows for it, and its model is drawn with what the pixels say of that."
+    ]
+
+
+def source_figure_data(
+    window: Window, place: tuple[float, float], core_dn: Array, rings_dn: Array, **fitted: float
+) -> dict[str, Any]:
+    """Return mean frame, model and the lines through the source's centre, as figure data.
+
+    Parameters
+    ----------
+    place
+        Column and row of the source from the centre of the window, column pitches.
+    core_dn, rings_dn
+        Model of the core, shape (row, col), and of the rings, shape (ring,), DN.
+    fitted
+        Numbers of the fit that are printed: light, level, chi squared.
+    """
+    x_px, y_px = place
+    row, col = int(np.argmin(np.abs(window.y - y_px))), int(np.argmin(np.abs(window.x - x_px)))
+    return {
+        "figure": "point-profile",
+        "column_px": (window.x - x_px).tolist(),
+        "row_px": (window.y - y_px).tolist(),
+        "value_dn": window.core.tolist(),
+        "model_dn": core_dn.tolist(),
+        "used": window.keep.tolist(),
+        "along_row_dn": window.core[row].tolist(),
+        "along_row_model_dn": core_dn[row].tolist(),
+        "along_column_dn": window.core[:, col].tolist(),
+        "along_column_model_dn": core_dn[:, col].tolist(),
+        "ring_px": window.ring_px.mean(axis=1).tolist(),
+        "ring_dn": window.ring_dn.tolist(),
+        "ring_sd_dn": np.sqrt(window.ring_variance).tolist(),
+        "ring_model_dn": rings_dn.tolist(),
+        **fitted,
+    }

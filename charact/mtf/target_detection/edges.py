@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.region import Region
+from charact.mtf.mean_frame import Region
 from charact.mtf.target_detection.clear_rectangle import ClearRectangle, clear_rectangle
 from charact.mtf.target_detection.gradient import Gradient, gradient
 from charact.mtf.target_detection.segments import Segment, segments_of

@@ -5,7 +5,7 @@ import pytest
 
 from charact import mtf
 from charact.method import Context
-from charact.mtf.duplicate_frames import drop_duplicate_frames
+from charact.mtf.dispatch import drop_duplicate_frames
 from charact.study.bars.scene import BarScene
 from charact.study.edge.scene import EdgeScene, TrueBlur
 from charact.study.point.scene import PointScene

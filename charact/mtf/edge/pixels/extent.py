@@ -4,8 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.mtf.edge.pixels.line import EdgeLine
-from charact.mtf.mean_frame import OrientedFrame
-from charact.mtf.region import Region
+from charact.mtf.mean_frame import OrientedFrame, Region
 from charact.robust import NORMAL, median
 
 Array = NDArray[np.float64]

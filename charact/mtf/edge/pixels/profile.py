@@ -23,7 +23,7 @@ from charact.mtf.edge.pixels.plateau_levels import (
     span,
 )
 from charact.mtf.mean_frame import OrientedFrame
-from charact.mtf.nonlinearity_prior import usable_black_level
+from charact.mtf.nonlinearity import usable_black_level
 from charact.robust import median
 
 Array = NDArray[np.float64]

@@ -8,7 +8,7 @@ from bar_frames import frames_of, gaussian, mtf_of, strip, tube
 from test_strip import read
 
 from charact.method import Context
-from charact.mtf.bars.coltman import series
+from charact.mtf.bars.contrast import series
 from charact.mtf.bars.group_curve import fit_group_curve
 from labdata.errors import BadInput
 from labdata.measurement import measurement_from_sd

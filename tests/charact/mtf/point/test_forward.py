@@ -11,8 +11,7 @@ from scipy.special import erf, j1
 from charact.method import Context
 from charact.mtf.point import forward
 from charact.mtf.point.forward import point_forward
-from charact.mtf.point.forward_model import KnownPointOptics, PointModel
-from charact.mtf.point.forward_prior import priors_of
+from charact.mtf.point.forward_model import KnownPointOptics, PointModel, priors_of
 from charact.mtf.point.source_window import window_of
 from charact.mtf.point.spot_transform import point_spread
 from charact.posterior import sampling

@@ -9,8 +9,8 @@ from scipy.special import erf, log_ndtr
 from charact.method import Context
 from charact.mtf.point import parametric
 from charact.mtf.point.blur_models_2d import BlurModel2D
-from charact.mtf.point.censored import Censored
 from charact.mtf.point.forward import point_forward
+from charact.mtf.point.model_fit import Censored
 from charact.mtf.point.model_selection import fit_sources
 from charact.mtf.point.parametric import point_parametric
 from charact.mtf.point.parametric_noise import measure_surroundings_noise, pulse_covariances

@@ -9,7 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.mtf.bars.thresholds import ACCURACY
+
 Array = NDArray[np.float64]
+
 Bounds = tuple[float, float]
 Normal = tuple[float, float]
 
@@ -17,8 +20,6 @@ Normal = tuple[float, float]
 MIN_LN = -60.0
 # Places in ln of a frequency at which a form is tabulated, and the steps of its slopes.
 PLACES, STEP = np.linspace(-9.0, 6.0, 1501), 1e-3
-# Steps towards the member of a form that is most like a transfer.
-MATCHED_STEPS = 12
 NONE: Normal = (0.0, 1e-3)
 
 
@@ -86,7 +87,7 @@ class BarBlurModel:
         bounds = np.array([(-9.0, 2.3), *self.bounds])
         theta, damping = np.array([np.log(attenuation), *self.start]), 1e-3
         best, least = (1.0, theta), np.inf
-        for _ in range(MATCHED_STEPS):
+        for _ in range(ACCURACY.matching_steps):
             table = self._table(ln_ratio, float(np.exp(theta[0])), theta[1], theta[2])
             own = np.exp(table[0])
             scale = float(own @ transfer) / float(own @ own)

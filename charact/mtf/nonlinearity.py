@@ -1,19 +1,85 @@
-"""Photon-transfer check: temporal noise of the dark and the bright side of a target."""
+"""Nonlinear camera response: prior, posterior draws and the photon-transfer check.
+
+The response is y = u + c u (1 - u), u from 0 to 1. A power law of exponent g has c of about (1 - g) times the contrast.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from charact.mtf.plateau_noise import Sides
+from charact.mtf.thresholds import ACCURACY, LIMITS
 
-# By how much the variance of two levels may fall towards the light, or rise beyond what photons make of it, and by how
-# many standard errors besides: processed pictures fall, pixels are unequal and blacks not quite so.
-FALLING, RISING = (1.15, 5.7), (1.1, 4.0)
+Array = NDArray[np.float64]
+
+# Before the data: the probability that a response is curved, and by how much then, as a standard deviation at a
+# contrast of one.
+CURVED, CURVED_SD = 0.25, 0.65
+
+
+def usable_black_level(black_dn: float | None, dark_dn: float, bright_dn: float) -> float | None:
+    """Return the black level, DN; None if it is unknown or lies well above the dark side."""
+    if black_dn is None or black_dn > dark_dn + LIMITS.max_below_black * (bright_dn - dark_dn):
+        return None
+    return black_dn
+
+
+def contrast_of(dark_dn: float, bright_dn: float, black_dn: float | None) -> float:
+    """Return the contrast of two levels above black, or above 0 DN where the black level is unknown.
+
+    A black level is rarely below 0 DN, and a higher one makes the contrast larger.
+    """
+    black = min(0.0, dark_dn) if black_dn is None else black_dn
+    return float(
+        np.clip((bright_dn - dark_dn) / max(bright_dn + dark_dn - 2.0 * black, 1e-300), LIMITS.min_contrast, 1.0)
+    )
+
+
+def curvatures(
+    response: tuple[float, float],
+    contrast: float,
+    noise_ln_odds: float,
+    rng: np.random.Generator,
+    count: int,
+    *,
+    curved: float | None = None,
+) -> Array:
+    """Return posterior draws of the curvature of the camera response, 0 where it is linear.
+
+    Parameters
+    ----------
+    response
+        Estimated curvature and its standard uncertainty, dimensionless; a negative curvature steepens the response.
+    contrast
+        Contrast of the levels.
+    noise_ln_odds
+        Ln Bayes factor of the noise for a nonlinear against a linear response.
+    rng
+        Random generator.
+    count
+        Number of draws.
+    curved
+        Prior probability of a nonlinear response; None: `CURVED`.
+
+    Notes
+    -----
+    The Bayes factor against a linear response is a Savage-Dickey ratio; the prior of the curvature is normal with mean
+    0.
+    """
+    found, error, prior_sd = response[0], max(response[1], 1e-9), CURVED_SD * contrast
+    apart = np.hypot(error, prior_sd)
+    share = CURVED if curved is None else curved
+    ln_odds = np.log(share / (1.0 - share) * error / apart) + 0.5 * ((found / error) ** 2 - (found / apart) ** 2)
+    ln_odds += noise_ln_odds
+    bends = rng.random(count) < 1.0 / (1.0 + np.exp(-np.clip(ln_odds, -50.0, 50.0)))
+    drawn = found * (prior_sd / apart) ** 2 + error * prior_sd / apart * rng.standard_normal(count)
+    return np.where(bends, drawn, 0.0)
+
+
 # How often noise is all read-out's, and the deviation of 1 - 1/g for responses of exponent g.
 READ_OUT, BENDING = 0.5, 0.4
-# Standard errors of what neighbours share from which on light made it, and how well black is known, DN.
-SHARED_SD, BLACK_SD_DN = 8.0, 0.2
 # Most that noise may count for or against a curved response, ln: a picture may have been processed otherwise.
 MAX_LN_BAYES_FACTOR = np.log(10.0)
 
@@ -45,12 +111,12 @@ def covariance_ratio(sides: Sides, black_dn: float | None) -> PlateauNoiseRatio 
     if photons is None or black_dn is None:
         return None
     dark, bright = sides
-    if min(one.covariance / max(one.covariance_sd, 1e-300) for one in sides) < SHARED_SD:
+    if min(one.covariance / max(one.covariance_sd, 1e-300) for one in sides) < LIMITS.min_covariance_sd:
         return None
     scatter = [one.covariance_sd / one.covariance for one in sides]
     return PlateauNoiseRatio(
         ratio=bright.covariance / dark.covariance,
-        scatter=float(np.linalg.norm([*scatter, BLACK_SD_DN / (dark.level - black_dn)])),
+        scatter=float(np.linalg.norm([*scatter, ACCURACY.black_sd_dn / (dark.level - black_dn)])),
         photon_ratio=photons,
         of_light=True,
     )
@@ -82,12 +148,12 @@ def noise_flags(growth: PlateauNoiseRatio) -> tuple[str, ...]:
     Variance that falls with the signal indicates a compressive response. Under a linear response it grows at most in
     proportion to the signal above black; the covariance of neighbours grows in proportion to it.
     """
-    beyond = RISING[0] + RISING[1] * growth.scatter
+    beyond = LIMITS.rising_variance[0] + LIMITS.rising_variance[1] * growth.scatter
     rising = growth.photon_ratio is not None and growth.ratio > growth.photon_ratio * beyond
     if growth.of_light and growth.photon_ratio is not None:
         falling = growth.ratio * beyond < growth.photon_ratio
     else:
-        falling = growth.ratio * (FALLING[0] + FALLING[1] * growth.scatter) < 1.0
+        falling = growth.ratio * (LIMITS.falling_variance[0] + LIMITS.falling_variance[1] * growth.scatter) < 1.0
     return ("gamma",) if falling or rising else ()
 
 
