@@ -30,9 +30,9 @@ def drop_duplicate_frames(stack: FrameStack) -> FrameStack:
     if len(first) == frames:
         return stack
     if len(first) == 1:
-        note = f"All {frames} frames are the same, code for code: they count as one."
+        note = f"All {frames} frames are identical and count as one."
     else:
-        note = f"{frames - len(first)} of {frames} frames repeat an earlier one code for code and do not count."
+        note = f"{frames - len(first)} of {frames} frames are identical to an earlier one and do not count."
     stamps = {name: getattr(stack, name)[first] for name in ("time_s", "frame_number") if getattr(stack, name).size}
     return replace(stack, data=stack.data[first], notes=(*stack.notes, note), **stamps)
 
@@ -120,7 +120,7 @@ def _is_model_rejected(found: Result, chosen: Method) -> bool:
 
 
 def _note_without_model(found: Result) -> Result:
-    note = "No form of the point spread describes this edge: it was measured without one, by a wider interval."
+    note = "No blur model fits this edge; it was measured without one, with a wider interval."
     return replace(found, measurements=tuple(one.with_(notes=(*one.notes, note)) for one in found.measurements))
 
 
@@ -315,9 +315,9 @@ def _merge_results(results: list[Result], chosen: list[LocatedTarget], left_out:
 
 def _notes(best: bool, count: int, left_out: int, first: bool, kind: str, curves: bool) -> Iterator[str]:
     if best and curves and count > 1:
-        yield f"The curve mtf is of this region, the one known best of {count}."
+        yield f"Curve `mtf` is from this region, the most precise of {count}."
     if first and left_out:
-        yield f"{left_out} more {NAMES[kind]} were found and left out: {count} are measured at most."
+        yield f"{left_out} further {NAMES[kind]} were not measured (limit {count}; see --at-most)."
 
 
 def _quality_rank(result: Result) -> tuple[int, float]:

@@ -92,7 +92,7 @@ class StatedBars:
     def remedy(self) -> str:
         """Options that would help."""
         options = [name for name, value in (("--bars", self.bars), ("--frequency", self.frequency)) if value is None]
-        return " and ".join([*options, "--roi"]) + " say what to look for, and where"
+        return " and ".join([*options, "--roi"]) + " narrow the search"
 
 
 def measure_bars_in(used: FrameStack, asked: StatedBars, context: Context) -> BarMeasurement | BarRefusal:
@@ -100,10 +100,10 @@ def measure_bars_in(used: FrameStack, asked: StatedBars, context: Context) -> Ba
     mean = used.data.mean(axis=0, dtype=np.float64)
     if asked.frequency and max(mean.shape) < (asked.bars or 2) / asked.frequency:
         size = f"{mean.shape[0]} x {mean.shape[1]} px"
-        return BarRefusal(reason=f"no target: {asked} need a larger region than {size}")
+        return BarRefusal(reason=f"no target: {asked} require a larger region, got {size}")
     seen = target_in(mean, bars=asked.bars, frequency=asked.frequency, pitch_ratio=context.pitch_ratio)
     if seen is None:
-        return BarRefusal(reason=f"no target: nothing in the region answers to {asked}; {asked.remedy}")
+        return BarRefusal(reason=f"no target: no group of {asked} found; {asked.remedy}")
     return (_measure_strip if seen.through else _measure_complete_target)(used, mean, seen.target, asked, context)
 
 
@@ -126,7 +126,9 @@ def _measure_strip(
         return BarRefusal(reason=why, flag="aliased")
     fit, problem = fit_frames(used.data, problem, target, inflation=frame_correlation(used.data, problem.window))
     if not light_in_standard_errors(fit) > LIMITS.min_light_sd:
-        return BarRefusal(reason=f"no target: the light of the bars is under {LIMITS.min_light_sd:g} standard errors")
+        return BarRefusal(
+            reason=f"no target: the light of the bars must be at least {LIMITS.min_light_sd:g} standard uncertainties"
+        )
     margin = _margin_px(fit.target, mean.shape)
     if not _is_in_region(fit):
         return _refuse_other_object(target, asked)
@@ -137,14 +139,14 @@ def _measure_strip(
 
 def _refuse_faint(standard_errors: float) -> BarRefusal:
     return BarRefusal(
-        reason=f"no target: the fundamental stands {standard_errors:.1f} standard errors out of the noise, "
-        f"fewer than {LIMITS.min_signal_sd:g}"
+        reason=f"no target: the fundamental is {standard_errors:.1f} standard uncertainties; "
+        f"at least {LIMITS.min_signal_sd:g} are required"
     )
 
 
 def _refuse_other_object(target: BarTarget, asked: StatedBars) -> BarRefusal:
     wanted = StatedBars(bars=target.bars, frequency=asked.frequency or float(f"{target.frequency:.4g}"))
-    return BarRefusal(reason=f"no target: the object's spectrum is not that of {wanted}; {asked.remedy}")
+    return BarRefusal(reason=f"no target: the spectrum of the object does not match {wanted}; {asked.remedy}")
 
 
 def _is_in_region(fit: BarFit) -> bool:
@@ -179,10 +181,10 @@ def _sample_measurement(
     if asked.frequency is None:
         problem = replace(problem, asked=own)
     elif abs(np.log(own / problem.asked)) > max(LIMITS.frequency_tolerance, 3.0 * fit.sd("log_frequency")):
-        notes.append(f"The bars repeat at {own:.4g} cy/px, told is the MTF at {problem.asked:.4g}.")
+        notes.append(f"Measured bar frequency {own:.4g} cy/px; the MTF is reported at {problem.asked:.4g} cy/px.")
     if asked.bars is None:
         kind = "bright bars on a darker" if fit.target.sign > 0 else "dark bars on a brighter"
-        notes.append(f"The picture shows {fit.target.bars} {kind} ground.")
+        notes.append(f"Found {fit.target.bars} {kind} background.")
     forms = fit_all_models(fit, problem)
     _, fit, problem = forms[0]
     # Blur models that fit alike have about the same bias; the full posterior is that of the preferred one.
@@ -193,7 +195,7 @@ def _sample_measurement(
         _average_models(forms, mtf_of(posterior, fit, context), context, bias), response, context.seed
     )
     notes.append(f"Normalised to the light within {margin:.0f} px of the bars.")
-    notes.append("Bars taken to be half a period wide: of bars 1 % of that wider the MTF is told 1 % too low.")
+    notes.append("Bar width assumed to be half a period; a width error of 1 % biases the MTF by −1 %.")
     if context.sensor is None:
         notes.append("Pixels taken as square.")
     near = np.zeros(problem.window.shape, bool)
@@ -244,7 +246,8 @@ def _measure_complete_target(
     window = target.box(mean.shape, margin)
     if np.count_nonzero(~window) < 50:
         return BarRefusal(
-            reason="no target: the region ends at the bars, and their pedestal cannot be told; widen --roi"
+            reason="no target: the region must include background beyond the bars (pedestal not measurable); "
+            "enlarge --roi"
         )
     ground = target_background(mean, target, margin)
     memory = None if context.sensor is None else image_lag_model(context, len(used.data))

@@ -49,13 +49,13 @@ def _blur_bars(fit: BarFit, width_px: float) -> Array:
     return gaussian_filter(light, width_px, mode="nearest")[fit.window]
 
 
-REGION = "--roi around this group alone, with one period of its ground on every side"
+REGION = "--roi around this group only, with one period of background on every side"
 POSTERIOR_FINDINGS = {
-    "not-converged": ("the interval comes from the curvature and may be a third too narrow", "another --seed"),
-    "several-modes": ("the draws have two peaks as far apart as the interval is wide", "--bars and --frequency"),
+    "not-converged": ("interval from the curvature at the optimum; it may be a third too narrow", "another --seed"),
+    "several-modes": ("the posterior has two modes, separated by the width of the interval", "--bars and --frequency"),
     "model-misfit": (
-        "the full posterior lies over two standard deviations beside the fit: the MTF may be off by as much",
-        "--sensor, whose halo is then known; or --quick, the fit alone",
+        "the full posterior differs from the fit by more than two standard deviations: MTF error up to that",
+        "--sensor, to include its halo; or --quick, for the fit only",
     ),
 }
 
@@ -69,7 +69,7 @@ def margin_findings(margin_px: float, least_px: float) -> list[Finding]:
     """Return a finding where the region cuts off part of the core's blur."""
     if margin_px >= least_px:
         return []
-    effect = f"light further than {margin_px:.0f} px from the bars is not counted: the MTF is too high by its share"
+    effect = f"light further than {margin_px:.0f} px from the bars is not included: the MTF is too high by its fraction"
     return [Finding(flag="window-too-small", effect=effect, remedy="a larger --roi")]
 
 
@@ -77,7 +77,9 @@ def crowding_findings(crowded: bool) -> list[Finding]:
     """Return a finding where other light reaches into the window."""
     if not crowded:
         return []
-    effect = f"other light, over {100 * LIMITS.max_other_light:.0f} % of the bars' height, lies near: the MTF may be off by as much"
+    effect = (
+        f"other light nearby exceeds {100 * LIMITS.max_other_light:.0f} % of the bars' height: MTF error up to that"
+    )
     return [Finding(flag="several-targets", effect=effect, remedy=REGION)]
 
 
@@ -85,7 +87,7 @@ def bar_count_findings(other: int | None, asked: int) -> list[Finding]:
     """Return a finding where the data favour another number of bars."""
     if other is None:
         return []
-    effect = f"the picture is rather that of {other} bars than of {asked}: the light of a bar is that of another number"
+    effect = f"the data favour {other} bars over {asked}; the light per bar changes accordingly"
     return [misfit_finding(effect, f"--bars {other}")]
 
 
@@ -94,8 +96,14 @@ def rounding_findings(fit: BarFit) -> list[Finding]:
     moved = rounding_sd(fit)
     if moved <= LIMITS.max_rounding_sd:
         return []
-    effect = f"the steps of whole codes may move the MTF by {100 * moved:.0f} %"
-    return [Finding(flag="quantised", effect=effect, remedy="more gain or light, so that noise spans a code")]
+    effect = f"quantisation may change the MTF by {100 * moved:.0f} %"
+    return [
+        Finding(
+            flag="quantised",
+            effect=effect,
+            remedy="more gain or light, so that the noise exceeds one quantisation step",
+        )
+    ]
 
 
 def clipping_findings(
@@ -110,7 +118,7 @@ def clipping_findings(
         return []
     if not any(chain.from_iterable(clipping_flags(used.data[:, one], full_scale_dn) for one in windows)):
         return []
-    effect = "levels beyond the scale are lost: the MTF may be off by the share of the bars' height that is cut off"
+    effect = "pixels are clipped: MTF error up to the clipped fraction of the bars' height"
     return [Finding(flag="clipped", effect=effect, remedy="less light or gain, or a higher black level")]
 
 
@@ -125,7 +133,7 @@ def _is_noise_hidden(used: FrameStack, fit: BarFit) -> bool:
 def motion_finding(wander: TargetMotion, frequency: float) -> Finding:
     """Return the finding that the bars move between frames."""
     effect = f"the bars move by {wander.rms_px:.2g} px rms: the MTF is {100 * wander.mtf_loss(frequency):.2g} % too low"
-    return Finding(flag="drift", effect=effect, remedy="one frame alone, or frames in which the target stands still")
+    return Finding(flag="drift", effect=effect, remedy="a single frame, or a stationary target")
 
 
 def faintness_finding(mtf: float, sd: float) -> Finding:
@@ -147,12 +155,10 @@ def sum_notes(target: BarTarget, wanted: BarTarget, amplitudes: Amplitudes, *, s
     """Return notes on sums over a target: measured frequency and image lag."""
     notes = []
     if stated and abs(target.frequency / wanted.frequency - 1.0) > LIMITS.frequency_tolerance:
-        notes.append(f"The bars repeat at {target.frequency:.4g} cy/px, asked were {wanted.frequency:.4g}.")
+        notes.append(f"Measured bar frequency {target.frequency:.4g} cy/px, {wanted.frequency:.4g} cy/px requested.")
     if amplitudes.frame_correlation > 1.2:
         factor = np.sqrt(amplitudes.frame_correlation)
-        notes.append(
-            f"Light lingers from frame to frame: the error of the mean is {factor:.2f} times that of fresh frames."
-        )
+        notes.append(f"Image lag: the standard error of the mean is {factor:.2f} times that of independent frames.")
     return tuple(notes)
 
 
@@ -161,18 +167,16 @@ def findings_of_sums(target: BarTarget, amplitudes: Amplitudes, second: float) -
     found = []
     noise = LIMITS.significant_sd / amplitudes.signal_to_noise
     if amplitudes.zeros > LIMITS.suspect_zeros + noise or amplitudes.flank < LIMITS.min_flank - noise:
-        effect = f"{100 * amplitudes.zeros:.0f} % of the fundamental lies where {target.bars} bars have no light"
-        found.append(misfit_finding(f"{effect}: the MTF may be off by as much", f"--bars, --frequency; {REGION}"))
+        effect = f"{100 * amplitudes.zeros:.0f} % of the fundamental at the zeros of the spectrum of {target.bars} bars"
+        found.append(misfit_finding(f"{effect}: MTF error up to that", f"--bars, --frequency; {REGION}"))
     apart = abs(amplitudes.fields_apart_px)
     # Bars along rows are aliased in each field, which resembles motion.
     upright = abs(np.sin(target.angle_rad)) < LIMITS.max_upright_sine
     if upright and apart > max(LIMITS.significant_sd * amplitudes.fields_apart_sd_px, LIMITS.max_field_offset_px):
         found.append(_field_motion(apart, target.frequency))
     if abs(second) > LIMITS.max_second_harmonic + LIMITS.max_second_harmonic_sd / amplitudes.signal_to_noise:
-        effect = (
-            f"the second harmonic of the bars is {100 * abs(second):.1f} % of the first: the MTF may be off by as much"
-        )
-        remedy = "frames without gamma; bars wider or narrower than their gaps look alike"
+        effect = f"second harmonic {100 * abs(second):.1f} % of the fundamental: MTF error up to that"
+        remedy = "frames without gamma; unequal bars and gaps have the same effect"
         found.append(Finding(flag="gamma", effect=effect, remedy=remedy))
     return found
 
@@ -183,20 +187,16 @@ def findings_of_fit(fit: BarFit) -> list[Finding]:
     left = _profile_residual_rms(fit)
     if left > 0.0:
         share = 100.0 * left / abs(fit["level_dn"])
-        found.append(
-            misfit_finding(f"the profile departs by {share:.1f} % of the bars' height: the MTF may be off by as much")
-        )
+        found.append(misfit_finding(f"residual profile {share:.1f} % of the bars' height: MTF error up to that"))
     away, known = abs(fit["departure"]), 1.0 / np.sqrt(fit.precision[fit.names.index("departure")])
     if away > LIMITS.max_departure_sd * known:
         found.append(
-            misfit_finding(
-                f"the MTF of the bars lies {100 * away:.0f} % off the form that fits the rest of the picture"
-            )
+            misfit_finding(f"the MTF at the bars departs by {100 * away:.0f} % from the blur model of the image")
         )
     taken_off = sharpening(fit)
     if taken_off > 0.0:
-        effect = f"{100 * taken_off:.1f} % of the light about the bars is taken off: the MTF may be too high by as much"
-        found.append(Finding(flag="processed", effect=effect, remedy="frames without sharpening, raw"))
+        effect = f"{100 * taken_off:.1f} % of the light around the bars is missing: the MTF may be too high by that"
+        found.append(Finding(flag="processed", effect=effect, remedy="raw frames without sharpening"))
     upright = abs(np.sin(fit.target.angle_rad)) < LIMITS.max_upright_sine
     apart = _field_offset_px(fit) if fit.strip and upright else 0.0
     return [*found, _field_motion(apart, fit.target.frequency)] if apart else found
@@ -205,8 +205,8 @@ def findings_of_fit(fit: BarFit) -> list[Finding]:
 def _field_motion(apart_px: float, frequency: float) -> Finding:
     """Return the finding that the fields are displaced, with the loss of MTF in their mean."""
     lowered = 1.0 - np.cos(np.pi * frequency * apart_px)
-    effect = f"odd rows show the bars {apart_px:.2f} px beside even ones: the MTF is {100 * lowered:.2g} % too low"
-    return Finding(flag="interlace-motion", effect=effect, remedy="one field alone, or a target that stands still")
+    effect = f"the fields are displaced by {apart_px:.2f} px: the MTF is {100 * lowered:.2g} % too low"
+    return Finding(flag="interlace-motion", effect=effect, remedy="a single field, or a stationary target")
 
 
 def light_in_standard_errors(fit: BarFit) -> float:
@@ -277,8 +277,8 @@ def not_identifiable(target: BarTarget, length_px: float) -> str | None:
             and travel < LIMITS.min_travel_px
         ):
             return (
-                f"not identifiable: {sampled:.3g} cycles per sample have their alias at {1.0 - sampled:.3g}, and the "
-                f"bars travel only {travel:.2g} px over their length; tilt them by a few degrees"
+                f"not identifiable: {sampled:.3g} cycles per sample alias to {1.0 - sampled:.3g}, and the "
+                f"bars shift only {travel:.2g} px over their length; tilt them by a few degrees"
             )
     return None
 

@@ -27,8 +27,8 @@ CONTRAST = "bars-contrast"
     CONTRAST,
     quantities=("mtf",),
     scope=(
-        "For comparison with readings by eye, always suspect: harmonics make it read up to a fifth low below a third "
-        "of the cut-off, outer bars low near it, and it is normalised to the light of the bars, not to all."
+        "For comparison with visual readings, always suspect: up to a fifth low below a third of the cut-off by "
+        "harmonics, low near it by the outer bars; normalised to the light of the bars, not to all light."
     ),
 )
 def bars_contrast(
@@ -68,7 +68,7 @@ def bars_contrast(
     seen = target_in(mean, bars=bars, frequency=frequency_cy_per_px, pitch_ratio=context.pitch_ratio)
     read = None if seen is None else _profile_contrast(seen.target.sign * mean, seen.target)
     if seen is None or read is None or read[0] < LIMITS.min_contrast_sd * read[1]:
-        reason = "no target: no contrast of bars stands out of the noise; --bars and --frequency say what to look for"
+        reason = "no target: no significant bar contrast; state --bars and --frequency"
         return Result(measurements=(make_refusal("mtf", "1", reason, flags=("no-target",), **common),))
     (value, sd), target = read, seen.target
     common["frequency_cy_per_px"] = target.frequency
@@ -109,9 +109,9 @@ COLTMAN = "bars-coltman"
     quantities=("mtf",),
     scope=(
         "For comparison, always suspect: first term of Coltman's series, (pi/4)(max - min)/step of the inner bars. Up "
-        "to a fifth low below a third of the cut-off, where harmonics enter; the step of a lone patch is low by its "
-        "tails, and by several percent for tube tails (n near 1.1); high by its own noise where that nears the "
-        "modulation; phase-dependent untilted above half the sampling limit."
+        "to a fifth low below a third of the cut-off by harmonics; the step of a single patch is low by its tails, by "
+        "several percent for tubes (n near 1.1); high where the noise approaches the modulation; phase-dependent "
+        "for untilted bars above half the sampling limit."
     ),
 )
 def bars_coltman(
@@ -150,7 +150,7 @@ def bars_coltman(
     seen = target_in(mean, bars=bars, frequency=frequency_cy_per_px, pitch_ratio=context.pitch_ratio)
     read = None if seen is None else _modulation(seen.target.sign * mean, seen)
     if read is None or not read[0] > LIMITS.min_modulation_sd * read[1]:
-        reason = "no target: no modulation by bars stands out of the noise; --bars and --frequency say what to look for"
+        reason = "no target: no significant bar modulation; state --bars and --frequency"
         return Result(measurements=(make_refusal("mtf", "1", reason, flags=("no-target",), **common),))
     common["frequency_cy_per_px"] = read[2].frequency
     value, sd, target = read

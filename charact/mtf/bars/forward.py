@@ -82,15 +82,15 @@ METHOD = "bars-forward"
     METHOD,
     quantities=("mtf",),
     scope=(
-        "Two to sixty bars, brighter or darker than an even ground and as wide as their gaps, in any direction, whole "
-        "with their blur inside the region, or running through it within 12 degrees of an axis; fundamental over 5 "
-        "standard errors. Number and frequency are found from three bars on where they are not stated. A camera that "
-        "is not described is taken to blur as a tube, a lens, a Moffat or two Gaussians do. Broken by clipping and "
-        "motion between fields (not seen of bars along rows). A curved response is seen in the picture and in noise "
-        "that does not grow as the light, and what neither shows of it is in the interval. A camera that sharpens is "
-        "flagged where what it takes off stands over 3.5 standard errors. "
-        "Untilted bars near the sampling limit are refused; one bar more or fewer than stated is flagged where each "
-        "can be seen."
+        "Two to sixty bars as wide as their gaps, brighter or darker than a uniform background, in any direction, "
+        "completely inside the region with their blur, or crossing it within 12 degrees of an axis; fundamental over "
+        "5 standard uncertainties. Number and frequency are measured from three bars on if not stated. Without a "
+        "sensor description the blur is modelled as a tube, a lens, a Moffat or two Gaussians. Invalid with clipping "
+        "and motion between fields (undetectable for bars along rows). A nonlinear response is detected in the image "
+        "and in noise that does not grow as the light; the interval includes undetected nonlinearity. Sharpening is "
+        "flagged above 3.5 standard uncertainties. "
+        "Untilted bars near the sampling limit are refused; one bar more or fewer than stated is flagged where "
+        "detectable."
     ),
 )
 def bars_forward(
@@ -138,7 +138,7 @@ def bars_forward(
         return _nothing(found, where, asked, context)
     doubts = [*found.findings, *posterior_findings(found.posterior.flags)]
     if np.quantile(found.mtf, 0.025) > 1.0:
-        doubts.append(misfit_finding(f"the MTF is {100 * found.mtf.mean() - 100:.1f} % over one, which no blur has"))
+        doubts.append(misfit_finding(f"the MTF must be at most 1, got {100 * found.mtf.mean() - 100:.1f} % more"))
     if found.mtf.mean() < LIMITS.min_mtf_sd * found.mtf.std():
         doubts.append(faintness_finding(float(found.mtf.mean()), float(found.mtf.std())))
     wander = measure_bar_motion(used, found.target)

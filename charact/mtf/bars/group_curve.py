@@ -325,12 +325,15 @@ def _mtf50(curves: Array, groups: Sequence[Group], common: dict[str, Any]) -> Me
         or np.mean(~np.isfinite(crossing)) > LIMITS.max_lost_draws
     ):
         reason = (
-            f"MTF50 must lie within a factor of {LIMITS.max_extrapolation:g} of the groups' frequencies, {told[0]:.3g} to {told[-1]:.3g} "
-            f"cy/px, got some {half:.2g}"
+            f"MTF50 must lie within a factor of {LIMITS.max_extrapolation:g} of the groups' frequencies, "
+            f"{told[0]:.3g} to {told[-1]:.3g} "
+            f"cy/px, got about {half:.2g}"
         )
         return make_refusal("mtf50", "cy/px", reason, notes=tuple(notes), **common)
     if not told[0] <= half <= told[-1]:
-        notes.append("MTF50 lies beyond the groups: the form, exp(-(f/fc)^n) times what is known, reaches to it.")
+        notes.append(
+            "MTF50 lies beyond the groups; it is extrapolated by the model exp(-(f/fc)^n) times the known transfer."
+        )
     return measurement_from_draws("mtf50", "cy/px", crossing[np.isfinite(crossing)], notes=tuple(notes), **common)
 
 
@@ -344,7 +347,8 @@ def _require_one_direction(groups: Sequence[Group]) -> None:
     largest = max(min(one, 180.0 - one) for one in apart)
     if largest > LIMITS.max_direction_spread_deg:
         raise BadInput(
-            f"groups of bars for one curve must lie within {LIMITS.max_direction_spread_deg:g} degrees, got {largest:.0f} apart"
+            f"groups of bars for one curve must lie within {LIMITS.max_direction_spread_deg:g} degrees, "
+            f"got {largest:.0f} apart"
         )
 
 

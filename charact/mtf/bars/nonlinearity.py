@@ -66,26 +66,26 @@ def response_findings(response: BarNonlinearity) -> list[Finding]:
     """
     shared, own = response.shared, response.own
     moved = 100.0 * abs(response.lifts) * np.hypot(response.curvature, response.sd)
-    effect = f"the MTF may be off by {moved:.2g} %: "
+    effect = f"MTF error up to {moved:.2g} %: "
     found = []
     if abs(response.curvature) > LIMITS.max_curvature_sd * response.sd:
         found.append(
-            f"the picture is bent as by a response of curvature {response.curvature:.2g} +- {response.sd:.1g}, 0 where "
-            "it is straight; bars wider or narrower than their gaps look alike"
+            f"the image indicates a response of curvature {response.curvature:.2g} +- {response.sd:.1g} (linear: 0); "
+            "unequal bars and gaps have the same effect"
         )
     if shared and abs(shared.exponent - 1.0) > LIMITS.neighbour_power[0] * float(
         np.hypot(shared.sd, LIMITS.neighbour_power[1])
     ):
         found.append(
-            f"what neighbours share of the noise grows with the power {shared.exponent:.2f} +- {shared.sd:.2f} of the "
-            "light, and under a straight response with the first; targets that move make noise of their own"
+            f"correlated noise grows as signal^({shared.exponent:.2f} +- {shared.sd:.2f}); a linear response gives "
+            "exponent 1. Target motion also adds noise"
         )
     if own and max(own.exponent - 1.0, -own.exponent) > LIMITS.pixel_power[0] * own.sd + LIMITS.pixel_power[1]:
         found.append(
-            f"the noise of pixels grows with the power {own.exponent:.2f} +- {own.sd:.2f} of the light: of photons and "
-            "read-out it is between 0 and 1"
+            f"pixel noise grows as signal^({own.exponent:.2f} +- {own.sd:.2f}); photon and read-out noise give an "
+            "exponent between 0 and 1"
         )
-    remedy = "frames of a straight response (raw, gamma 1), or the right --black-dn"
+    remedy = "frames with a linear response (raw, gamma 1), or the correct --black-dn"
     return [Finding(flag="gamma", effect=effect + one, remedy=remedy) for one in found]
 
 

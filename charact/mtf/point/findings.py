@@ -13,16 +13,16 @@ from labdata.measurement import Measurement
 Array = NDArray[np.float64]
 
 REMEDIES = {
-    "clipped": "an offset that keeps the noise of dark pixels above the lowest code",
-    "saturated": "less light or a shorter exposure, so that no pixel comes near full scale",
+    "clipped": "an offset that keeps the noise of dark pixels above 0 DN",
+    "saturated": "less light or a shorter exposure, so that no pixel approaches full scale",
     "low-signal": "more light, a longer exposure or more frames",
-    "model-misfit": "--roi around one source alone on even ground, focus, and a response without gamma or sharpening",
+    "model-misfit": "--roi around one source on a uniform background, focus, and no gamma or sharpening",
     "several-targets": "--roi around one source, or sources further apart",
     "window-too-small": "a larger --roi around the source",
     "prior-bound": "another focus or magnification, so that the spot is 1 to 10 px wide",
-    "interlace-motion": "a source and a camera at rest, or frames of one field",
-    "drift": "a source and a camera at rest, or fewer frames",
-    "gamma": "frames taken with a straight response (gamma 1)",
+    "interlace-motion": "a stationary source and camera, or frames of one field",
+    "drift": "a stationary source and camera, or fewer frames",
+    "gamma": "frames with a linear response (gamma 1)",
     "aliased": "a spot blurred over more pixels: larger magnification or f-number",
     "not-converged": "another --seed",
 }
@@ -38,8 +38,8 @@ def motion_findings(names: tuple[str, ...]) -> list[Finding]:
 
     lowered = f"MTF50 is lowered by {100.0 * LIMITS.max_motion_loss:g} % or more"
     effects = {
-        "interlace-motion": f"odd and even rows show the source {LIMITS.max_field_offset_px:g} px apart or more; {lowered}",
-        "drift": f"the source moves by {LIMITS.max_drift_px:g} px over the frames, or shakes; {lowered}",
+        "interlace-motion": f"the fields are displaced by at least {LIMITS.max_field_offset_px:g} px; {lowered}",
+        "drift": f"the source moves by {LIMITS.max_drift_px:g} px over the frames, or moves between frames; {lowered}",
     }
     return [finding(name, effects[name]) for name in names]
 
@@ -62,7 +62,7 @@ def flag_undersampled(found: Iterable[Measurement], window: Window) -> tuple[Mea
     )
     if not sharp:
         return numbers
-    effect = f"MTF50 may lie above {LIMITS.max_mtf50:g} cycles per sample, where it comes out 10 to 30 % low"
+    effect = f"MTF50 may lie above {LIMITS.max_mtf50:g} cycles per sample, where it is measured 10 to 30 % low"
     return tuple(one.with_(findings=[finding("aliased", effect)]) for one in numbers)
 
 

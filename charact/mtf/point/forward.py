@@ -36,12 +36,12 @@ QUANTITIES = ("mtf50", "mtf10")
     METHOD,
     quantities=QUANTITIES,
     scope=(
-        "Single point sources whose core stays below full scale, light over 6 standard errors, pixels of an "
-        "intensifier or of an ordinary camera. A core beyond full scale is left out and flagged; motion and neighbours "
-        "are told; MTF50 below 0.42 cycles per pixel. A camera that is not described is taken to have no halo: one "
-        "that stands out by three standard errors is told, fainter ones raise MTF50 by some of its errors. Not told: "
-        "a second source within the blur, and a curved response, which on one spot only scales the width (a gamma of g "
-        "moves MTF50 by about the root of g)."
+        "Single point sources whose core stays below full scale, light over 6 standard uncertainties, of an "
+        "intensifier or of an ordinary camera. A core beyond full scale is excluded and flagged; motion and neighbours "
+        "are flagged; MTF50 below 0.42 cycles per pixel. Without a sensor description no halo is assumed: one above "
+        "three standard uncertainties is flagged, a fainter one raises MTF50 by part of its uncertainty. Not detected: "
+        "a second source within the blur, and a nonlinear response, which only scales the width of one spot (a gamma "
+        "of g changes MTF50 by about the root of g)."
     ),
 )
 def point_forward(
@@ -82,30 +82,34 @@ def point_forward(
     where = region or (0, 0, *used.shape[1:])
     task = PointTask(context=context, where=where, pinhole_px=pinhole_px)
     if min(used.shape[1:]) < LIMITS.min_region_px:
-        return task.nothing(f"a point needs a region of at least {LIMITS.min_region_px} x {LIMITS.min_region_px} px, got {where[2:]}",
+        return task.nothing(f"a point needs a region of at least {LIMITS.min_region_px} x {LIMITS.min_region_px} px, "
+                            f"got {where[2:]}",
                             "window-too-small")  # fmt: skip
     source = detect_source(used.data, context.pitch_ratio)
     if isinstance(source, str):
         full = context.full_scale_dn or used.full_scale_dn
         if full is not None and used.data.max() >= full and np.median(used.data, axis=0).max() >= full:
-            return task.nothing("the source is too bright: pixels stay at full scale and nothing is dark", "saturated")
+            return task.nothing(
+                "the source is too bright: pixels remain at full scale and there is no background", "saturated"
+            )
         return task.nothing(source, "no-target")
     window = _window(used, source, context)
     kept = _usable_light_fraction(window)
     if kept < LIMITS.min_valid_light:
         return task.nothing(f"the source is too bright: {100 * (1 - kept):.0f} % of its core's light lies in pixels "
-                            "that full scale spoils", "saturated")  # fmt: skip
+                            "affected by full scale", "saturated")  # fmt: skip
     found = fit(window, context, _optics(context, pinhole_px or 0.0))
     if found is None:
         return task.nothing(
-            "no target: what stands out of the background is not the picture of a point",
+            "no target: the light above the background is not the image of a point",
             "no-target",
             *_motion_flags(window),
         )
     if found.light < LIMITS.min_light_sd * found.light_sd:
         stands = round_down(found.light / found.light_sd)
         return task.nothing(
-            f"no target: the light stands {stands:.1f} standard errors out of {LIMITS.min_light_sd:g} needed",
+            f"no target: the light is {stands:.1f} standard uncertainties; "
+            f"at least {LIMITS.min_light_sd:g} are required",
             "no-target",
             *_motion_flags(window),
         )
@@ -200,7 +204,7 @@ class PointTask:
         """Return measurements, curves and figure data of a fitted source."""
         findings = fit_findings(found, window, source, self.context)
         if "not-converged" in posterior.flags:
-            findings.append(finding("not-converged", "the interval comes from the curvature at the maximum"))
+            findings.append(finding("not-converged", "interval from the curvature at the optimum"))
         common = {
             "method": METHOD,
             "notes": (
@@ -231,9 +235,7 @@ def _level(quantity: str, level: float, fine: Array, posterior: Posterior, commo
     draws = crossing_frequency(FINE, fine, level)
     lost = float(np.mean(~np.isfinite(draws)))
     if lost > 0.02:
-        reason = (
-            f"the MTF must fall to {level:g} below {FINE[-1]:.1f} cy/px, and {100 * lost:.0f} % of its draws do not"
-        )
+        reason = f"the MTF must fall to {level:g} below {FINE[-1]:.1f} cy/px; {100 * lost:.0f} % of its draws do not"
         return make_refusal(quantity, "cy/px", reason, **common)
     return measurement_from_draws(quantity, "cy/px", draws[np.isfinite(draws)], posterior=posterior, **common)
 
@@ -243,29 +245,25 @@ def fit_findings(found: PointFit, window: Window, source: DetectedSource, contex
     out = []
     if not window.keep.all():
         lost = 100.0 * float(np.mean(~window.keep))
-        out.append(finding("saturated", f"full scale spoils {lost:.0f} % of the core's pixels, which are left out"))
+        out.append(finding("saturated", f"full scale affects {lost:.0f} % of the core's pixels, which are excluded"))
     if window.clipped:
-        out.append(finding("clipped", "noise below the lowest code is cut off; MTF50 is half a standard error high"))
+        out.append(finding("clipped", "noise is clipped at black; MTF50 is half a standard uncertainty high"))
     if found.light < LIMITS.low_light_sd * found.light_sd:
         stands = found.light / found.light_sd
-        effect = (
-            f"the light stands {stands:.1f} standard errors out; intervals are tested from {LIMITS.low_light_sd:g} on"
-        )
+        effect = f"light {stands:.1f} standard uncertainties; intervals are validated from {LIMITS.low_light_sd:g}"
         out.append(finding("low-signal", effect))
     halo = context.sensor is None and _has_unmodelled_halo(found)
     if halo or found.chi2 / found.free > LIMITS.max_chi2 + LIMITS.max_chi2_sd * np.sqrt(2.0 / found.free):
         effect = f"residuals are {np.sqrt(found.chi2 / found.free):.2g} times the noise"
-        beyond = (
-            "; light about the core, which lowers MTF50 by its fraction of the light, is not counted" if halo else ""
-        )
+        beyond = "; light around the core, which lowers MTF50 by its fraction, is not included" if halo else ""
         out.append(finding("model-misfit", effect + beyond))
     if source.others:
         out.append(finding("several-targets", "light of another source in the region is not modelled"))
     if window.cut or (context.sensor is not None and not window.holds_halo):
-        effect = "light beyond the region is not counted; MTF50 may be high by the fraction of the light there"
+        effect = "light beyond the region is not included; MTF50 may be high by its fraction"
         out.append(finding("window-too-small", effect))
     if _is_at_prior_bound(found, context):
-        effect = f"the core stands at a limit or {LIMITS.max_prior_sd:g} standard deviations off the description"
+        effect = f"the core is at a bound or {LIMITS.max_prior_sd:g} standard deviations from the description"
         out.append(finding("prior-bound", effect))
     if window.keep.all():
         out += motion_findings(
@@ -341,13 +339,13 @@ def _core(free: tuple[str, ...]) -> NDArray[np.bool_]:
 
 def fit_notes(found: PointFit, window: Window, context: Context, pinhole_px: float | None) -> tuple[str, ...]:
     """Return notes that do not affect validity."""
-    out = ["The response is taken as straight: one spot hardly shows a gamma correction."]
+    out = ["The camera response is assumed linear: a single spot hardly shows a gamma."]
     if pinhole_px is None:
-        out.append("The source is taken as a point; a pinhole's own size lowers the MTF.")
+        out.append("The source is assumed to be a point; the size of a pinhole lowers the MTF.")
     if found.model.prior.halo_px is None:
-        out.append("Normalised to the light of the core; a halo would not be seen in this region.")
+        out.append("MTF normalised to the core; this region cannot show a halo.")
     elif found.noise is not None:
-        out.append("Normalised to all light, the halo's share as far as pixels and the camera's description tell it.")
+        out.append("MTF normalised to all light; the halo fraction comes from the pixels and the sensor description.")
     out += rounding_note(window)
     if context.sensor is None:
         out.append("Pixels taken as square.")

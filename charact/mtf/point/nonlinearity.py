@@ -46,15 +46,15 @@ class SpotNonlinearity:
         """Effect of the likeliest response on MTF50."""
         exponent = 1.0 / (1.0 - self.power)
         moved = 100.0 * (np.sqrt(exponent) - 1.0)
-        return f"the noise is that of a response of exponent {exponent:.2g}, which moves MTF50 by about {moved:+.0f} %"
+        return f"the noise indicates a response of exponent {exponent:.2g}, which changes MTF50 by about {moved:+.0f} %"
 
     @property
     def note(self) -> str:
         """Range of responses that the noise does not exclude, and their effect on MTF50."""
         low, high = self.exponents
         return (
-            f"The response is taken as straight; of exponents from 0.4 to 2.5 the noise leaves {low:.2g} to {high:.2g} "
-            "open. One of g makes MTF50 about sqrt(g) times what it is, and more where there is a halo or a tail."
+            f"The camera response is assumed linear; the noise permits exponents from {low:.2g} to {high:.2g}. "
+            "An exponent g multiplies MTF50 by about sqrt(g), and by more with a halo or a tail."
         )
 
 

@@ -40,15 +40,15 @@ METHOD = "point-parametric"
     METHOD,
     quantities=("mtf50", "mtf10", "mtf"),
     scope=(
-        "Single point sources or pinholes of known, bounded or no size, light over 6 standard errors, one frame and "
-        "more, blurred as lenses and tubes blur: Gaussian, exp(-(f/fc)^n) with or without a Gaussian, Moffat, "
-        "diffraction with or without hole and defocus, round, elliptical or separable and up to 1.5 times as long as "
-        "wide, with halo, disc or glare that the region shows, neighbours 5 px away or more; "
+        "Single point sources or pinholes of known, bounded or zero size, light over 6 standard uncertainties, one "
+        "frame or more, blur of lenses and tubes: Gaussian, exp(-(f/fc)^n) with or without a Gaussian, Moffat, "
+        "diffraction with or without central obscuration and defocus, round, elliptical or separable with an aspect "
+        "up to 1.5, with halo, disc or scatter inside the region, neighbours at least 5 px away; "
         "MTF50 below 0.42 cycles per pixel. "
-        "Pixels at full scale count as at least that; before a described camera, whose wells may be full by then and "
-        "whose video moves what is cut off, the number is suspect. Not told: a second source within the blur, a "
-        "pinhole whose size is not given, and a curved response that the noise does not show: a gamma of g moves MTF50 "
-        "by about the root of g, and more where there is a halo."
+        "Pixels at full scale are treated as lower limits; with a sensor description, whose wells may fill first and "
+        "whose video filter spreads clipped light, the result is suspect. Not detected: a second source within the "
+        "blur, a pinhole of unstated size, and a nonlinear response that the noise does not show: a gamma of g changes "
+        "MTF50 by about the root of g, and more with a halo."
     ),
 )
 def point_parametric(
@@ -94,7 +94,7 @@ def point_parametric(
     """
     task = _Task(context=context, region=region or (0, 0, *stack.shape[1:]), pinhole=_pinhole(pinhole_px))
     if regions is not None and not regions:
-        raise BadInput("several sources need at least one region, got none")
+        raise BadInput("several sources require at least one region, got none")
     parts = [stack.region(*one) for one in regions] if regions else [stack if region is None else stack.region(*region)]
     sites = []
     for part in parts:
@@ -108,9 +108,9 @@ def point_parametric(
     weak = best.light < LIMITS.min_light_sd * point_distrust.light_sd(fitter, best)
     if (weak.any() and sites[0].window.frames > 1) or (best.light <= 0).any():
         beside = sum(len(site.window.neighbours) for site in sites)
-        crowd = f"; {beside} neighbours stand in the way, --roi around one that stands alone" if beside else ""
+        crowd = f"; {beside} neighbours interfere, use --roi around an isolated one" if beside else ""
         return task.nothing(
-            f"no target: the light must stand {LIMITS.min_light_sd:g} standard errors out{crowd}", "no-target"
+            f"no target: the light must be at least {LIMITS.min_light_sd:g} standard uncertainties{crowd}", "no-target"
         )
     return task.result(sites, fitter, found, stack.notes)
 
@@ -139,7 +139,7 @@ def _locate_source(part: FrameStack, context: Context) -> SourcePixels | tuple[s
     source = detect_source(part.data, context.pitch_ratio)
     if isinstance(source, str):
         bright = full is not None and np.median(part.data, axis=0).max() >= full
-        return ("the source is too bright: nothing is dark", "saturated") if bright else (source, "no-target")
+        return ("the source is too bright: there is no background", "saturated") if bright else (source, "no-target")
     halo = halo_diameters_px(context, transposed=False)[1] / 2.0 if context.sensor is not None else None
     window = window_of(
         part.data, source.row, source.col, pitch_ratio=context.pitch_ratio, full_scale_dn=full, halo_radius_px=halo,
@@ -147,7 +147,7 @@ def _locate_source(part: FrameStack, context: Context) -> SourcePixels | tuple[s
     )  # fmt: skip
     height = np.maximum(window.core - np.median(window.core), 0.0)
     if height[window.keep].sum() < LIMITS.min_unclipped_light * height.sum():
-        return "the source is too bright: pixels below full scale hold too little of its light", "saturated"
+        return "the source is too bright: pixels below full scale contain too little of its light", "saturated"
     rows = 2.0 if context.interlaced else 1.0
     site = SourcePixels(
         window=window,
@@ -213,9 +213,11 @@ class _Task:
         if response.is_nonlinear:
             findings.append(finding("gamma", response.effect))
         if self.context.sensor and any(site.cut.any() for site in sites):
-            findings.append(finding("saturated", "wells may be full before the digitiser; MTF50 may be 26 to 43 % low"))
+            findings.append(
+                finding("saturated", "wells may fill before the digitiser clips; MTF50 may be 26 to 43 % low")
+            )
         if any("not-converged" in one.flags for one in drawn):
-            findings.append(finding("not-converged", "the interval comes from the curvature at the maximum"))
+            findings.append(finding("not-converged", "interval from the curvature at the optimum"))
         common = {
             **self._common,
             "notes": (*notes, *_notes(sites, found, self.pinhole, self.context), response.note),
@@ -314,9 +316,7 @@ def _level(quantity: str, level: float, fine: Array, posterior: Posterior, commo
     draws = crossing_frequency(FINE, fine, level)
     lost = float(np.mean(~np.isfinite(draws)))
     if lost > 0.02:
-        reason = (
-            f"the MTF must fall to {level:g} below {FINE[-1]:.1f} cy/px, and {100 * lost:.0f} % of its draws do not"
-        )
+        reason = f"the MTF must fall to {level:g} below {FINE[-1]:.1f} cy/px; {100 * lost:.0f} % of its draws do not"
         return make_refusal(quantity, "cy/px", reason, **common)
     kept = draws[np.isfinite(draws)]
     return _note_several_peaks(measurement_from_draws(quantity, "cy/px", kept, posterior=posterior, **common), kept)
@@ -327,7 +327,7 @@ def _note_several_peaks(one: Measurement, draws: Array) -> Measurement:
     if not has_several_peaks(draws[:, None]):
         return one
     low, high = np.quantile(draws, (0.16, 0.84))
-    return one.with_(notes=(*one.notes, f"Forms that fit as well put it at {low:.3g} and at {high:.3g}."))
+    return one.with_(notes=(*one.notes, f"Blur models of similar evidence give {low:.3g} and {high:.3g}."))
 
 
 def _notes(
@@ -338,22 +338,22 @@ def _notes(
 ) -> tuple[str, ...]:
     """Return notes that do not affect validity."""
     parts = ", ".join(f"{one.fit.form.name} {100 * one.share:.0f} %" for one in found)
-    out = [f"Form of the point spread by evidence: {parts}."]
+    out = [f"Blur models by evidence: {parts}."]
     cut = sum(int(np.count_nonzero(site.cut.any(axis=0))) for site in sites)
     if cut:
-        out.append(f"{cut} pixels at full scale count as at least that.")
+        out.append(f"{cut} pixels at full scale are treated as lower limits.")
         if context.sensor is not None:
-            out.append("A camera's wells may be full before its digitiser: less light keeps both below full scale.")
+            out.append("Wells may fill before the digitiser clips; use less light.")
             lost = sum(int(np.count_nonzero(~site.window.keep)) for site in sites) - cut
-            out.append(f"{lost} pixels behind full scale, which the video filter spoils, are left out.")
+            out.append(f"{lost} pixels after full scale, which the video filter affects, are excluded.")
     if beside := sum(len(site.window.neighbours) for site in sites):
-        out.append(f"{beside} neighbours of the source are masked; the light of near ones is fitted too.")
+        out.append(f"{beside} neighbours of the source are masked; the light of close ones is fitted too.")
     if pinhole == 0.0:
-        out.append("The source is taken as a point; a pinhole's own size lowers the MTF.")
+        out.append("The source is assumed to be a point; the size of a pinhole lowers the MTF.")
     if all(one.fit.form.wide is None for one in found):
-        out.append("Normalised to the light of the core; a halo would not be seen, or was not.")
+        out.append("MTF normalised to the core; any halo is not included.")
     if any(site.dark.common > 0 for site in sites):
-        out.append("Noise is correlated between pixels and treated as such.")
+        out.append("Noise is correlated between pixels; accounted for.")
     out += rounding_note(min((site.window for site in sites), key=lambda window: window.quiet_sd))
     if context.sensor is None:
         out.append("Pixels taken as square.")

@@ -25,12 +25,10 @@ def source_findings(
     """Return the findings of fitted sources."""
     fit, out = found[0].fit, []
     if any(site.window.clipped for site in sites):
-        out.append(finding("clipped", "noise below the lowest code is cut off; MTF50 is half a standard error high"))
+        out.append(finding("clipped", "noise is clipped at black; MTF50 is half a standard uncertainty high"))
     stands = float((fit.light / light_sd(fitter, fit)).min())
     if stands < LIMITS.low_light_sd:
-        effect = (
-            f"the light stands {stands:.1f} standard errors out; intervals are tested from {LIMITS.low_light_sd:g} on"
-        )
+        effect = f"light {stands:.1f} standard uncertainties; intervals are validated from {LIMITS.low_light_sd:g}"
         out.append(finding("low-signal", effect))
     if fit.chi2 / fit.free > LIMITS.max_chi2 + LIMITS.max_chi2_sd * np.sqrt(2.0 / fit.free) or has_departures(
         sites, fitter, fit
@@ -38,15 +36,17 @@ def source_findings(
         out.append(finding("model-misfit", _misfit_effect(fitter, fit)))
     along, down = _half_frequencies(fit)
     if max(along / down, down / along) > LIMITS.max_elongation:
-        effect = f"MTF50 along rows is {along / down:.2f} times that along columns; light beside the source does that"
+        effect = (
+            f"MTF50 along rows is {along / down:.2f} times that along columns; light next to the source has this effect"
+        )
         out.append(finding("several-targets", effect))
     if any(site.window.cut or (site.screen and not site.window.holds_halo) for site in sites):
-        effect = "light beyond the region is not counted; MTF50 may be high by the fraction of the light there"
+        effect = "light beyond the region is not included; MTF50 may be high by its fraction"
         out.append(finding("window-too-small", effect))
     at = np.min(np.abs(fit.point - fit.form.bounds.T), axis=0)
     bound = [name for name, distance in zip(fit.form.parameters, at, strict=True) if distance < 1e-6]
     if {"ln_half_frequency", "stretch"} & set(bound):
-        out.append(finding("prior-bound", f"{', '.join(bound)} at its limit; MTF50 may lie anywhere beyond"))
+        out.append(finding("prior-bound", f"{', '.join(bound)} at its bound; MTF50 may lie anywhere beyond"))
     for site, pedestal in zip(sites, pedestals, strict=True):
         if site.window.sound:
             window = site.window
@@ -69,7 +69,7 @@ def _misfit_effect(fitter: PointFitter, fit: BlurModelFit2D) -> str:
     free = fitter.fit(form, np.array([known.get(name, own) for name, own in zip(form.parameters, start, strict=True)]))
     moves = [abs(b / a - 1.0) for a, b in zip(_half_frequencies(fit), _half_frequencies(free), strict=True)]
     left = np.sqrt(fit.chi2 / fit.free)
-    return f"residuals are {left:.2g} times the noise; departures from the form move MTF50 by {100 * max(moves):.2g} %"
+    return f"residuals are {left:.2g} times the noise; model departures change MTF50 by {100 * max(moves):.2g} %"
 
 
 def light_sd(fitter: PointFitter, fit: BlurModelFit2D) -> Array:

@@ -61,18 +61,19 @@ def detect_source(data: NDArray, pitch_ratio: float) -> DetectedSource | str:
         ):
             level, spread, height = high, bare, over
     if height < LIMITS.min_height_sd * spread:
-        stands = f"{round_down(height / spread):.1f} standard deviations out of {LIMITS.min_height_sd:g} needed"
-        crowd = "; light of neighbours or uneven ground stands in the way" if over > LIMITS.min_height_sd * bare else ""
-        return f"no target: the brightest spot stands {stands}{crowd}"
+        stands = (
+            f"{round_down(height / spread):.1f} standard deviations; at least {LIMITS.min_height_sd:g} are required"
+        )
+        crowd = "; neighbours or a nonuniform background interfere" if over > LIMITS.min_height_sd * bare else ""
+        return f"no target: the brightest spot is {stands}{crowd}"
     least = max(LIMITS.min_height_sd * spread, LIMITS.min_other_height * height)
     (row, col), *beside = _peaks(steady, level, least)
     significance = (float(steady[row, col]) - level) / spread
     steadiness = float(_steadiness(smooth[:, row, col] - level, spread))
     if steadiness < LIMITS.min_steadiness_sd:
-        stands = (
-            f"{round_down(steadiness):.1f} standard errors over the frames out of {LIMITS.min_steadiness_sd:g} needed"
-        )
-        return f"no target: the brightest spot stands {stands}"
+        needed = f"at least {LIMITS.min_steadiness_sd:g} are required"
+        stands = f"{round_down(steadiness):.1f} standard uncertainties over the frames; {needed}"
+        return f"no target: the brightest spot is {stands}"
     high = _surroundings(steady.shape, row, col, pitch_ratio) & (steady - level > least)
     others = bool(high.any() and _steadiness(smooth[:, high] - level, spread).max() >= LIMITS.min_steadiness_sd)
     steady_ones = tuple(at for at in beside if _steadiness(smooth[:, *at] - level, spread) >= LIMITS.min_steadiness_sd)
@@ -100,7 +101,8 @@ def _peaks(steady: Array, level: float, least: float) -> list[tuple[int, int]]:
     beside = [
         place for place in peaks
         if np.hypot(place[0] - row, place[1] - col) >= LIMITS.min_peak_distance_px
-        and _saddle(steady, place, (row, col)) - level < LIMITS.max_saddle * min(steady[place] - level, steady[row, col] - level)
+        and _saddle(steady, place, (row, col)) - level
+        < LIMITS.max_saddle * min(steady[place] - level, steady[row, col] - level)
     ]  # fmt: skip
     # The brightest part of a blend is the source.
     own = [

@@ -287,8 +287,8 @@ def rounding_note(window: Window) -> list[str]:
     if most < LIMITS.min_rounding_shift_dn:
         return []
     return [
-        f"Rounding to whole codes may shift faint light and its level by up to {most:.2f} DN: "
-        "the fit allows for it, and its model is drawn with what the pixels say of that."
+        f"Quantisation may shift faint light and its level by up to {most:.2f} DN; the fit includes this, and the "
+        "plotted model the estimated shift."
     ]
 
 

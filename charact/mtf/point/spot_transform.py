@@ -21,10 +21,10 @@ Array = NDArray[np.float64]
 METHOD = "point-spread"
 FREQUENCY = np.linspace(0.0, 0.5, 251)
 EFFECTS = {
-    "several-targets": "light of another source in the region counts as this one's",
-    "window-too-small": f"light beyond {ACCURACY.spot_radius_px:g} px is not counted, and MTF50 is high by its fraction",
-    "model-misfit": f"asymmetry of the spot exceeds {100 * LIMITS.max_asymmetry:g} % of its light; MTF50 may err by as much",
-    "clipped": "noise below the lowest code is cut off, which raises the level of the background",
+    "several-targets": "light of another source in the region is included",
+    "window-too-small": f"light beyond {ACCURACY.spot_radius_px:g} px is not included; MTF50 is high by its fraction",
+    "model-misfit": f"asymmetry exceeds {100 * LIMITS.max_asymmetry:g} % of the light: MTF50 error up to that",
+    "clipped": "noise is clipped at black, which raises the background",
 }
 
 
@@ -33,9 +33,9 @@ EFFECTS = {
     METHOD,
     quantities=("mtf50", "mtf10"),
     scope=(
-        "Single unsaturated point sources with little light beyond 8 px, 3 frames and more, and a straight response: "
-        "a gamma between 0.6 and 2.2 changes it unseen. Blind to halos fainter than its noise and "
-        "to a second source within the blur, and biased upwards where the MTF beyond half a cycle per pixel folds back."
+        "Single unsaturated point sources with little light beyond 8 px, at least 3 frames, linear response: a gamma "
+        "between 0.6 and 2.2 is not detected, nor are halos below the noise and a second source within the blur. "
+        "Biased upwards where the MTF beyond half a cycle per pixel is aliased."
     ),
 )
 def point_spread(
@@ -78,10 +78,10 @@ def point_spread(
         )
     spots, flags, missing = _spots(used, source, context)
     if "saturated" in flags:
-        return _nothing("the spot must stay below full scale: what is cut off has no transform", "saturated", common)
+        return _nothing("the spot must stay below full scale: clipped light has no transform", "saturated", common)
     light = spots.sum(axis=(1, 2))
     if light.mean() < LIMITS.min_light_sd * ACCURACY.lag_factor * light.std(ddof=1) / np.sqrt(len(light)):
-        return _nothing("no target: the spot's light does not stand out of its changes", "no-target", common)
+        return _nothing("no target: the spot's light is not significant over the frames", "no-target", common)
     places = _places(used.shape[1:], source, context)
     still = [finding(flag, EFFECTS[flag]) for flag in flags if flag in EFFECTS]
     findings = [*still, *motion_findings(tuple(flag for flag in flags if flag not in EFFECTS))]
@@ -183,7 +183,8 @@ def _direction(
             measurements.append(make_refusal(quantity, "cy/px", reason, **common))
             continue
         if np.interp(crossing, FREQUENCY, passed).min() < LIMITS.min_pinhole_mtf:
-            reason = f"a pinhole of {pinhole_px:g} px must pass {LIMITS.min_pinhole_mtf:g} of the contrast at the frequency found"
+            transmitted = f"{LIMITS.min_pinhole_mtf:g} of the contrast"
+            reason = f"a pinhole of {pinhole_px:g} px must transmit {transmitted} at this frequency"
             measurements.append(make_refusal(quantity, "cy/px", reason, **common))
             continue
         error = float(np.hypot(scale * crossing[1:].std(ddof=1), ACCURACY.crossing_factor * missing * crossing[0]))
