@@ -171,13 +171,13 @@ def _note_tolerance(found: Result, chosen: Method, within_percent: float) -> Res
 
 def _record_plane(found: Result, plane: str) -> Result:
     """Record the colour plane in the provenance."""
-    told = (
+    recorded = (
         m
         if m.provenance is None
         else m.with_(provenance=replace(m.provenance, settings={**m.provenance.settings, "plane": plane}))
         for m in found.measurements
     )
-    return replace(found, measurements=tuple(told))
+    return replace(found, measurements=tuple(recorded))
 
 
 def _require_valid_bars(bars: Any = None, frequency_cy_per_px: Any = None) -> None:
@@ -197,7 +197,7 @@ class LocatedTarget:
     """A located target: its region and the arguments for its method."""
 
     region: Region
-    told: dict[str, Any] = field(default_factory=dict)
+    requested: dict[str, Any] = field(default_factory=dict)
 
 
 @with_timing
@@ -247,7 +247,7 @@ def measure_all(
     results = []
     for done, one in enumerate(chosen):
         context.progress(f"{kind} in {one.region}", done / len(chosen))
-        results.append(measure(kind, stack, region=one.region, **asked, **{**target, **one.told}))
+        results.append(measure(kind, stack, region=one.region, **asked, **{**target, **one.requested}))
     together = _merge_results(results, chosen, len(found) - len(chosen), kind)
     if kind != "bars":
         return together
@@ -269,7 +269,7 @@ def targets(kind: str, stack: FrameStack, context: Context, **target: Any) -> li
             # The detector counts cycles per sample, the methods cycles per column pitch.
             LocatedTarget(
                 region=group.region,
-                told={
+                requested={
                     "bars": group.bars,
                     "frequency_cy_per_px": group.frequency_cy_per_px / ratio[group.orientation_deg],
                 },

@@ -185,12 +185,12 @@ def noise_on_slopes(frames: Array, level: Array, steep: Array, sides: NDArray[np
     shape = np.where(on_slope, steep, 0.0)
     moved = np.einsum("fij,ij->fi", left, shape) ** 2 / np.maximum(np.sum(shape**2, axis=1), 1e-300)
     slope = np.sum(square * on_slope, axis=1) - moved.sum(axis=0) / free
-    told = count >= LIMITS.min_slope_pixels
+    usable = count >= LIMITS.min_slope_pixels
     # The displacement of a row takes one degree of freedom.
     share = (count - 1) / np.maximum(count, 1)
     bright = np.where(on_slope, np.clip(level, 0.0, 1.0), 0.0).sum(axis=1) * share
     # Per row: variance on the slope, and the equivalent number of pixels at the dark and the bright level.
-    slope, bright, dark = ((told * one) for one in (slope, bright, count * share - bright))
+    slope, bright, dark = ((usable * one) for one in (slope, bright, count * share - bright))
     plateaus = [(np.sum(square * (sides == one), axis=1), np.count_nonzero(sides == one, axis=1)) for one in (1, 2)]
     parts = [slope, dark, bright, *(part for plateau in plateaus for part in plateau)]
     return _noise_ratio(np.stack([np.asarray(part, np.float64) for part in parts]))

@@ -71,9 +71,10 @@ def _cuts_noise(data: NDArray, values: NDArray, counts: NDArray, *, end: int) ->
     neighbours that stay.
     """
     inwards = values[::-1] if end else values
-    own, beside = counts[[-1, -2]] if end else counts[:2]
+    own, adjacent = counts[[-1, -2]] if end else counts[:2]
     if (
-        own < max(LIMITS.min_pile_pixels, 2 * LIMITS.pile_up_fraction * data.size, LIMITS.noisy_pile_up_ratio * beside)
+        own
+        < max(LIMITS.min_pile_pixels, 2 * LIMITS.pile_up_fraction * data.size, LIMITS.noisy_pile_up_ratio * adjacent)
         or values.size <= 12
     ):
         return False

@@ -22,7 +22,7 @@ class TargetMotion:
     ----------
     rms_px
         Root mean square displacement, noise subtracted, px.
-    p_value
+    chance
         Probability of such displacements without motion.
     """
 

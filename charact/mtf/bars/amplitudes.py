@@ -118,8 +118,8 @@ def _image_lag_factor(data: NDArray, window: NDArray[np.bool_], memory: ImageLag
     seen = frame_correlation(data, window)
     if memory is None:
         return seen
-    told = seen if len(data) >= ACCURACY.min_lag_frames else memory.widening
-    return max(told * memory.widening_of_sums / memory.widening, 1.0)
+    factor = seen if len(data) >= ACCURACY.min_lag_frames else memory.widening
+    return max(factor * memory.widening_of_sums / memory.widening, 1.0)
 
 
 def _frame_covariance(light: NDArray, turned: NDArray, lag: float) -> tuple[NDArray, float]:

@@ -252,12 +252,12 @@ def _measure_complete_target(
     ground = target_background(mean, target, margin)
     memory = None if context.sensor is None else image_lag_model(context, len(used.data))
     amplitudes = amplitudes_of(used.data, target, window, ground.beyond, memory)
-    told = target.frequency
+    reported = target.frequency
     if amplitudes.signal_to_noise > LIMITS.min_frequency_signal_sd:
         target = replace(target, frequency=measure_frequency(mean, target, margin))
         # The measured frequency is uncertain too: if it equals the stated one, the MTF is reported at that.
-        near = asked.frequency is not None and abs(target.frequency / told - 1.0) < LIMITS.frequency_tolerance
-        told = told if near else target.frequency
+        near = asked.frequency is not None and abs(target.frequency / reported - 1.0) < LIMITS.frequency_tolerance
+        reported = reported if near else target.frequency
         amplitudes = amplitudes_of(used.data, target, window, ground.beyond, memory)
     if context.sensor is not None:
         box = target.box(mean.shape, core_margin_px(wanted.frequency))
@@ -290,7 +290,9 @@ def _measure_complete_target(
             margin_px=margin,
         )
     inflation = amplitudes.frame_correlation
-    return _measure_by_fit(used, mean, target, ground.beyond | window, context, asked, (told, given, margin, inflation))
+    return _measure_by_fit(
+        used, mean, target, ground.beyond | window, context, asked, (reported, given, margin, inflation)
+    )
 
 
 def _measure_by_fit(
@@ -303,13 +305,13 @@ def _measure_by_fit(
     known: tuple[float, list[Finding], float, float],
 ) -> BarMeasurement | BarRefusal:
     """Fit a complete target to the pixels around it that have no other light."""
-    told, given, margin, inflation = known
+    reported, given, margin, inflation = known
     window = target.box(mean.shape, max(ACCURACY.fit_margin_px, ACCURACY.fit_margin_periods / target.frequency)) & clear
     problem = BarLikelihood(
         image=mean,
         window=window,
         variance=np.full(np.count_nonzero(window), float(mean[window].var()) or 1.0),
-        asked=told,
+        asked=reported,
         length_px=target.length_px,
         strip=False,
     )

@@ -130,9 +130,9 @@ def _is_noise_hidden(used: FrameStack, fit: BarFit) -> bool:
     )
 
 
-def motion_finding(wander: TargetMotion, frequency: float) -> Finding:
+def motion_finding(motion: TargetMotion, frequency: float) -> Finding:
     """Return the finding that the bars move between frames."""
-    effect = f"the bars move by {wander.rms_px:.2g} px rms: the MTF is {100 * wander.mtf_loss(frequency):.2g} % too low"
+    effect = f"the bars move by {motion.rms_px:.2g} px rms: the MTF is {100 * motion.mtf_loss(frequency):.2g} % too low"
     return Finding(flag="drift", effect=effect, remedy="a single frame, or a stationary target")
 
 
@@ -212,8 +212,8 @@ def _field_motion(apart_px: float, frequency: float) -> Finding:
 def light_in_standard_errors(fit: BarFit) -> float:
     """Return the bars' light in its standard uncertainties at fixed shape and position."""
     slope = fit.slope[[fit.names.index("level_dn"), fit.names.index("pedestal_dn")]]
-    weighed = slope / fit.noise.variance
-    estimator = np.asarray(np.linalg.solve(weighed @ slope.T, weighed), dtype=np.float64)
+    weighted = slope / fit.noise.variance
+    estimator = np.asarray(np.linalg.solve(weighted @ slope.T, weighted), dtype=np.float64)
     return abs(fit["level_dn"]) / float(np.sqrt(fit.noise.spread(estimator, fit.window)[0, 0]))
 
 

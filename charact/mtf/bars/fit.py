@@ -149,9 +149,9 @@ def _evaluate_point(picture: BarImageModel, theta: Array, pixel: float) -> _FitP
 def _gauss_newton_step(picture: BarImageModel, here: _FitPoint, bounds: Array) -> tuple[_FitPoint | None, float]:
     """Return a better point along the Gauss-Newton step, None if there is none, and the expected gain."""
     problem = picture.problem
-    weighed = here.slope / problem.variance
-    normal = weighed @ here.slope.T + np.diag(here.precision)
-    gradient = weighed @ (problem.image[problem.window] - here.model) + here.precision * (here.mean - here.theta)
+    weighted = here.slope / problem.variance
+    normal = weighted @ here.slope.T + np.diag(here.precision)
+    gradient = weighted @ (problem.image[problem.window] - here.model) + here.precision * (here.mean - here.theta)
     # Parameters without effect, such as the shape of bars without light, have no slope.
     felt = np.diag(normal)
     scale = 1.0 / np.sqrt(np.where(felt > 0.0, felt, 1.0))
@@ -167,10 +167,10 @@ def _fit_at(
     problem: BarLikelihood, target: BarTarget, picture: BarImageModel, here: _FitPoint, noise: BarWindowNoise | None
 ) -> BarFit:
     """Return the fit at a point with its covariance."""
-    weighed = here.slope / problem.variance
-    normal = weighed @ here.slope.T + np.diag(here.precision)
+    weighted = here.slope / problem.variance
+    normal = weighted @ here.slope.T + np.diag(here.precision)
     inverse = np.asarray(np.linalg.pinv(normal, rcond=1e-14, hermitian=True), dtype=np.float64)
-    estimator = inverse @ weighed
+    estimator = inverse @ weighted
     noise = noise or BarWindowNoise(variance=problem.variance, correlation=np.ones((1, 1)))
     spread = noise.spread(estimator, problem.window)
     point = dict(zip(problem.names, here.theta.tolist(), strict=True))
@@ -236,8 +236,8 @@ def fit_frames(
             noise = replace(noise, rounding=rounding_shifts(first.model_dn, noise.variance))
     # No pixel weighs more than the average one: unequal weights carry the noise of the first fit into the second.
     least = max(float(noise.variance.mean()), ACCURACY.min_variance * first["level_dn"] ** 2)
-    weighed = replace(problem, variance=np.maximum(noise.variance, least))
-    return fit_bars(weighed, target, first.values, noise), weighed
+    likelihood = replace(problem, variance=np.maximum(noise.variance, least))
+    return fit_bars(likelihood, target, first.values, noise), likelihood
 
 
 def fit_all_models(fit: BarFit, problem: BarLikelihood) -> list[tuple[float, BarFit, BarLikelihood]]:
@@ -274,13 +274,13 @@ def fit_all_models(fit: BarFit, problem: BarLikelihood) -> list[tuple[float, Bar
         fits.append((fit_bars(own, fit.target, start, fit.noise, hopeless=hopeless), own))
         least = min(least, fits[-1][0].cost)
     asked = min(one.cost for one, _ in fits[1:]) < fits[0][0].cost - LIMITS.min_model_preference_sd**2 * fit.noise.tied
-    weighed = [
+    weighted = [
         (share, *one) for share, one in zip(_weights(fits), fits, strict=True) if share > ACCURACY.min_model_weight
     ]
     if not asked:
         plain = (_weights(fits)[0], *fits[0])
-        return [plain, *(one for one in weighed if one[1] is not fits[0][0])]
-    return sorted(weighed, key=lambda one: -one[0])
+        return [plain, *(one for one in weighted if one[1] is not fits[0][0])]
+    return sorted(weighted, key=lambda one: -one[0])
 
 
 def _weights(fits: list[tuple[BarFit, BarLikelihood]]) -> list[float]:

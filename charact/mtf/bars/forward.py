@@ -141,12 +141,12 @@ def bars_forward(
         doubts.append(misfit_finding(f"the MTF must be at most 1, got {100 * found.mtf.mean() - 100:.1f} % more"))
     if found.mtf.mean() < LIMITS.min_mtf_sd * found.mtf.std():
         doubts.append(faintness_finding(float(found.mtf.mean()), float(found.mtf.std())))
-    wander = measure_bar_motion(used, found.target)
+    motion = measure_bar_motion(used, found.target)
     if (
-        wander.moves
-        and wander.mtf_loss(found.target.frequency) * found.mtf.mean() > MTF_LIMITS.max_motion_sd * found.mtf.std()
+        motion.moves
+        and motion.mtf_loss(found.target.frequency) * found.mtf.mean() > MTF_LIMITS.max_motion_sd * found.mtf.std()
     ):
-        doubts.append(motion_finding(wander, found.target.frequency))
+        doubts.append(motion_finding(motion, found.target.frequency))
     measurement = measurement_from_draws(
         "mtf",
         "1",

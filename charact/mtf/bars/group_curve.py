@@ -317,20 +317,22 @@ def fit_group_curve(measurements: Sequence[Measurement], *, context: Context) ->
 def _mtf50(curves: Array, groups: Sequence[Group], common: dict[str, Any]) -> Measurement:
     """Return MTF50 of drawn curves; refused where no group is near it."""
     crossing = crossing_frequency(FINE, curves, 0.5)
-    told = sorted({group.frequency for group in groups})
-    notes = [f"Through {len(groups)} groups of bars at {', '.join(f'{frequency:.3g}' for frequency in told)} cy/px."]
+    frequencies = sorted({group.frequency for group in groups})
+    notes = [
+        f"Through {len(groups)} groups of bars at {', '.join(f'{frequency:.3g}' for frequency in frequencies)} cy/px."
+    ]
     half = float(np.median(np.where(np.isfinite(crossing), crossing, FINE[-1])))
     if (
-        not told[0] / LIMITS.max_extrapolation < half < told[-1] * LIMITS.max_extrapolation
+        not frequencies[0] / LIMITS.max_extrapolation < half < frequencies[-1] * LIMITS.max_extrapolation
         or np.mean(~np.isfinite(crossing)) > LIMITS.max_lost_draws
     ):
         reason = (
             f"MTF50 must lie within a factor of {LIMITS.max_extrapolation:g} of the groups' frequencies, "
-            f"{told[0]:.3g} to {told[-1]:.3g} "
+            f"{frequencies[0]:.3g} to {frequencies[-1]:.3g} "
             f"cy/px, got about {half:.2g}"
         )
         return make_refusal("mtf50", "cy/px", reason, notes=tuple(notes), **common)
-    if not told[0] <= half <= told[-1]:
+    if not frequencies[0] <= half <= frequencies[-1]:
         notes.append(
             "MTF50 lies beyond the groups; it is extrapolated by the model exp(-(f/fc)^n) times the known transfer."
         )

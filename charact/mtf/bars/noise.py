@@ -154,11 +154,11 @@ def row_offset_variance(left: Array, height: Array, window: Mask) -> float:
         last = window.shape[1] - lag
         pairs = ground[:, :last] & ground[:, lag:]
         products.append(np.mean(left[:, :, :last] * left[:, :, lag:], axis=0)[pairs])
-    told = np.concatenate(products)
-    if told.size < ACCURACY.min_background_pixels:
+    covariances = np.concatenate(products)
+    if covariances.size < ACCURACY.min_background_pixels:
         return 0.0
-    mean = float(told.mean())
-    return mean if mean > LIMITS.min_row_noise_sd * float(told.std()) / np.sqrt(told.size) else 0.0
+    mean = float(covariances.mean())
+    return mean if mean > LIMITS.min_row_noise_sd * float(covariances.std()) / np.sqrt(covariances.size) else 0.0
 
 
 def variance_of(level: Array, square: Array) -> Array:

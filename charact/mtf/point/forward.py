@@ -162,7 +162,7 @@ def _posterior(found: PointFit, context: Context) -> Posterior:
         "start": found.point,
         "covariance": found.covariance,
         "seed": context.seed,
-        "bounds": prior.bounds[prior.chosen],
+        "bounds": prior.bounds[prior.free_index],
     }
     if context.quick:
         return importance_sample(
@@ -324,7 +324,7 @@ def _noise_nonlinearity(found: PointFit, window: Window, context: Context) -> Sp
 def _is_at_prior_bound(found: PointFit, context: Context) -> bool:
     """Return whether the core is at a bound or far from the sensor description."""
     prior = found.model.prior
-    chosen = prior.chosen
+    chosen = prior.free_index
     point = dict(zip(prior.free, found.point, strict=True))
     low, high = prior.bounds[chosen].T
     if np.any((np.abs(found.point - low) < 1e-6) | (np.abs(found.point - high) < 1e-6), where=_core(prior.free)):

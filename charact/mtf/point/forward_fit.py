@@ -45,7 +45,7 @@ class PulseNoise:
 def pulse_covariance(model: PointModel, point: Array, share: float) -> Array:
     """Return the covariance of unit light at unit gain for a fraction of blur after the gain, shape (pixel, pixel)."""
     fx, fy = model.grid
-    p = {name: float(value[0]) for name, value in model.prior.named(point[None]).items()}
+    p = {name: float(value[0]) for name, value in model.prior.values_by_name(point[None]).items()}
     square = fx**2 + fy**2
     tube = np.exp(p["exponent"] * (0.5 * np.log(square) - p["ln_cut_off"]))
     gauss = (np.pi * p["blur_px"]) ** 2 * square
@@ -85,7 +85,7 @@ def _shapes(model: PointModel, point: Array, transfer: Array, places: Array, kee
 
 def near_pixels(model: PointModel, point: Array) -> NDArray[np.int64]:
     """Return the pixels near the source, which have nearly all of its noise."""
-    p = model.prior.named(point[None])
+    p = model.prior.values_by_name(point[None])
     x, y = np.broadcast_arrays(model.x - p["x_px"], (model.y - p["y_px"])[:, None])
     return np.flatnonzero((np.hypot(x, y) < ACCURACY.noise_radius_px).ravel())
 
@@ -227,21 +227,21 @@ def fit(window: Window, context: Context, optics: KnownPointOptics) -> PointFit 
 
 def _fit_other_prior(found: PointFit, prior: PointPrior) -> PointFit:
     """Return the optimum under another prior with the weights of a fit, for comparison."""
-    at = {name: float(value[0]) for name, value in found.model.prior.named(found.point[None]).items()}
+    at = {name: float(value[0]) for name, value in found.model.prior.values_by_name(found.point[None]).items()}
     other = replace(found, model=replace(found.model, prior=prior))
     starts = np.array([
         [at[name] if name in found.model.prior.free else share * prior.centre[NAMES.index(name)] for name in prior.free]
         for share in (0.3, 1.0, 2.0)
     ])  # fmt: skip
     start = starts[int(np.argmax(other.log_probability(starts)))]
-    point, covariance = find_maximum(other.log_probability, start, prior.bounds[prior.chosen])
+    point, covariance = find_maximum(other.log_probability, start, prior.bounds[prior.free_index])
     return _fit_at(other, point, covariance, found.noise)
 
 
 def _evidence(found: PointFit) -> float:
     """Return ln evidence by Laplace's approximation, up to a constant common to fits of the same weights."""
     prior = found.model.prior
-    spread = prior.spread[prior.chosen]
+    spread = prior.spread[prior.free_index]
     known = np.isfinite(spread)
     height = float(found.log_probability(found.point[None])[0])
     volume = 0.5 * float(np.linalg.slogdet(2.0 * np.pi * found.covariance)[1])
@@ -258,7 +258,7 @@ def _fit(window: Window, context: Context, optics: KnownPointOptics, prior: Poin
     for turn in range(ACCURACY.noise_turns):
         if not np.isfinite(found.log_probability(point[None])[0]):
             return None
-        point, covariance = find_maximum(found.log_probability, point, prior.bounds[prior.chosen])
+        point, covariance = find_maximum(found.log_probability, point, prior.bounds[prior.free_index])
         found = _fit_at(found, point, covariance, noise)
         if found.light <= 0:
             return None
@@ -284,7 +284,7 @@ def _shares(context: Context, turn: int) -> tuple[float | None, ...]:
 
 def _first(model: PointModel, window: Window) -> Array:
     """Return the starting point: the centre of light."""
-    start = model.prior.centre[model.prior.chosen].copy()
+    start = model.prior.centre[model.prior.free_index].copy()
     start[0], start[1] = window.centre
     return start
 

@@ -91,11 +91,11 @@ class PointPrior:
         return 0.5 * (self.below + self.above)
 
     @property
-    def chosen(self) -> NDArray[np.int64]:
+    def free_index(self) -> NDArray[np.int64]:
         """Indices of the fitted parameters among all."""
         return np.array([NAMES.index(name) for name in self.free])
 
-    def named(self, theta: Array) -> dict[str, Array]:
+    def values_by_name(self, theta: Array) -> dict[str, Array]:
         """Return every parameter by name, shape (n,) each, fixed ones (1,)."""
         held = {name: self.centre[index : index + 1] for index, name in enumerate(NAMES)}
         return held | {name: theta[:, index] for index, name in enumerate(self.free)}
@@ -107,7 +107,7 @@ class PointPrior:
 
     def log_density(self, theta: Array) -> Array:
         """Return ln of the density, -inf outside the bounds, shape (n,)."""
-        chosen = self.chosen
+        chosen = self.free_index
         low, high = self.bounds[chosen].T
         inside = np.all((theta >= low) & (theta <= high), axis=1)
         away = theta - self.centre[chosen]
@@ -218,11 +218,11 @@ class KnownPointOptics:
     pinhole_px: float
     top: float
 
-    def fixed(self, fx: Array, fy: Array) -> Array:
+    def aperture_transfer(self, fx: Array, fy: Array) -> Array:
         """Return the transfer of pixel and pinhole at frequencies along rows and columns, real."""
         return np.sinc(fx * self.width_px) * np.sinc(fy * self.height_px) * pinhole(np.hypot(fx, fy), self.pinhole_px)
 
-    def filtered(self, frequency: Array) -> NDArray[np.complex128]:
+    def video_transfer(self, frequency: Array) -> NDArray[np.complex128]:
         """Return the described video filter without its delay, shape (frequency,), complex."""
         return np.ones(frequency.shape, complex) if self.video is None else self.video(frequency)
 
@@ -277,7 +277,7 @@ class PointModel:
     def _video_lines(self) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
         """The video filter at the columns' frequencies, and its derivatives by ln bandwidth."""
         at = self.grid[0]
-        return self.optics.filtered(at), self.optics.bend(at)
+        return self.optics.video_transfer(at), self.optics.bend(at)
 
     @cached_property
     def _waves(self) -> tuple[Array, Array, Array, Array]:
@@ -296,7 +296,7 @@ class PointModel:
     def aperture_on_grid(self) -> Array:
         """Pixel and pinhole at the grid's frequencies, with the integration weights, shape (fy, fx)."""
         fx, fy = self.grid
-        return 4.0 / ACCURACY.image_period_px**2 * self.optics.fixed(fx, fy)
+        return 4.0 / ACCURACY.image_period_px**2 * self.optics.aperture_transfer(fx, fy)
 
     @cached_property
     def _rings(self) -> tuple[Array, "HaloTable", Array]:
@@ -309,7 +309,7 @@ class PointModel:
 
     def modulus(self, theta: Array, fx: Array, fy: Array, halo: "HaloTable | None" = None) -> Array:
         """Return the transfer without pixel and video filter at frequencies (...), shape (n, ...)."""
-        p = self.prior.named(theta)
+        p = self.prior.values_by_name(theta)
         shape = (slice(None), *(None,) * np.broadcast(fx, fy).ndim)
         stretch = np.exp(p["stretch"])[shape]
         square = fx**2 * stretch + fy**2 / stretch
@@ -329,7 +329,7 @@ class PointModel:
         """Return the transfer of direct and scattered photoelectrons, shape (n, ...) as the table's."""
         if self.prior.halo_px is None:
             return np.ones((len(theta), *(1,) * (table.elastic.ndim - 1)))
-        p = self.prior.named(theta)
+        p = self.prior.values_by_name(theta)
         share = self.prior.halo_fraction(p["halo_deviate"])
         return table(share, p["halo_diameter_px"], p["halo_elastic_share"])
 
@@ -340,7 +340,7 @@ class PointModel:
 
     def image(self, theta: Array, transfer: Array) -> Array:
         """Return the image of transfers given at the grid's frequencies with its weights, shape (n, row, col)."""
-        p = self.prior.named(theta)
+        p = self.prior.values_by_name(theta)
         line, lines = self.grid[0], self.grid[1][:, 0]
         described, bend = self._video_lines
         filtered = described * np.exp(powers(p["ln_bandwidth"]) @ bend)
@@ -357,7 +357,7 @@ class PointModel:
         The omitted frequencies hold less than `NEGLIGIBLE` of the image's height along every axis of the posterior, out
         to `MARGIN_SD`.
         """
-        walls = self.prior.bounds[self.prior.chosen]
+        walls = self.prior.bounds[self.prior.free_index]
         away = ACCURACY.frequency_margin_sd * covariance_root(covariance).T
         places = np.clip(np.concatenate([point[None], point + away, point - away]), walls[:, 0], walls[:, 1])
         fx, fy = self.grid
@@ -381,12 +381,12 @@ class PointModel:
 
     def mtf(self, theta: Array, frequency: Array, *, vertical: bool) -> Array:
         """Return the camera's MTF along rows or along columns, without pinhole, shape (n, frequency)."""
-        p = self.prior.named(theta)
+        p = self.prior.values_by_name(theta)
         f = np.maximum(frequency, 1e-7)
         none = np.zeros_like(f)
         if vertical:
             return self.modulus(theta, none, f) * np.abs(np.sinc(f * self.optics.height_px))
-        video = np.abs(self.optics.filtered(f)) * np.exp(powers(p["ln_bandwidth"]) @ self.optics.bend(f).real)
+        video = np.abs(self.optics.video_transfer(f)) * np.exp(powers(p["ln_bandwidth"]) @ self.optics.bend(f).real)
         return self.modulus(theta, f, none) * np.abs(np.sinc(f * self.optics.width_px)) * video
 
 

@@ -107,8 +107,8 @@ def point_parametric(
     # The noise of a single frame's light is poorly known; there the detection decides.
     weak = best.light < LIMITS.min_light_sd * point_distrust.light_sd(fitter, best)
     if (weak.any() and sites[0].window.frames > 1) or (best.light <= 0).any():
-        beside = sum(len(site.window.neighbours) for site in sites)
-        crowd = f"; {beside} neighbours interfere, use --roi around an isolated one" if beside else ""
+        n_neighbours = sum(len(site.window.neighbours) for site in sites)
+        crowd = f"; {n_neighbours} neighbours interfere, use --roi around an isolated one" if n_neighbours else ""
         return task.nothing(
             f"no target: the light must be at least {LIMITS.min_light_sd:g} standard uncertainties{crowd}", "no-target"
         )
@@ -288,9 +288,9 @@ def _model_figure_data(site: SourcePixels, fitter: PointFitter, fit: BlurModelFi
     """Return the figure data of the most probable model for the first source, with the estimated quantisation shift."""
     pixels, light, background = fitter.pixels[0], float(fit.light[0]), site.background()
     lit = light * (site.matrix() @ fitter.nodes(fit.form, fit.point[None])[0])
-    white = pixels.root @ background[site.used]
-    level = np.linalg.lstsq(white, pixels.root @ (site.values - lit)[site.used], rcond=None)[0]
-    mean, used = lit + background @ level, site.used
+    white = pixels.root @ background[site.value_mask]
+    level = np.linalg.lstsq(white, pixels.root @ (site.values - lit)[site.value_mask], rcond=None)[0]
+    mean, used = lit + background @ level, site.value_mask
     left = pixels.root.T @ (pixels.root @ (site.values - mean)[used])
     mean[used] += pixels.rounding @ left
     core, rings = np.split(mean, [site.window.core.size])
@@ -346,8 +346,8 @@ def _notes(
             out.append("Wells may fill before the digitiser clips; use less light.")
             lost = sum(int(np.count_nonzero(~site.window.keep)) for site in sites) - cut
             out.append(f"{lost} pixels after full scale, which the video filter affects, are excluded.")
-    if beside := sum(len(site.window.neighbours) for site in sites):
-        out.append(f"{beside} neighbours of the source are masked; the light of close ones is fitted too.")
+    if n_neighbours := sum(len(site.window.neighbours) for site in sites):
+        out.append(f"{n_neighbours} neighbours of the source are masked; the light of close ones is fitted too.")
     if pinhole == 0.0:
         out.append("The source is assumed to be a point; the size of a pinhole lowers the MTF.")
     if all(one.fit.form.wide is None for one in found):

@@ -54,18 +54,18 @@ class SurroundingsNoise:
 
 
 def measure_surroundings_noise(
-    data: NDArray, row: int, col: int, beside: NDArray[np.bool_] | bool = False
+    data: NDArray, row: int, col: int, neighbours: NDArray[np.bool_] | bool = False
 ) -> SurroundingsNoise:
     """Return the noise far from a source, from frame differences, or in one frame from its own scatter.
 
-    `beside` marks pixels of other sources, shape (row, col).
+    `neighbours` marks pixels of other sources, shape (row, col).
     """
     rows, cols = data.shape[1:]
     distance = np.hypot(*np.ogrid[-row : rows - row, -col : cols - col])
     far = (
         (distance > min(ACCURACY.noise_distance_px, ACCURACY.noise_distance_fraction * float(distance.max())))
         & (distance < 4.0 * ACCURACY.noise_distance_px)
-        & ~np.asarray(beside)
+        & ~np.asarray(neighbours)
     )
     frames = data[: ACCURACY.max_noise_frames].astype(float)
     if len(frames) > 1:
@@ -77,7 +77,7 @@ def measure_surroundings_noise(
         every = fitted[0] + fitted[1] * np.arange(rows)[:, None] + fitted[2] * np.arange(cols)
         off, freedom = frames - every, 1.0
     rounding = 1e-3 if data.dtype.kind in "ui" else 1e-12 * max(float(np.abs(frames).max()), 1e-6) ** 2
-    if len(frames) == 1 and np.any(beside):
+    if len(frames) == 1 and np.any(neighbours):
         # Light of neighbours would resemble correlated noise: use the lower quantiles.
         low, high = np.quantile(off[0, far], ACCURACY.background_quantiles)
         return SurroundingsNoise(variance=max(float((high - low) / ACCURACY.background_quantile_sd) ** 2, rounding))
@@ -256,10 +256,10 @@ def fit_pulses(
         weight /= weight.sum()
         ln = np.log(gains)
         spread = float(weight @ (ln - weight @ ln) ** 2)
-        values_told = max(2.0 / max(spread, 1e-9), ACCURACY.min_gain_values)
+        n_values = max(2.0 / max(spread, 1e-9), ACCURACY.min_gain_values)
         median = float(np.exp(np.interp(0.5, np.cumsum(weight), ln)))
         odds = np.log(len(units) - 1.0) if number and len(units) > 1 else 0.0
-        found.append((float(fit.max()) - odds, median * values_told / (values_told - 2.0)))
+        found.append((float(fit.max()) - odds, median * n_values / (n_values - 2.0)))
     best = int(np.argmax([fit for fit, _ in found]))
     return Pulses(gain=found[best][1], unit=units[best])
 

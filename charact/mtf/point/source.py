@@ -67,7 +67,7 @@ def detect_source(data: NDArray, pitch_ratio: float) -> DetectedSource | str:
         crowd = "; neighbours or a nonuniform background interfere" if over > LIMITS.min_height_sd * bare else ""
         return f"no target: the brightest spot is {stands}{crowd}"
     least = max(LIMITS.min_height_sd * spread, LIMITS.min_other_height * height)
-    (row, col), *beside = _peaks(steady, level, least)
+    (row, col), *peaks = _peaks(steady, level, least)
     significance = (float(steady[row, col]) - level) / spread
     steadiness = float(_steadiness(smooth[:, row, col] - level, spread))
     if steadiness < LIMITS.min_steadiness_sd:
@@ -76,7 +76,7 @@ def detect_source(data: NDArray, pitch_ratio: float) -> DetectedSource | str:
         return f"no target: the brightest spot is {stands}"
     high = _surroundings(steady.shape, row, col, pitch_ratio) & (steady - level > least)
     others = bool(high.any() and _steadiness(smooth[:, high] - level, spread).max() >= LIMITS.min_steadiness_sd)
-    steady_ones = tuple(at for at in beside if _steadiness(smooth[:, *at] - level, spread) >= LIMITS.min_steadiness_sd)
+    steady_ones = tuple(at for at in peaks if _steadiness(smooth[:, *at] - level, spread) >= LIMITS.min_steadiness_sd)
     return DetectedSource(row=row, col=col, significance=significance, others=others, neighbours=steady_ones)
 
 
@@ -98,7 +98,7 @@ def _peaks(steady: Array, level: float, least: float) -> list[tuple[int, int]]:
     apart = {place: min([LIMITS.isolated_px, *(float(np.hypot(*np.subtract(place, o))) for o in peaks if o != place)])
              for place in bright}  # fmt: skip
     row, col = min(bright, key=lambda place: (-apart[place], float(np.hypot(*(np.array(place) - middle)))))
-    beside = [
+    others = [
         place for place in peaks
         if np.hypot(place[0] - row, place[1] - col) >= LIMITS.min_peak_distance_px
         and _saddle(steady, place, (row, col)) - level
@@ -108,9 +108,9 @@ def _peaks(steady: Array, level: float, least: float) -> list[tuple[int, int]]:
     own = [
         place
         for place in peaks
-        if place not in beside and np.hypot(place[0] - row, place[1] - col) < LIMITS.min_peak_distance_px
+        if place not in others and np.hypot(place[0] - row, place[1] - col) < LIMITS.min_peak_distance_px
     ]
-    return [max(own, key=lambda place: float(steady[place])), *beside]
+    return [max(own, key=lambda place: float(steady[place])), *others]
 
 
 def _saddle(steady: Array, one: tuple[int, int], other: tuple[int, int]) -> float:

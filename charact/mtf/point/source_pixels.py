@@ -66,7 +66,7 @@ class SourcePixels:
         return np.flatnonzero((np.hypot(x, y[:, None]) < ACCURACY.pulse_radius_px).ravel() & self.window.keep.ravel())
 
     @property
-    def used(self) -> NDArray[np.bool_]:
+    def value_mask(self) -> NDArray[np.bool_]:
         """Valid values among core pixels and rings, shape (value,)."""
         return np.append(self.window.keep.ravel(), np.ones(self.window.ring_dn.size, bool))
 
@@ -115,7 +115,7 @@ def position_source(site: SourcePixels) -> tuple[SourcePixels, float]:
     top = max(float(height.max()), 1e-12)
     variance = site.dark.variance + ACCURACY.first_relative_sd * height * top + (ACCURACY.first_relative_sd * top) ** 2
     sd = np.append(np.sqrt(variance / site.window.frames), np.sqrt(site.ring_variance()))
-    used = site.used
+    used = site.value_mask
     site = replace(site, place=site.window.centre)
     flat = site.background()[used] / sd[used, None]
     data = site.values[used] / sd[used]
@@ -286,7 +286,7 @@ def whiten_source(site: SourcePixels, transfer: Array, light: float) -> Whitened
     light
         Approximate light, DN px^2.
     """
-    used, size = site.used, site.window.core.size
+    used, size = site.value_mask, site.window.core.size
     matrix, level = site.matrix(), site.background()
     mean = light * (matrix @ transfer.ravel())
     slopes = np.zeros((used.size, 2))
@@ -321,7 +321,7 @@ def _neighbours(site: SourcePixels, transfer: Array) -> Array:
         core = pictures(site.aperture, transfer, window.x - at[0], window.y - at[1])[:3]
         rings = ring_matrix(site.aperture, ring_px) @ transfer.ravel()
         columns += [np.append(core[0], rings), *(np.append(one, np.zeros(rings.size)) for one in core[1:])]
-    return np.stack(columns, axis=1) if columns else np.empty((site.used.size, 0))
+    return np.stack(columns, axis=1) if columns else np.empty((site.value_mask.size, 0))
 
 
 def _pixels_at_full_scale(
@@ -330,14 +330,14 @@ def _pixels_at_full_scale(
 ) -> Censored:  # fmt: skip
     """Return the clipped pixels, with the background and position of the others."""
     size = hidden.size
-    beside = nuisance[:size][hidden]
-    level = beside @ (back @ data)
+    linear = nuisance[:size][hidden]
+    level = linear @ (back @ data)
     cut = site.cut[:, hidden]
     left = np.sum(~cut, axis=0)
     mean = np.sum(np.where(cut, 0.0, site.frames[:, hidden]), axis=0) / np.maximum(left, 1)
     assert site.full_scale_dn is not None
     return Censored(
-        matrix=matrix[:size][hidden] - beside @ (back @ raw),
+        matrix=matrix[:size][hidden] - linear @ (back @ raw),
         limit=LIMITS.full_fraction * site.full_scale_dn - level,
         sd=np.sqrt(np.diag(whole)[:size][hidden] * site.window.frames),
         cut=cut.sum(axis=0).astype(float),

@@ -277,8 +277,8 @@ def _ring_noise(sectors: list[Array], pixels: Array, borders: Array) -> tuple[Ar
     variance = (weight @ (count * by_pixel)) / (weight @ count) / pixels + 1e-6
     width = np.diff(borders, axis=1)[:, 0]
     touch = np.isclose(borders[1:, 0], borders[:-1, 1])
-    beside = np.where(touch, reach / np.sqrt(width[1:] * width[:-1]), 0.0)
-    return variance, np.eye(count.size) + np.diag(beside, 1) + np.diag(beside, -1)
+    adjacent = np.where(touch, reach / np.sqrt(width[1:] * width[:-1]), 0.0)
+    return variance, np.eye(count.size) + np.diag(adjacent, 1) + np.diag(adjacent, -1)
 
 
 def rounding_note(window: Window) -> list[str]:

@@ -82,7 +82,10 @@ def test_intervals_hold_the_truth_also_of_cores_beyond_full_scale(seed, full_sca
 def test_a_core_at_full_scale_is_counted_and_told(seed):
     stack = SpotCamera(full_scale_dn=110.0).taken(Spot(width=1.2), np.random.default_rng(seed))
     cut = np.count_nonzero((stack.data >= 0.97 * 110.0).any(axis=0))
-    assert f"{cut} pixels at full scale are treated as lower limits." in level(point_parametric(stack, context=QUICK)).notes
+    assert (
+        f"{cut} pixels at full scale are treated as lower limits."
+        in level(point_parametric(stack, context=QUICK)).notes
+    )
 
 
 def test_pixels_of_which_only_a_least_value_is_known_weigh_by_the_tail_beyond_it():
