@@ -1,17 +1,21 @@
 """MTF curves and crossing frequencies from posterior draws."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata.measurement import QUANTILES, Curve, Measurement
+from labdata.measurement import QUANTILES, Curve, Measurement, Posterior, make_refusal, measurement_from_draws
 
 Array = NDArray[np.float64]
 
 # Frequencies of a reported curve, and the finer grid for crossing frequencies, cy/px.
 REPORTED = np.linspace(0.0, 0.5, 101)
 FINE = np.concatenate([[1e-6], np.geomspace(0.003, 1.5, 230)])
+# Frequencies at which the MTF is reported as a quantity of its own, cy/px.
+PINNED = (0.1, 0.2, 0.3)
+LEVELS = {"mtf50": 0.5, "mtf10": 0.1}
 
 
 def curve_of(frequency: Array, draws: Array) -> Curve:
@@ -56,11 +60,15 @@ def crossing_frequency(frequency: Array, curves: Array, level: float) -> Array:
     return np.where(found, crossing, np.nan)
 
 
-# Frequencies at which the MTF is reported as a quantity of its own, cy/px.
-PINNED = (0.1, 0.2, 0.3)
-
-
-LEVELS = {"mtf50": 0.5, "mtf10": 0.1}
+def crossing_measurement(quantity: str, curves: Array, posterior: Posterior, common: dict[str, Any]) -> Measurement:
+    """Return MTF50 or MTF10 of drawn curves at `FINE`; refused where over 2 % of them do not fall to the level."""
+    level = LEVELS[quantity]
+    draws = crossing_frequency(FINE, curves, level)
+    lost = float(np.mean(~np.isfinite(draws)))
+    if lost > 0.02:
+        reason = f"the MTF must fall to {level:g} below {FINE[-1]:.1f} cy/px; {100 * lost:.0f} % of its draws do not"
+        return make_refusal(quantity, "cy/px", reason, **common)
+    return measurement_from_draws(quantity, "cy/px", draws[np.isfinite(draws)], posterior=posterior, **common)
 
 
 def flag_filter_uncertainty(

@@ -1,7 +1,7 @@
 """Entry points of the MTF methods: method choice, argument checks and notes."""
 
 from collections import Counter, defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -56,6 +56,7 @@ def _distinct_indices(stack: FrameStack) -> list[int]:
 FOR_DESCRIBED_CAMERAS = {"edge": "edge-forward", "point": "point-forward"}
 # Fallback of `auto` where the data reject every blur model of the first method.
 WITHOUT_MODEL = {"edge-parametric": "edge-free"}
+NO_MODEL = "No blur model fits this edge; it was measured without one, with a wider interval."
 
 
 def measure(
@@ -107,8 +108,8 @@ def measure(
     if method == "auto" and chosen.name in WITHOUT_MODEL and _is_model_rejected(first, chosen):
         chosen = choose(kind, WITHOUT_MODEL[chosen.name])
         without = chosen.function(counted, region=region, context=context, **target)
-        first = _note_without_model(without) if without.find(chosen.quantities[0]) else first
-    found = _with_notes(first, counted, stack)
+        first = _add_notes(without, (NO_MODEL,)) if without.find(chosen.quantities[0]) else first
+    found = _add_notes(first, counted.notes[len(stack.notes) :])
     if method == "auto":
         found = _note_tolerance(found, chosen, within_percent)
     return found if stack.plane == "mono" else _record_plane(found, stack.plane)
@@ -117,11 +118,6 @@ def measure(
 def _is_model_rejected(found: Result, chosen: Method) -> bool:
     """Return whether the data reject the blur model of a method."""
     return any("model-misfit" in one.flags for one in found.find(chosen.quantities[0]))
-
-
-def _note_without_model(found: Result) -> Result:
-    note = "No blur model fits this edge; it was measured without one, with a wider interval."
-    return replace(found, measurements=tuple(one.with_(notes=(*one.notes, note)) for one in found.measurements))
 
 
 def measure_flats(session: Session, *, method: str = "auto", within_percent: float = 2.0, context: Context) -> Result:
@@ -147,37 +143,38 @@ def measure_flats(session: Session, *, method: str = "auto", within_percent: flo
     return chosen.function(session, context=context)
 
 
-def _with_notes(found: Result, counted: FrameStack, given: FrameStack) -> Result:
-    """Add the notes on frames that do not count, unless the method passed them on."""
-    notes = counted.notes[len(given.notes) :]
+def _change_each(found: Result, change: Callable[[Measurement], Measurement]) -> Result:
+    return replace(found, measurements=tuple(change(one) for one in found.measurements))
 
-    def add_notes(one: Measurement) -> Measurement:
-        return one.with_(notes=(*one.notes, *(note for note in notes if note not in one.notes)))
 
-    return replace(found, measurements=tuple(add_notes(one) for one in found.measurements)) if notes else found
+def _add_notes(found: Result, notes: Sequence[str]) -> Result:
+    """Add notes to every measurement, unless it has them."""
+    return _change_each(
+        found, lambda one: one.with_(notes=(*one.notes, *(note for note in notes if note not in one.notes)))
+    )
 
 
 def _note_tolerance(found: Result, chosen: Method, within_percent: float) -> Result:
     """Add a note to measurements of the charted quantity whose interval exceeds the tolerance."""
 
-    def note_one(one: Measurement) -> Measurement:
+    def add_note(one: Measurement) -> Measurement:
         if one.quantity != chosen.quantities[0] or one.status == "refused":
             return one
         note = beyond_note(one, within_percent)
         return one if note is None else one.with_(notes=(*one.notes, note))
 
-    return replace(found, measurements=tuple(note_one(one) for one in found.measurements))
+    return _change_each(found, add_note)
 
 
 def _record_plane(found: Result, plane: str) -> Result:
     """Record the colour plane in the provenance."""
-    recorded = (
-        m
-        if m.provenance is None
-        else m.with_(provenance=replace(m.provenance, settings={**m.provenance.settings, "plane": plane}))
-        for m in found.measurements
-    )
-    return replace(found, measurements=tuple(recorded))
+
+    def add_plane(one: Measurement) -> Measurement:
+        if one.provenance is None:
+            return one
+        return one.with_(provenance=replace(one.provenance, settings={**one.provenance.settings, "plane": plane}))
+
+    return _change_each(found, add_plane)
 
 
 def _require_valid_bars(bars: Any = None, frequency_cy_per_px: Any = None) -> None:

@@ -14,8 +14,7 @@ from charact.mtf.thresholds import ACCURACY, LIMITS
 
 Array = NDArray[np.float64]
 
-# Before the data: the probability that a response is curved, and by how much then, as a standard deviation at a
-# contrast of one.
+# Prior probability of a nonlinear response, and the standard deviation of its curvature at a contrast of one.
 CURVED, CURVED_SD = 0.25, 0.65
 
 
@@ -78,9 +77,9 @@ def curvatures(
     return np.where(bends, drawn, 0.0)
 
 
-# How often noise is all read-out's, and the deviation of 1 - 1/g for responses of exponent g.
+# Prior probability that noise is read-out noise, and the standard deviation of 1 - 1/g for exponents g.
 READ_OUT, BENDING = 0.5, 0.4
-# Most that noise may count for or against a curved response, ln: a picture may have been processed otherwise.
+# Limit of the noise's ln Bayes factor: frames may have been processed.
 MAX_LN_BAYES_FACTOR = np.log(10.0)
 
 

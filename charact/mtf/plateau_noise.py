@@ -13,7 +13,7 @@ from charact.mtf.thresholds import ACCURACY, LIMITS
 
 Array = NDArray[np.float64]
 
-# Lags along a row: of neighbours, and of pixels so far apart that only what a row has in common ties them.
+# Lags along a row: of neighbours, and of distant pixels, which have only row noise in common.
 LAGS_PX = (1, 8, 9, 10)
 
 

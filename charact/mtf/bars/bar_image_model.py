@@ -196,10 +196,9 @@ NAMES = (
     "along_px", "angle_rad", "level_dn", "pedestal_dn", "slope_across", "slope_along",
 )  # fmt: skip
 ALONG = ("log_length", "along_px")
-# Priors, standard deviations: the bars' frequency is known to a few percent (STANAG 4349: 5 %), their length to a
-# third.
+# Prior standard deviations: frequency (STANAG 4349: 5 %) and length, relative.
 FREQUENCY_SD, LENGTH_SD = 0.02, 0.35
-# How far a transfer may depart from the family at the bars' frequency: share of itself, and of the whole.
+# Prior standard deviation of the model departure: relative to the transfer, and absolute.
 DEPARTURE_SD, DEPARTURE_FLOOR = 0.015, 0.002
 BOUNDS = {
     "log_attenuation": (-9.0, 2.3),

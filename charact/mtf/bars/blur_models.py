@@ -16,9 +16,9 @@ Array = NDArray[np.float64]
 Bounds = tuple[float, float]
 Normal = tuple[float, float]
 
-# Transfers under this are none.
+# Smaller transfers count as zero.
 MIN_LN = -60.0
-# Places in ln of a frequency at which a form is tabulated, and the steps of its slopes.
+# Nodes of a model's table in ln frequency, and the step of its derivatives.
 PLACES, STEP = np.linspace(-9.0, 6.0, 1501), 1e-3
 NONE: Normal = (0.0, 1e-3)
 

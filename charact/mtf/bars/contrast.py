@@ -1,6 +1,6 @@
-"""Contrast of the mean profile times pi/4, as read by eye."""
+"""Contrast methods for bar targets: contrast of the mean profile, Coltman's first term."""
 
-from collections.abc import Mapping
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -13,13 +13,12 @@ from charact.mtf.bars.target import BarTarget, fitting_margin
 from charact.mtf.bars.thresholds import ACCURACY, LIMITS
 from charact.mtf.mean_frame import Region
 from charact.mtf.quantisation_checks import clipping_flags
-from labdata.errors import BadInput
 from labdata.frames import FrameStack
 from labdata.measurement import Provenance, Result, make_refusal, measurement_from_sd
 
 Array = NDArray[np.float64]
 
-CONTRAST = "bars-contrast"
+CONTRAST, COLTMAN = "bars-contrast", "bars-coltman"
 
 
 @register(
@@ -57,25 +56,42 @@ def bars_contrast(
     the cut-off.
     """
     used = stack if region is None else stack.region(*region)
-    where = region or (0, 0, *used.shape[1:])
-    common: dict[str, Any] = {
-        "method": CONTRAST,
-        "region": where,
-        "frequency_cy_per_px": frequency_cy_per_px,
-        "provenance": Provenance(version=charact.__version__, seed=context.seed, settings={"bars": bars}),
-    }
+    return _measure(
+        CONTRAST, used, lambda mean, seen: _profile_contrast(mean, seen.target), LIMITS.min_contrast_sd,
+        reason="no target: no significant bar contrast; state --bars and --frequency",
+        note="Contrast reading, for comparison only.", full_scale_dn=context.full_scale_dn,
+        region=region or (0, 0, *used.shape[1:]), bars=bars, frequency=frequency_cy_per_px, context=context,
+    )  # fmt: skip
+
+
+def _measure(
+    method: str,
+    used: FrameStack,
+    read: Callable[[Array, LocatedBars], tuple[float, float] | None],
+    min_sd: float,
+    *,
+    reason: str,
+    note: str,
+    full_scale_dn: float | None,
+    region: Region,
+    bars: int | None,
+    frequency: float | None,
+    context: Context,
+) -> Result:
+    """Return the measurement of a reading, value and standard uncertainty, of the mean frame with bright bars."""
+    provenance = Provenance(version=charact.__version__, seed=context.seed, settings={"bars": bars})
+    common: dict[str, Any] = {"method": method, "region": region, "provenance": provenance}
     mean = used.data.mean(axis=0, dtype=np.float64)
-    seen = target_in(mean, bars=bars, frequency=frequency_cy_per_px, pitch_ratio=context.pitch_ratio)
-    read = None if seen is None else _profile_contrast(seen.target.sign * mean, seen.target)
-    if seen is None or read is None or read[0] < LIMITS.min_contrast_sd * read[1]:
-        reason = "no target: no significant bar contrast; state --bars and --frequency"
-        return Result(measurements=(make_refusal("mtf", "1", reason, flags=("no-target",), **common),))
-    (value, sd), target = read, seen.target
-    common["frequency_cy_per_px"] = target.frequency
-    flags = ("model-misfit", *clipping_flags(used.data[:, target.box(mean.shape, 1.0)], context.full_scale_dn))
+    seen = target_in(mean, bars=bars, frequency=frequency, pitch_ratio=context.pitch_ratio)
+    found = None if seen is None else read(seen.target.sign * mean, seen)
+    if seen is None or found is None or not found[0] > min_sd * found[1]:
+        one = make_refusal("mtf", "1", reason, flags=("no-target",), frequency_cy_per_px=frequency, **common)
+        return Result(measurements=(one,))
+    target = seen.target
+    near = target.box((mean.shape[0], mean.shape[1]), 1.0)
     one = measurement_from_sd(
-        "mtf", "1", value, sd, flags=flags, notes=("Contrast reading, for comparison only.",),
-        orientation_deg=float(np.rad2deg(target.angle_rad)) % 180.0, **common,
+        "mtf", "1", *found, flags=("model-misfit", *clipping_flags(used.data[:, near], full_scale_dn)), notes=(note,),
+        frequency_cy_per_px=target.frequency, orientation_deg=float(np.rad2deg(target.angle_rad)) % 180.0, **common,
     )  # fmt: skip
     return Result(measurements=(one,))
 
@@ -98,9 +114,6 @@ def _profile_contrast(mean: Array, target: BarTarget) -> tuple[float, float] | N
     value = np.pi / 4.0 * (high - low) / (high + low)
     error = np.hypot(on.std() / np.sqrt(on.size / 3.0), between.std() / np.sqrt(between.size / 3.0))
     return float(value), float(np.pi / 4.0 * error / (high + low))
-
-
-COLTMAN = "bars-coltman"
 
 
 @register(
@@ -140,32 +153,17 @@ def bars_coltman(
     bars, N w per unit length.
     """
     used = stack if region is None else stack.region(*region)
-    common: dict[str, Any] = {
-        "method": COLTMAN,
-        "region": region or (0, 0, *used.shape[1:]),
-        "frequency_cy_per_px": frequency_cy_per_px,
-        "provenance": Provenance(version=charact.__version__, seed=context.seed, settings={"bars": bars}),
-    }
-    mean = used.data.mean(axis=0, dtype=np.float64)
-    seen = target_in(mean, bars=bars, frequency=frequency_cy_per_px, pitch_ratio=context.pitch_ratio)
-    read = None if seen is None else _modulation(seen.target.sign * mean, seen)
-    if read is None or not read[0] > LIMITS.min_modulation_sd * read[1]:
-        reason = "no target: no significant bar modulation; state --bars and --frequency"
-        return Result(measurements=(make_refusal("mtf", "1", reason, flags=("no-target",), **common),))
-    common["frequency_cy_per_px"] = read[2].frequency
-    value, sd, target = read
-    near = target.box((mean.shape[0], mean.shape[1]), 1.0)
-    clipped = clipping_flags(used.data[:, near], context.full_scale_dn or used.full_scale_dn)
-    one = measurement_from_sd(
-        "mtf", "1", value, sd, flags=("model-misfit", *clipped),
-        notes=("First term of Coltman's series, for comparison only.",),
-        orientation_deg=float(np.rad2deg(target.angle_rad)) % 180.0, **common,
+    return _measure(
+        COLTMAN, used, _modulation, LIMITS.min_modulation_sd,
+        reason="no target: no significant bar modulation; state --bars and --frequency",
+        note="First term of Coltman's series, for comparison only.",
+        full_scale_dn=context.full_scale_dn or used.full_scale_dn,
+        region=region or (0, 0, *used.shape[1:]), bars=bars, frequency=frequency_cy_per_px, context=context,
     )  # fmt: skip
-    return Result(measurements=(one,))
 
 
-def _modulation(mean: Array, seen: LocatedBars) -> tuple[float, float, BarTarget] | None:
-    """Return modulation, standard uncertainty and target, for bars that are bright."""
+def _modulation(mean: Array, seen: LocatedBars) -> tuple[float, float] | None:
+    """Return modulation and standard uncertainty, for bars that are bright."""
     target, through = seen.target, seen.through
     bars, frequency = target.bars, target.frequency
     across, along = target.coordinates((mean.shape[0], mean.shape[1]))
@@ -194,56 +192,4 @@ def _modulation(mean: Array, seen: LocatedBars) -> tuple[float, float, BarTarget
     # The mean of a fundamental over pixels near its extrema is lower than the extremum by a known factor.
     value = np.pi / 4.0 * (on.mean() - between.mean()) / step / np.sinc(2.0 * ACCURACY.extremum_periods)
     error = np.pi / 4.0 * np.hypot(on.std() / np.sqrt(on.size), between.std() / np.sqrt(between.size)) / step
-    return float(value), float(error), target
-
-
-def series(modulations: Mapping[float, float]) -> dict[float, float]:
-    """Return the MTF at the frequencies of bar groups from Coltman's series over their modulations.
-
-    Parameters
-    ----------
-    modulations
-        (max - min)/step of each group by its frequency, cycles per pixel; taken as zero above the highest.
-
-    Returns
-    -------
-    dict
-        MTF by frequency, dimensionless. A group is free of harmonics only if its third harmonic lies within the highest
-        group, or has negligible modulation.
-
-    Raises
-    ------
-    BadInput
-        If there is no group, or a frequency is not positive.
-
-    Notes
-    -----
-    M(f) = (pi/4) (C(f) + C(3f)/3 - C(5f)/5 + C(7f)/7 + C(11f)/11 - ...), exact for infinite square waves. C is
-    interpolated linearly between groups.
-    """
-    if not modulations or min(modulations) <= 0:
-        raise BadInput(f"the frequencies of bar groups must be positive, got {sorted(modulations)}")
-    known = np.array(sorted(modulations))
-    contrast = np.array([modulations[frequency] for frequency in known])
-    orders = np.arange(1, ACCURACY.series_order + 1, 2)
-    weight = np.array([_sign(int(order)) / order for order in orders])
-    return {
-        float(frequency): float(np.pi / 4.0 * weight @ np.interp(orders * frequency, known, contrast, right=0.0))
-        for frequency in known
-    }
-
-
-def _sign(order: int) -> int:
-    """Return the sign of a term, 0 where the order has a square factor.
-
-    The square wave's harmonics carry (-1)^((k-1)/2), which is multiplicative, so that the Moebius function inverts
-    them.
-    """
-    sign = (-1) ** ((order - 1) // 2)
-    for prime in range(3, order + 1, 2):
-        if order % prime == 0:
-            order //= prime
-            sign = -sign
-            if order % prime == 0:
-                return 0
-    return sign
+    return float(value), float(error)

@@ -14,7 +14,7 @@ from charact.mtf.bars.thresholds import ACCURACY, LIMITS
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# Directions tried about the grid's axes, and the likeness that noise alone does not reach.
+# Trial directions around the grid's axes.
 TILTS_DEG = np.arange(-12.0, 12.1, 1.0)
 TYPICAL = {"log_attenuation": -0.4, "form": TUBE, "form_one": TUBE.start[0], "form_two": 0.0, "departure": 0.0}
 
@@ -106,8 +106,7 @@ def _template(target: BarTarget) -> Array:
     return table_of(shape, half, 1.0).at(places, places)[0]
 
 
-# Blurs of the bars compared, standard deviations in periods (an MTF of 0.88 to 0.02), and their frequencies over that
-# of the peak.
+# Trial frequencies over that of the spectral peak.
 FREQUENCIES = np.linspace(0.92, 1.08, 9)
 
 

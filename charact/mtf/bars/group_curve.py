@@ -22,10 +22,10 @@ from labdata.measurement import Curve, Measurement, Posterior, Provenance, Resul
 
 Array = NDArray[np.float64]
 
-# Half frequency, cycles per column pitch, exponent and the halo's share of the light lie in these ranges.
+# Bounds of half frequency (cycles per column pitch), exponent and halo fraction.
 BOUNDS = ((0.01, 1.5), (0.7, 3.5), (0.0, 0.5))
 NAMES, UNITS = ("half_frequency", "exponent", "halo_fraction"), ("cy/px", "1", "1")
-# The exponent's prior is n = 2, a Gaussian, to 1.2, a tube.
+# Mean and standard deviation of the exponent: between 2, a Gaussian, and 1.2, a tube.
 EXPONENT_PRIOR = (1.6, 0.6)
 GRID = (np.geomspace(0.03, 0.8, 40), np.linspace(0.8, 3.0, 23))
 
@@ -125,12 +125,11 @@ class GroupCurveModel:
 
 
 METHOD = "bars-joint"
-# The method whose readings are free of harmonics and of phase.
+# Method without errors by harmonics or phase.
 GROUPS_BY = "bars-forward"
 # Half of a 68 % interval in standard deviations.
 HALF68_SD = 0.994458
-# Frequencies at which one half is looked for, the share of draws that may not fall to it, and how far beyond the
-# groups, as a factor of the frequency, the form is trusted.
+# Frequency grid for MTF50, cy/px.
 FINE = np.arange(0.002, 1.2, 0.002)
 
 

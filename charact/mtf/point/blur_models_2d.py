@@ -20,26 +20,26 @@ Array = NDArray[np.float64]
 # Ratio of horizontal to vertical half frequency, ln: lenses and tubes are nearly round.
 STRETCH = (-0.6, 0.6)
 STRETCH_SD = 0.15
-# Exponent of a tube's tails beside a Gaussian of lens, fibres and pulse (physics reference 1.12: 1.1 to 2).
+# Exponent of a tube's tails next to a Gaussian of lens, fibres and pulse (physics reference 1.12: 1.1 to 2).
 TAIL = (1.0, 2.0)
 TAIL_PRIOR = (1.3, 0.25)
 BLUR_PX = (0.05, 2.0)
-# Most cameras scatter a few per cent of their light: half of a normal distribution of this width.
+# Scattered fraction: half-normal prior of a few per cent.
 WIDE_SHARE_SD = 0.1
-# Exponent of the long exposure through turbulent air (Fried 1966, J. Opt. Soc. Am. 56, 1372): 5/3.
+# Exponent of the long exposure through turbulent air (Fried 1966, J. Opt. Soc. Am. 56, 1372).
 TURBULENT = 5.0 / 3.0
 # A clear pupil in focus falls to one half at this fraction of its cut-off: acos v - v sqrt(1 - v^2) = pi / 4.
 HALF_OF_CUT_OFF = 0.4039728
-# Square of the defocus, waves^2, to which a transfer is linear where it is small; half of a normal distribution.
+# Bounds of the square of the defocus, waves^2, in which a transfer is linear, and its half-normal prior.
 DEFOCUS_SQUARE, DEFOCUS_SQUARE_SD = (0.0, 2.25), 0.5
-# Departures from a form: middles of their bumps in ln of frequency over half frequency, and their width.
+# Centres of the departure bumps in ln of frequency over half frequency, and their width.
 BUMPS, BUMP_WIDTH = (-2.0, -1.0, -0.4, 0.2, 0.7), 0.5
-# Half frequencies of a tube beside which a Gaussian blur can be told, ln of cycles per column pitch.
+# Half frequencies of a tube at which a Gaussian blur is distinguishable, ln of cycles per column pitch.
 TUBE = (float(np.log(0.02)), float(np.log(0.6)))
 
 
 Core = Literal["gaussian", "kolmogorov", "exponential", "moffat", "airy", "hole", "defocus", "pupil"]
-# What each pupil has free besides its cut-off.
+# Free parameters of each pupil besides its cut-off.
 PUPILS: dict[str, tuple[str, ...]] = {
     "airy": (),
     "hole": ("obscuration_square",),

@@ -7,34 +7,32 @@ from numpy.typing import NDArray
 
 import charact
 from charact.method import Context, register
-from charact.mtf.curve import FINE, REPORTED, crossing_frequency, curve_of
+from charact.mtf.curve import FINE, LEVELS, REPORTED, crossing_measurement, curve_of
 from charact.mtf.image_lag import image_lag_model
-from charact.mtf.known_transfer import halo_diameters_px
 from charact.mtf.mean_frame import Region
 from charact.mtf.point.findings import finding, flag_undersampled, motion_findings, motion_flags
 from charact.mtf.point.forward_fit import PointFit, fit, near_pixels
 from charact.mtf.point.forward_model import KnownPointOptics
 from charact.mtf.point.nonlinearity import SpotNonlinearity, fit_nonlinearity, power_log_likelihoods
 from charact.mtf.point.source import DetectedSource, detect_source, round_down
-from charact.mtf.point.source_window import Window, rounding_note, source_figure_data, window_of
+from charact.mtf.point.source_window import Window, rounding_note, source_figure_data, source_window
 from charact.mtf.point.thresholds import ACCURACY, LIMITS
 from charact.posterior import importance_sample, sample_posterior
 from charact.video_filter import VideoFilter
 from labdata.errors import BadInput
 from labdata.flags import Finding
 from labdata.frames import FrameStack
-from labdata.measurement import Measurement, Posterior, Provenance, Result, make_refusal, measurement_from_draws
+from labdata.measurement import Measurement, Posterior, Provenance, Result, make_refusal
 
 Array = NDArray[np.float64]
 
 METHOD = "point-forward"
-QUANTITIES = ("mtf50", "mtf10")
 
 
 @register(
     "point",
     METHOD,
-    quantities=QUANTITIES,
+    quantities=tuple(LEVELS),
     scope=(
         "Single point sources whose core stays below full scale, light over 6 standard uncertainties, of an "
         "intensifier or of an ordinary camera. A core beyond full scale is excluded and flagged; motion and neighbours "
@@ -73,8 +71,9 @@ def point_forward(
 
     Notes
     -----
-    A pixel's mean is pedestal + light P(x, y), P the transform of pinhole x pixel x video x exp(-(f/fc)^n - 2 (pi f
-    s)^2) x [(1 - q) + q H_halo]. Light and pedestal are marginalised in closed form.
+    A pixel's mean is pedestal + light P(x, y), P the transform of
+    pinhole x pixel x video x exp(-(f/fc)^n - 2 (pi f s)^2) x [(1 - q) + q H_halo].
+    Light and pedestal are marginalised in closed form.
     """
     if pinhole_px is not None and not 0 <= pinhole_px < 50:
         raise BadInput(f"pinhole_px must lie in [0, 50) column pitches, got {pinhole_px:g}")
@@ -93,7 +92,7 @@ def point_forward(
                 "the source is too bright: pixels remain at full scale and there is no background", "saturated"
             )
         return task.nothing(source, "no-target")
-    window = _window(used, source, context)
+    window = source_window(used, source, context)
     kept = _usable_light_fraction(window)
     if kept < LIMITS.min_valid_light:
         return task.nothing(f"the source is too bright: {100 * (1 - kept):.0f} % of its core's light lies in pixels "
@@ -116,15 +115,6 @@ def point_forward(
     return task.result(found, window, source, used, _posterior(found, context))
 
 
-def _window(used: FrameStack, source: DetectedSource, context: Context) -> Window:
-    halo = halo_diameters_px(context, transposed=False)[1] / 2.0 if context.sensor is not None else None
-    return window_of(
-        used.data, source.row, source.col, pitch_ratio=context.pitch_ratio,
-        full_scale_dn=context.full_scale_dn or used.full_scale_dn, halo_radius_px=halo,
-        filtered=context.sensor is not None,
-    )  # fmt: skip
-
-
 def _usable_light_fraction(window: Window) -> float:
     """Return the fraction of the core's light in valid pixels; invalid ones count with their clipped height."""
     height = np.maximum(window.core - np.median(window.core), 0.0)
@@ -140,16 +130,12 @@ def _motion_flags(window: Window) -> tuple[str, ...]:
 
 def _optics(context: Context, pinhole_px: float) -> KnownPointOptics:
     """Return the known pixel aperture and video filter."""
-    if context.sensor is None:
-        rows = 2.0 if context.interlaced else 1.0
-        return KnownPointOptics(width_px=1.0, height_px=rows, video=None, pinhole_px=pinhole_px, top=2.0)
-    rows = 2.0 if context.interlaced else 1.0
     return KnownPointOptics(
         width_px=1.0,
-        height_px=rows * context.pitch_ratio,
+        height_px=(2.0 if context.interlaced else 1.0) * context.pitch_ratio,
         video=VideoFilter.of(context.sensor),
         pinhole_px=pinhole_px,
-        top=1.2,
+        top=2.0 if context.sensor is None else 1.2,
     )
 
 
@@ -190,7 +176,7 @@ class PointTask:
         common = {"method": METHOD, "flags": flags, "region": self.where}
         return Result(measurements=tuple(
             make_refusal(name, "cy/px", reason, orientation_deg=angle, provenance=self.provenance, **common)
-            for name in QUANTITIES for angle in (0.0, 90.0)
+            for name in LEVELS for angle in (0.0, 90.0)
         ))  # fmt: skip
 
     def result(
@@ -207,10 +193,7 @@ class PointTask:
             findings.append(finding("not-converged", "interval from the curvature at the optimum"))
         common = {
             "method": METHOD,
-            "notes": (
-                *used.notes,
-                *fit_notes(found, window, self.context, self.pinhole_px),
-            ),
+            "notes": (*used.notes, *fit_notes(found, window, self.context, self.pinhole_px)),
             "region": self.where,
             "provenance": self.provenance,
         }
@@ -219,8 +202,10 @@ class PointTask:
         for name, vertical in (("mtf", False), ("mtf_vertical", True)):
             fine = found.model.mtf(posterior.draws, FINE, vertical=vertical)
             angle = 90.0 if vertical else 0.0
-            measurements += [_level(quantity, level, fine, posterior, {**common, "orientation_deg": angle})
-                             for quantity, level in (("mtf50", 0.5), ("mtf10", 0.1))]  # fmt: skip
+            measurements += [
+                crossing_measurement(quantity, fine, posterior, {**common, "orientation_deg": angle})
+                for quantity in LEVELS
+            ]
             curves[name] = curve_of(REPORTED, found.model.mtf(posterior.draws, REPORTED, vertical=vertical))
         measurements = [one.with_(findings=findings) for one in measurements]
         return Result(
@@ -228,16 +213,6 @@ class PointTask:
             curves=curves,
             evidence={"point-profile": fit_figure_data(found, window)},
         )
-
-
-def _level(quantity: str, level: float, fine: Array, posterior: Posterior, common: dict) -> Measurement:
-    """Return the frequency at which the MTF falls to a level; refused where it does not below 1.5 cy/px."""
-    draws = crossing_frequency(FINE, fine, level)
-    lost = float(np.mean(~np.isfinite(draws)))
-    if lost > 0.02:
-        reason = f"the MTF must fall to {level:g} below {FINE[-1]:.1f} cy/px; {100 * lost:.0f} % of its draws do not"
-        return make_refusal(quantity, "cy/px", reason, **common)
-    return measurement_from_draws(quantity, "cy/px", draws[np.isfinite(draws)], posterior=posterior, **common)
 
 
 def fit_findings(found: PointFit, window: Window, source: DetectedSource, context: Context) -> list[Finding]:

@@ -16,7 +16,7 @@ from charact.posterior import find_maximum
 Array = NDArray[np.float64]
 
 FRACTIONS_AFTER_GAIN = (0.4, 0.6, 0.8, 1.0)
-# Variances of light tried, in those of a dark pixel.
+# Trial gains, relative to the variance of a dark pixel.
 GAINS = np.exp(np.linspace(np.log(1e-3), np.log(1e5), 200))
 
 

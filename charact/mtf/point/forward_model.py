@@ -34,18 +34,17 @@ NAMES = (
     "halo_elastic_share",
 )
 UNITS = ("px", "px", "ln(cy/px)", "1", "px", "1", "1", "1", "px", "1")
-# Standard deviations by which a camera may differ from its description: tubes' cut-offs, exponents, and how far from
-# round their blur is.
+# Standard deviations of a camera about its description: ln cut-off, exponent, ln aspect.
 CUT_OFF_SD, EXPONENT_SD, STRETCH_SD = 0.12, 0.08, 0.03
 ANY_STRETCH_SD = 0.15
-# An unknown camera's Gaussian part: most probable width and its spread, px.
+# Gaussian blur of a generic camera: mode and spread, px.
 ANY_BLUR_PX = 0.4
-# Exponents of a blur that is all of one form, and of the tails of tubes (physics reference 1.12: 1.1 to 2) beside a
-# Gaussian core. Wider tails than those cannot be told from a background.
+# Exponent of a single-component blur, and of a tube's tails (physics reference 1.12: 1.1 to 2) next to a Gaussian core.
+# Wider tails are indistinguishable from a background.
 FREE, FREE_SD = 1.6, 0.6
 TAIL, TAIL_SD, MIN_TAIL = 1.3, 0.25, 1.0
 TWO_SIDED_95 = 1.959964
-# Ranges of a halo's diameter that a description leaves open, and least standard deviation, share of it.
+# Relative range of a halo diameter without a stated range, and smallest relative standard deviation.
 OPEN_DIAMETER, MIN_DIAMETER_SD = 0.15, 0.02
 NO_HALO = (-30.0, 0.0, 0.0)
 

@@ -14,18 +14,17 @@ from charact.mtf.point.thresholds import ACCURACY
 
 Array = NDArray[np.float64]
 
-# Odds before the data of each of the two kinds of light beyond a core, of which the camera's description says nothing:
-# together they are as likely as none.
+# Prior odds of each extended component of a camera without a description; both together equal none.
 WIDE_ODDS = 0.5
-# Odds before the data of blurs along rows and columns apart.
+# Prior odds of separable blurs.
 SEPARABLE_ODDS = 0.2
-# Cores of any camera and those of a tube, and their odds before the data: those with a parameter more share theirs.
+# Cores of any camera and of a tube, with prior odds; variants of one kind share them.
 CORES: dict[Core, float] = {
     "gaussian": 1.0, "kolmogorov": 0.5, "exponential": 0.5, "moffat": 0.5, "airy": 0.5, "hole": 0.25, "defocus": 0.25,
     "pupil": 0.25,
 }  # fmt: skip
 TUBES: tuple[Core, ...] = ("gaussian", "exponential", "moffat")
-# Departures from the best form, fraction of the transfer: small and large, and their odds before the data.
+# Model departures, fraction of the transfer, and their prior odds.
 DEPARTURES, DEPARTURES_ODDS = (0.02, 0.1), 0.03
 
 

@@ -13,7 +13,7 @@ from charact.mtf.point.thresholds import ACCURACY, LIMITS
 
 Array = NDArray[np.float64]
 
-# Powers of the light by which noise may go off: exponents of the response from 0.4 to 2.5.
+# Extra powers of the light in the noise: response exponents from 0.4 to 2.5.
 POWERS = np.array([-1.5, -1.2, -0.9, -0.7, -0.5, -0.35, -0.2, -0.1, 0.0, 0.1, 0.2, 0.3, 0.45, 0.6])
 FINE_POWERS = np.linspace(POWERS[0], POWERS[-1], 421)
 

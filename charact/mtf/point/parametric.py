@@ -10,18 +10,27 @@ from numpy.typing import NDArray
 import charact
 from charact.method import Context, register
 from charact.mtf.blur_models.one_dimensional import DiscComponent, ExtendedComponent, HaloComponent, ScatterComponent
-from charact.mtf.curve import FINE, LEVELS, PINNED, REPORTED, crossing_frequency, curve_of, flag_filter_uncertainty
+from charact.mtf.curve import (
+    FINE,
+    LEVELS,
+    PINNED,
+    REPORTED,
+    crossing_frequency,
+    crossing_measurement,
+    curve_of,
+    flag_filter_uncertainty,
+)
 from charact.mtf.image_lag import image_lag_model
 from charact.mtf.known_transfer import halo_diameters_px
 from charact.mtf.mean_frame import Region
-from charact.mtf.point import parametric_checks as point_distrust
 from charact.mtf.point.findings import finding, flag_undersampled
 from charact.mtf.point.model_fit import BlurModelFit2D, PointFitter
 from charact.mtf.point.model_selection import EvidenceWeightedModels2D, fit_sources
+from charact.mtf.point.parametric_checks import camera_nonlinearity, light_sd, source_findings
 from charact.mtf.point.parametric_noise import measure_surroundings_noise
 from charact.mtf.point.source import detect_source
 from charact.mtf.point.source_pixels import SourcePixels
-from charact.mtf.point.source_window import neighbour_mask, rounding_note, source_figure_data, window_of
+from charact.mtf.point.source_window import neighbour_mask, rounding_note, source_figure_data, source_window
 from charact.mtf.point.spot_image_matrix import Aperture
 from charact.mtf.point.thresholds import ACCURACY, LIMITS
 from charact.posterior import has_several_peaks, importance_sample, sample_posterior
@@ -105,7 +114,7 @@ def point_parametric(
     sites, fitter, found = fit_sources(sites, task.pinhole, _extended_components(sites, parts, context))
     best = found[0].fit
     # The noise of a single frame's light is poorly known; there the detection decides.
-    weak = best.light < LIMITS.min_light_sd * point_distrust.light_sd(fitter, best)
+    weak = best.light < LIMITS.min_light_sd * light_sd(fitter, best)
     if (weak.any() and sites[0].window.frames > 1) or (best.light <= 0).any():
         n_neighbours = sum(len(site.window.neighbours) for site in sites)
         crowd = f"; {n_neighbours} neighbours interfere, use --roi around an isolated one" if n_neighbours else ""
@@ -140,11 +149,7 @@ def _locate_source(part: FrameStack, context: Context) -> SourcePixels | tuple[s
     if isinstance(source, str):
         bright = full is not None and np.median(part.data, axis=0).max() >= full
         return ("the source is too bright: there is no background", "saturated") if bright else (source, "no-target")
-    halo = halo_diameters_px(context, transposed=False)[1] / 2.0 if context.sensor is not None else None
-    window = window_of(
-        part.data, source.row, source.col, pitch_ratio=context.pitch_ratio, full_scale_dn=full, halo_radius_px=halo,
-        filtered=context.sensor is not None, neighbours=source.neighbours,
-    )  # fmt: skip
+    window = source_window(part, source, context, source.neighbours)
     height = np.maximum(window.core - np.median(window.core), 0.0)
     if height[window.keep].sum() < LIMITS.min_unclipped_light * height.sum():
         return "the source is too bright: pixels below full scale contain too little of its light", "saturated"
@@ -208,8 +213,8 @@ class _Task:
         """Return measurements and curves of fitted sources."""
         drawn = [self._posterior(fitter, one, number) for number, one in enumerate(found)]
         pedestals = np.array([float(np.median(site.window.core)) for site in sites])
-        response = point_distrust.camera_nonlinearity(sites, found[0].fit)
-        findings = point_distrust.source_findings(sites, fitter, found, pedestals)
+        response = camera_nonlinearity(sites, found[0].fit)
+        findings = source_findings(sites, fitter, found, pedestals)
         if response.is_nonlinear:
             findings.append(finding("gamma", response.effect))
         if self.context.sensor and any(site.cut.any() for site in sites):
@@ -237,7 +242,12 @@ class _Task:
             ]))  # fmt: skip
             fine, pinned, reported = np.split(draws, [FINE.size, FINE.size + len(PINNED)], axis=1)
             one = {**common, "orientation_deg": angle}
-            own = [_level(quantity, at, fine, drawn[0], one) for quantity, at in LEVELS.items()]
+            own = [
+                _note_several_peaks(
+                    crossing_measurement(quantity, fine, drawn[0], one), crossing_frequency(FINE, fine, at)
+                )
+                for quantity, at in LEVELS.items()
+            ]
             own += [
                 _note_several_peaks(
                     measurement_from_draws("mtf", "1", pinned[:, index], frequency_cy_per_px=float(f), **one),
@@ -300,7 +310,7 @@ def _model_figure_data(site: SourcePixels, fitter: PointFitter, fit: BlurModelFi
         core.reshape(site.window.core.shape),
         rings,
         light_dn_px2=light,
-        light_sd_dn_px2=float(point_distrust.light_sd(fitter, fit)[0]),
+        light_sd_dn_px2=float(light_sd(fitter, fit)[0]),
         pedestal_dn=float(level[0]),
         chi_squared=fit.chi2,
         degrees_of_freedom=fit.free,
@@ -311,22 +321,12 @@ def _crossing(fine: Array, level: float) -> float:
     return float(np.nanmedian(crossing_frequency(FINE, fine, level)))
 
 
-def _level(quantity: str, level: float, fine: Array, posterior: Posterior, common: dict) -> Measurement:
-    """Return the frequency at which the MTF falls to a level; refused where it does not below 1.5 cy/px."""
-    draws = crossing_frequency(FINE, fine, level)
-    lost = float(np.mean(~np.isfinite(draws)))
-    if lost > 0.02:
-        reason = f"the MTF must fall to {level:g} below {FINE[-1]:.1f} cy/px; {100 * lost:.0f} % of its draws do not"
-        return make_refusal(quantity, "cy/px", reason, **common)
-    kept = draws[np.isfinite(draws)]
-    return _note_several_peaks(measurement_from_draws(quantity, "cy/px", kept, posterior=posterior, **common), kept)
-
-
 def _note_several_peaks(one: Measurement, draws: Array) -> Measurement:
     """Add a note where the draws have several peaks, which the interval spans."""
-    if not has_several_peaks(draws[:, None]):
+    finite = draws[np.isfinite(draws)]
+    if one.value is None or not has_several_peaks(finite[:, None]):
         return one
-    low, high = np.quantile(draws, (0.16, 0.84))
+    low, high = np.quantile(finite, (0.16, 0.84))
     return one.with_(notes=(*one.notes, f"Blur models of similar evidence give {low:.3g} and {high:.3g}."))
 
 

@@ -12,11 +12,11 @@ Array = NDArray[np.float64]
 
 LAGS = tuple((row, col) for row in range(3) for col in range(-2, 3) if (row, col) > (0, 0))
 WIDTHS_PX = np.array([0.01, *np.geomspace(0.3, 3.0, 24)])
-# Widths of pulses over that of all of the blur, where what lies before the gain need not be of its form.
+# Pulse widths over that of the complete blur.
 WIDTHS = np.geomspace(0.2, 1.0, 24)
 GAINS = np.exp(np.linspace(np.log(1e-4), np.log(1e5), 240))
-# Noise of a dark pixel before the data, ln of photoelectrons and its standard deviation: 0.3 to 30, from intensified
-# cameras to ordinary ones. It matters where a single frame's few lit pixels hardly show the noise of their light.
+# Prior of a dark pixel's noise, ln of photoelectrons and its standard deviation: 0.3 to 30, from intensified to
+# ordinary cameras. It matters for the few illuminated pixels of a single frame.
 DARK_LN = (float(np.log(3.0)), 1.2)
 RADII_PX = np.linspace(0.0, 16.0, 80)
 

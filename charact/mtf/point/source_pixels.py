@@ -16,7 +16,7 @@ from charact.mtf.point.thresholds import ACCURACY, LIMITS
 
 Array = NDArray[np.float64]
 
-# Half frequencies among which the first guess is taken, cycles per column pitch.
+# Trial half frequencies of the first estimate, cycles per column pitch.
 GUESSES = np.exp(np.linspace(np.log(0.03), np.log(0.8), 14))
 GUESSED = BlurModel2D(core="exponential")
 

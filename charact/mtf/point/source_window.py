@@ -8,8 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.method import Context
+from charact.mtf.known_transfer import halo_diameters_px
 from charact.mtf.point.parametric_noise import dark_sd_from_histogram, is_clipped_at_black
+from charact.mtf.point.source import DetectedSource
 from charact.mtf.point.thresholds import ACCURACY, LIMITS
+from labdata.frames import FrameStack
 
 Array = NDArray[np.float64]
 
@@ -184,6 +188,19 @@ def window_of(data: NDArray, row: int, col: int, *, pitch_ratio: float, full_sca
             [[_ring_quantiles(np.hypot(*(ring - at[:, None]))) for ring in rings[4]] for at in places]
         ).reshape(len(places), len(rings[4]), ACCURACY.pixels_per_ring),
     )
+
+
+def source_window(
+    stack: FrameStack, source: DetectedSource, context: Context, neighbours: tuple[tuple[int, int], ...] = ()
+) -> Window:
+    """Return the pixels around a detected source."""
+    described = context.sensor is not None
+    return window_of(
+        stack.data, source.row, source.col, pitch_ratio=context.pitch_ratio,
+        full_scale_dn=context.full_scale_dn or stack.full_scale_dn,
+        halo_radius_px=halo_diameters_px(context, transposed=False)[1] / 2.0 if described else None,
+        filtered=described, neighbours=neighbours,
+    )  # fmt: skip
 
 
 def neighbour_mask(

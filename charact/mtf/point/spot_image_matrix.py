@@ -15,14 +15,14 @@ from charact.video_filter import VideoFilter
 
 Array = NDArray[np.float64]
 
-# Radial panels, cycles per column pitch: close where halos wave, wide where only cores are left.
+# Radial panels, cycles per column pitch: dense where the halo's transfer oscillates.
 PANELS = (0.0, 0.004, 0.012, *np.arange(0.025, 0.3, 0.025), *np.arange(0.3, 0.6, 0.05), 0.6, 0.7, 0.8, 0.9, 1.0)
 BEYOND = 0.25
 NODES = 4
 DIRECTIONS = 5
-# Finer nodes of a panel on which rings are integrated, and distances that stand for a ring.
+# Nodes of a panel for the rings, and distances per ring.
 FINE, PER_RING = 12, 12
-# Directions of the integral at no frequency, and more for each cycle per pixel.
+# Directions of the integral at zero frequency, and their increase per cycle per pixel.
 TURNS, TURNS_PER_CYCLE = 12, 36
 
 

@@ -167,7 +167,7 @@ def test_draws_by_importance_say_the_same_as_a_markov_chain(number, monkeypatch)
     assert picked.posterior.sampler == quick.posterior.sampler == "importance"
     assert picked.posterior.effective_sample_size.min() >= 2000
     monkeypatch.setattr(sampling, "ENOUGH", np.inf)
-    monkeypatch.setattr(forward, "MAX_STEPS", 16000)
+    monkeypatch.setattr(forward, "ACCURACY", replace(forward.ACCURACY, forward_chain_steps=16000))
     chained = measured()
     assert chained.posterior.sampler == "emcee"
     width = np.diff(chained.interval68)
