@@ -8,7 +8,7 @@ from charact.cli.output import exit_on_bad_input, print_result
 from charact.cli.progress import progress_bar
 
 if TYPE_CHECKING:
-    from charact.mtf.region import Region
+    from charact.mtf.mean_frame import Region
     from labdata.frames import FrameStack
     from labdata.measurement import Result
     from labdata.session import Session
@@ -29,7 +29,7 @@ def region_in(stack: "FrameStack", region: "Region | None") -> "Region | None":
 
 def in_file_coordinates(result: "Result", stack: "FrameStack") -> "Result":
     """Return a result with its regions counted from the file's first pixel and the notes of how it was read."""
-    from charact.mtf.multiple_targets import REGION_NAME
+    from charact.mtf.dispatch import REGION_NAME
     from labdata.measurement import Result
 
     def shift_region(region: "Region") -> "Region":

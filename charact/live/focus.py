@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.mtf.region import Region
+from charact.mtf.mean_frame import Region
 from labdata.frames import FrameStack
 from labdata.measurement import Interval
 

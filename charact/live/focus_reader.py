@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from charact.live.focus import BestFocus, Focus, read_focus, window_about
 from charact.method import Context
-from charact.mtf.region import Region
+from charact.mtf.mean_frame import Region
 
 AVERAGED_FRAMES = 4
 

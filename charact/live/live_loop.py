@@ -16,7 +16,7 @@ from charact.live.frame_statistics import measure_frame
 from charact.live.latest_view import LatestView
 from charact.live.live_view import LiveView
 from charact.live.preview_image import render_preview
-from charact.mtf.region import Region
+from charact.mtf.mean_frame import Region
 from drivers.errors import BenchError
 from labdata.errors import BadInput
 

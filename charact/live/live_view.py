@@ -7,7 +7,7 @@ from charact.live.focus import BestFocus, Focus
 from charact.live.frame_source import SourceFrame
 from charact.live.frame_statistics import FrameStatistics
 from charact.live.preview_image import PreviewImage
-from charact.mtf.region import Region
+from charact.mtf.mean_frame import Region
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,9 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.point.source import DETECTED, ROUNDING_DN, STEADY
-from charact.mtf.region import Region
+from charact.mtf.mean_frame import Region
+from charact.mtf.point.source import ROUNDING_DN, STEADY
+from charact.mtf.point.thresholds import LIMITS
 from charact.mtf.target_detection.smoothed_mean_frame import gaussian_blur, local_maximum, mean_frame_of
+
+pass
 from labdata.frames import FrameStack
 
 Array = NDArray[np.float32]
@@ -171,10 +174,10 @@ def find_pinholes(
 def _sources(light: SteadySpots) -> tuple[list[tuple[int, int]], float]:
     """Return where sources stand, brightest first, and the standard deviation that they stand out of, DN."""
     brightest = MIN_FRACTION * float(light.height.max())
-    likely = _peaks(light.height, max(DETECTED * light.spread, brightest))
+    likely = _peaks(light.height, max(LIMITS.min_height_sd * light.spread, brightest))
     likely = [place for place in likely if light.stays(*place)]
     spread = light.far_spread(likely, MIN_REACH_PX)
-    return [place for place in likely if light.height[place] >= DETECTED * spread], spread
+    return [place for place in likely if light.height[place] >= LIMITS.min_height_sd * spread], spread
 
 
 def _peaks(smooth: Array, least: float) -> list[tuple[int, int]]:
@@ -200,7 +203,7 @@ def _hot_pixels(picture: Array, least_neighbours: float) -> tuple[NDArray[np.boo
     around = np.asarray(cv2.filter2D(picture, -1, cross, borderType=cv2.BORDER_REFLECT_101), np.float32)
     over = picture - ground
     noise = 1.4826 * float(np.median(np.abs(over)))
-    hot = (over > DETECTED * noise) & (around - ground < least_neighbours * over + noise)
+    hot = (over > LIMITS.min_height_sd * noise) & (around - ground < least_neighbours * over + noise)
     return hot, around
 
 

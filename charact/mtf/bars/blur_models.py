@@ -1,6 +1,6 @@
-"""Forms of a blur's transfer about the bars' frequency: tubes, lenses, the air, a core with wings.
+"""Blur models around the bar frequency: tube, tube with lens, lens, Moffat, two Gaussians.
 
-Each is a family of two numbers beside its attenuation at a reference frequency; fits of all of them are compared.
+Each has two parameters besides the attenuation at a reference frequency; their fits are compared by evidence.
 """
 
 from collections.abc import Callable
@@ -9,35 +9,36 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.mtf.bars.thresholds import ACCURACY
+
 Array = NDArray[np.float64]
+
 Bounds = tuple[float, float]
 Normal = tuple[float, float]
 
-# Transfers under this are none.
+# Smaller transfers count as zero.
 MIN_LN = -60.0
-# Places in ln of a frequency at which a form is tabulated, and the steps of its slopes.
+# Nodes of a model's table in ln frequency, and the step of its derivatives.
 PLACES, STEP = np.linspace(-9.0, 6.0, 1501), 1e-3
-# Steps towards the member of a form that is most like a transfer.
-MATCHED_STEPS = 12
 NONE: Normal = (0.0, 1e-3)
 
 
 @dataclass(frozen=True)
 class BarBlurModel:
-    """A family of transfers, what is believed of its two numbers, and where to begin.
+    """Blur model with the priors of its two parameters.
 
     Parameters
     ----------
     name
-        For people.
+        Printed name.
     one, two
         Priors, mean and standard deviation.
     bounds
         Bounds of both.
     start
-        Both, to begin a fit with.
+        Starting values of both.
     ln
-        From ln(r/f), attenuation A = -ln c at f and both numbers to ln of the transfer.
+        From ln(r/f), attenuation A = -ln c at f and both parameters to ln transfer.
     """
 
     name: str
@@ -48,9 +49,9 @@ class BarBlurModel:
     ln: Callable[[Array, float, float, float], Array]
 
     def slopes(self, ln_ratio: Array, attenuation: float, one: float, two: float) -> Array:
-        """Return ln of the transfer and its slopes by ln A, one and two, shape (4, ...) for ln(r/f) of any shape.
+        """Return ln transfer and its derivatives by ln A, one and two, shape (4, ...) for ln(r/f) of any shape.
 
-        It is tabulated along the radius: the transfer is the same in every direction.
+        Interpolated in a radial table: the transfer is rotationally symmetric.
         """
         table = self._table(PLACES, attenuation, one, two)
         place = np.clip((ln_ratio - PLACES[0]) / (PLACES[1] - PLACES[0]), 0.0, PLACES.size - 1.001)
@@ -59,7 +60,7 @@ class BarBlurModel:
         return np.stack([row[left] + share * (row[left + 1] - row[left]) for row in table])
 
     def _table(self, places: Array, attenuation: float, one: float, two: float) -> Array:
-        """Return ln of the transfer and its slopes at ln(r/f), shape (4, place)."""
+        """Return ln transfer and its derivatives at ln(r/f), shape (4, point)."""
         own = self.ln(places, attenuation, one, two)
         changed = (
             (attenuation * (1.0 + STEP), one, two),
@@ -78,15 +79,15 @@ class BarBlurModel:
         return np.stack([own, *slopes])
 
     def nearest(self, ln_ratio: Array, transfer: Array, attenuation: float) -> tuple[float, Array]:
-        """Return the scale and the member (ln A, one, two) that are most like a transfer at ln(r/f), shape (place,).
+        """Return scale and parameters (ln A, one, two) that approximate a transfer at ln(r/f), shape (point,).
 
-        By damped least squares, the priors counting as much as a thousandth of the transfer a standard deviation.
+        Damped least squares; one prior standard deviation costs as much as an error of 0.001 in the transfer.
         """
         prior = np.array([self.one, self.two])
         bounds = np.array([(-9.0, 2.3), *self.bounds])
         theta, damping = np.array([np.log(attenuation), *self.start]), 1e-3
         best, least = (1.0, theta), np.inf
-        for _ in range(MATCHED_STEPS):
+        for _ in range(ACCURACY.matching_steps):
             table = self._table(ln_ratio, float(np.exp(theta[0])), theta[1], theta[2])
             own = np.exp(table[0])
             scale = float(own @ transfer) / float(own @ own)
@@ -105,7 +106,7 @@ class BarBlurModel:
 
 
 def _one_scale_model(attenuation_of: Callable[[Array], Array]) -> Callable[[Array, float], Array]:
-    """Return a form of one scale as a function of ln(r/f) and the attenuation at f: where it reaches that lies f."""
+    """Return a one-scale model as a function of ln(r/f) and the attenuation at f, which sets the scale."""
     wide = np.linspace(-14.0, 8.0, 2201)
     values = np.maximum.accumulate(attenuation_of(np.exp(wide)))
 
@@ -117,14 +118,14 @@ def _one_scale_model(attenuation_of: Callable[[Array], Array]) -> Callable[[Arra
 
 
 def _tube(ln_ratio: Array, attenuation: float, log_exponent: float, gaussian_share: float) -> Array:
-    """c^((1 - s) (r/f)^n + s (r/f)^2), ln n and s: a tube, and what lens, screen and pixel do to it."""
+    """c^((1 - s) (r/f)^n + s (r/f)^2) with ln n and s: a tube, and the Gaussian part of lens, phosphor and pixel."""
     power = np.exp(np.exp(log_exponent) * ln_ratio)
     both = (1.0 - gaussian_share) * power + gaussian_share * np.exp(2.0 * ln_ratio)
     return np.maximum(-attenuation * both, MIN_LN)
 
 
 def _pupil(ln_ratio: Array, attenuation: float, gaussian_share: float, _: float) -> Array:
-    """A circular pupil (Goodman, Fourier Optics, 6.3) and a Gaussian that has a share of the attenuation."""
+    """A circular pupil (Goodman, Fourier Optics, 6.3) times a Gaussian that has a fraction of the attenuation."""
 
     def pupil(x: Array) -> Array:
         inside = np.minimum(x, 1.0)
@@ -151,7 +152,7 @@ def _moffat(ln_ratio: Array, attenuation: float, log_wings: float, _: float) -> 
 
 
 def _two_gaussians(ln_ratio: Array, attenuation: float, share: float, log_wider: float) -> Array:
-    """A Gaussian, and a share of the light in one so many times as wide, ln of it."""
+    """A Gaussian, and a fraction of the light in a wider one; `log_wider` is ln of the ratio of the widths."""
     wider = float(np.exp(2.0 * log_wider))
 
     def own(x: Array) -> Array:
