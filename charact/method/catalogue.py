@@ -1,4 +1,4 @@
-"""Which module registers each method, so that a verb imports only the methods that it may use."""
+"""Module that registers each method, so that a command imports only the methods it may use."""
 
 from importlib import import_module
 
@@ -33,7 +33,7 @@ MODULES: dict[str, dict[str, str]] = {
     },
     "lit-edge": {"lit-edge": "charact.bloom.lit_edge_halo"},
 }
-# By kind of target, the quantity by which its methods are charted, and what "auto" takes where no chart was measured.
+# By kind of target: the quantity in the accuracy chart of its methods, and the default of "auto" without a chart.
 CHARTED: dict[str, tuple[str, str]] = {
     "edge": ("mtf50", "edge-forward"),
     "bars": ("mtf", "bars-forward"),
@@ -46,7 +46,7 @@ CHARTED: dict[str, tuple[str, str]] = {
 
 
 def load(kind: str, name: str | None = None) -> None:
-    """Import the modules that register the methods of a kind, or only the method of a name.
+    """Import the modules that register the methods of a kind, or only the named method.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Registered methods, and `auto`: the cheapest method whose measured error is surely inside the tolerance."""
+"""Registered methods, and `auto`: the fastest method whose measured error meets the tolerance."""
 
 import json
 from collections.abc import Callable
@@ -18,32 +18,31 @@ from labdata.solid_state import Register
 
 
 def ignore_progress(sentence: str, share: float) -> None:
-    """Progress that nobody asked for."""
+    """Discard a progress message."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Context:
-    """What every method is told besides its frames.
+    """Settings common to all methods.
 
     Parameters
     ----------
     seed
         Seed of every random step.
     quick
-        No Markov chain: intervals from the curvature at the maximum, or from few weighted draws.
+        No Markov chain: intervals from the Laplace approximation or importance sampling.
     sensor
-        Description of the camera, for its pitches and priors; None if unknown.
+        Sensor description, for pixel pitches and priors; None if unknown.
     register
-        Multiplying register of a camera without a tube; None if there is none or it is unknown.
+        Electron-multiplying register of a camera without a tube; None if absent or unknown.
     interlaced
-        Whether odd and even rows were exposed one after the other.
+        Whether each frame consists of two interlaced fields.
     full_scale_dn
-        Highest code, DN; None: found from the data.
+        Full scale, DN; None: determined from the data.
     progress
-        Called with a sentence and the share done (0..1) on long work.
+        Called with a message and the completed fraction (0..1) during long work.
     spread
-        Applies a function to parts of the work and returns what it gives in their order, as `map` does: here, or on
-        the workers of a cluster.
+        Maps a function over parts of the work, as `map` does, in this process or on the workers of a cluster.
     """
 
     seed: int = 0
@@ -57,7 +56,7 @@ class Context:
 
     @property
     def pitch_ratio(self) -> float:
-        """Row pitch over column pitch; 1 where the sensor is unknown."""
+        """Row pitch over column pitch; 1 if the sensor is unknown."""
         if self.sensor is None:
             return 1.0
         return float(self.sensor.ccd.pitch_y_um) / float(self.sensor.ccd.pitch_x_um)
@@ -70,13 +69,13 @@ class Method:
     Parameters
     ----------
     kind
-        What it works on: "edge", "bars", "point", "flats", "post-gain" (flats, for the MTF), "bloom".
+        Kind of target: "edge", "bars", "point", "flats", "post-gain" (flats, for the MTF), "bloom".
     name
-        Its name on the command line.
+        Name on the command line.
     quantities
-        The quantities it measures; the first is the one it is charted by.
+        Measured quantities; the accuracy chart shows the first.
     scope
-        One sentence: where it holds, and what breaks it.
+        One sentence on the range of validity.
     function
         The estimator. Its arguments depend on the kind, see the package of that kind.
     """
@@ -92,7 +91,7 @@ METHODS: dict[tuple[str, str], Method] = {}
 
 
 def register(kind: str, name: str, *, quantities: tuple[str, ...], scope: str) -> Callable[[Any], Any]:
-    """Register a function as a method of a kind under a name: timed, on one thread of the linear algebra library."""
+    """Register a function as a named method of a kind; it is timed and runs on one BLAS thread."""
 
     def enter(function: Callable[..., Result]) -> Callable[..., Result]:
         function = with_single_blas_thread(with_timing(function))
@@ -103,19 +102,19 @@ def register(kind: str, name: str, *, quantities: tuple[str, ...], scope: str) -
 
 
 def methods_of_kind(kind: str) -> dict[str, Method]:
-    """Methods of a kind by name."""
+    """Return the methods of a kind by name."""
     load(kind)
     return {name: method for (of, name), method in METHODS.items() if of == kind}
 
 
 def chart_table(quantity: str) -> list[dict[str, Any]]:
-    """Rows of the measured speed-against-accuracy table of a quantity; empty if it was never measured."""
+    """Return the rows of the measured speed and accuracy table of a quantity; empty if there is none."""
     path = resources.files("charact.method") / "tables" / f"{quantity}.json"
     return json.loads(path.read_text())["methods"] if path.is_file() else []
 
 
 def choose(kind: str, name: str = "auto", *, within_percent: float = 2.0) -> Method:
-    """Return the method of a name, or for "auto" the cheapest whose measured error meets the tolerance.
+    """Return the named method, or for "auto" the fastest one whose measured error meets the tolerance.
 
     Parameters
     ----------

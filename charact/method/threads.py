@@ -1,4 +1,4 @@
-"""One thread of the linear algebra library while a method works: its matrices are small, and threads wait."""
+"""Limit to one BLAS thread: the matrices are too small to benefit from more."""
 
 from collections.abc import Callable
 from functools import lru_cache, wraps
@@ -11,11 +11,11 @@ Found = TypeVar("Found")
 
 
 def with_single_blas_thread(function: Callable[Arguments, Found]) -> Callable[Arguments, Found]:
-    """Return a function that leaves the linear algebra library one thread while it works, then those it had.
+    """Return a function that runs with one BLAS thread and restores the previous number afterwards.
 
     Notes
     -----
-    On two cores an edge takes twice as long on two threads as on one, and forty times as long beside other work.
+    On two cores an edge takes twice as long on two threads as on one, and forty times as long when other work runs.
     """
 
     @wraps(function)
@@ -28,7 +28,7 @@ def with_single_blas_thread(function: Callable[Arguments, Found]) -> Callable[Ar
 
 @lru_cache(maxsize=1)
 def _libraries() -> ThreadpoolController:
-    """Return the linear algebra libraries of this process: NumPy's, and SciPy's, which compiled functions call."""
+    """Return the BLAS libraries of this process: NumPy's, and SciPy's, which compiled functions call."""
     import scipy.linalg  # noqa: F401  # loads its own
 
     return ThreadpoolController().select(user_api="blas")

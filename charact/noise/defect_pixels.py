@@ -1,4 +1,4 @@
-"""How many pixels of a camera are defective, in the dark and in the light."""
+"""Defective pixels: bright, faint and blinking ones, and values struck in single frames."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -9,19 +9,17 @@ from charact.method import Context
 from charact.noise.provenance import provenance
 from charact.noise.sound.pixels import DefectivePixels
 from charact.noise.sound.survey import PixelSurvey
-from charact.noise.sound.thresholds import FAR
+from charact.noise.thresholds import SURVEY
 from labdata.measurement import Measurement, Result, make_measurement, make_refusal
 from labdata.session import Session
 
 METHOD = "outlying-pixels"
-# Places that a note lists.
-LISTED = 10
 
 
 def defect_pixels(
     session: Session, surveys: Sequence[PixelSurvey], found: DefectivePixels | None, *, context: Context
 ) -> Result:
-    """Return how many pixels are defective in the dark of the longest exposure and in the brightest flat."""
+    """Return the number of defective pixels in the dark of the longest exposure and in the brightest flat."""
     fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
     known = [one for one in surveys if one.threshold_dn > 0]
     if found is None or not known:
@@ -36,16 +34,16 @@ def defect_pixels(
 
 
 def _defect_count(one: PixelSurvey, found: DefectivePixels, fields: dict[str, Any]) -> Measurement:
-    """The number of defective pixels of a stack."""
+    """Return the number of defective pixels of a stack."""
     blinking = np.intersect1d(found.blinking, one.sudden)
     bright, faint = (np.setdiff1d(places, blinking) for places in (one.bright, one.faint))
     each = f"{len(bright)} bright, {len(faint)} faint, {len(blinking)} blinking"
-    rule = f"a mean beyond {one.threshold_dn:.3g} DN of those around, {FAR:g} robust standard deviations"
-    notes = [f"{each}; {rule}, or sudden changes in more frames than chance allows"]
+    far = f"a mean more than {one.threshold_dn:.3g} DN ({SURVEY.outlying_sd:g} robust standard deviations) off"
+    notes = [f"{each}; {far} the surrounding ones, or outliers in more frames than chance allows"]
     places = np.concatenate([bright, faint, blinking])
     count = len(np.unique(places))
     if count:
-        rows, cols = np.divmod(places[:LISTED], one.size[1])
+        rows, cols = np.divmod(places[: SURVEY.listed], one.size[1])
         shown = ", ".join(
             f"({row}, {col})" for row, col in dict.fromkeys(zip(rows.tolist(), cols.tolist(), strict=True))
         )

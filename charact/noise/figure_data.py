@@ -1,4 +1,4 @@
-"""What the report draws of a noise analysis: the photon transfer curve, the spectrum and the correlations."""
+"""Figure data of a noise analysis: photon transfer curve, spectrum and correlations."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ from charact.noise.gain.series import FlatSeries
 
 
 def transfer_figure_data(series: FlatSeries, *, gain: float | None = None, **more: Any) -> dict[str, Any]:
-    """Photon transfer curve: signal, variance and what was fitted."""
+    """Return the photon transfer curve: signal, variance and fitted range."""
     return {
         "figure": "photon-transfer",
         "label": [flat.label for flat in series.flats],
@@ -29,7 +29,7 @@ def transfer_figure_data(series: FlatSeries, *, gain: float | None = None, **mor
 
 
 def spectrum_figure_data(summary: PooledNoise, fit: Fit) -> dict[str, Any]:
-    """Noise power over signal against radius with its fit; `covariance_gain` is where it meets frequency 0."""
+    """Return noise power over signal against radial frequency, with its fit."""
     radius = np.hypot(summary.column_cy_per_px, summary.row_cy_per_px)
     order = np.argsort(radius)
     return {
@@ -48,7 +48,7 @@ def spectrum_figure_data(summary: PooledNoise, fit: Fit) -> dict[str, Any]:
 
 
 def correlation_figure_data(series: FlatSeries, summary: PooledNoise) -> dict[str, Any]:
-    """Correlation of pixels next to each other, and of exposures one after the other."""
+    """Return the correlation of neighbouring pixels and of successive exposures."""
     lag = summary.lag
     return {
         "figure": "autocorrelation",

@@ -1,4 +1,4 @@
-"""Whether darks and flats can give a gain at all, and what is said where they cannot."""
+"""Feasibility of a gain measurement, and the refusals where there is none."""
 
 from typing import Any
 
@@ -12,9 +12,9 @@ from labdata.measurement import Measurement, make_refusal
 
 
 def gain_obstacle(series: FlatSeries) -> str | None:
-    """Why no gain can be had from a series, or None."""
+    """Return why a series cannot give a gain, or None."""
     if not len(series.flats):
-        return "flats need at least two frames each, and darks or a second level to be counted from"
+        return "flats need at least two frames each, and darks or a second level as reference"
     error = np.array([np.sqrt(f.variance_dn2 / (f.pixels * f.frames)) + 1e-12 for f in series.flats])
     brighter = series.signal_dn > 5.0 * np.sqrt(50.0) * error
     if not brighter.any():
@@ -23,13 +23,14 @@ def gain_obstacle(series: FlatSeries) -> str | None:
     if not (brighter & noisier).any():
         return f"no flat is noisier than its dark: the largest difference is {series.variance_dn2.max():.3g} DN2"
     if not (series.fitted & brighter & noisier).any():
-        return "every flat is saturated: none lies within 70 % of saturation and below the highest code"
+        return "every flat is saturated: none lies within 70 % of saturation and below full scale"
     return None
 
 
-def without_flats(darks, series: FlatSeries | None, single: list[str], *, quantity=("system_gain", "DN/e-"), **fields: Any
-                  ) -> list[Measurement]:  # fmt: skip
-    """What darks alone tell, and why there is no gain."""
+def without_flats(
+    darks, series: FlatSeries | None, single: list[str], *, quantity=("system_gain", "DN/e-"), **fields: Any
+) -> list[Measurement]:
+    """Return the quantities of darks alone, and the refusal of the gain."""
     if series is not None:
         reason = "; ".join(part for part in (gain_obstacle(series), without_noise(series.single)) if part)
     elif single:

@@ -1,1 +1,1 @@
-"""3-D noise: a stack as a cube of frames, rows and columns."""
+"""3-D noise of a stack of frames, rows and columns."""

@@ -1,4 +1,4 @@
-"""The seven components of 3-D noise from the contrasts of a stack, free of the bias of finite cubes."""
+"""Seven components of 3-D noise from orthonormal contrasts, without bias by the finite cube."""
 
 from dataclasses import dataclass, replace
 
@@ -19,35 +19,26 @@ from charact.noise.cube.mean_squares import (
     strata,
     subtract_means,
 )
+from charact.noise.thresholds import CUBE
 
 Array = NDArray[np.float64]
 
-# The axes along which each component varies.
+# Axes along which each component varies.
 OWN = {"t": (TIME,), "v": (ROW,), "h": (COL,), "tv": (TIME, ROW), "th": (TIME, COL), "vh": (ROW, COL)}
-# Blocks of the image (rows, columns) whose scatter tells how the power of the random noise varies.
-BLOCKS = (8, 8)
-# Differences of frames whose spectra tell how far the random noise of pixels is independent.
-SPECTRA = 2
-# Share of what noise of one and of two periods tells of the mean that may be wrong of it.
-UNSURE = 0.25
-# Square of what is left of a standard normal error that is drawn towards zero by 1 - 1/z^2.
-CHANCE = 0.36
-# Standard errors that an excess must be beyond to count as there.
-CERTAIN = 3.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class LowFrequencyExcess:
-    """What noise that is correlated along an axis holds more in its mean than in its slowest waves.
+    """Excess power of correlated noise in its mean over its slowest waves along an axis.
 
     Parameters
     ----------
     dn2, sd_dn2
-        The excess and its standard error, extended from the waves of two periods and of one, DN^2.
+        The excess and its standard error, extrapolated from the waves of two periods and of one, DN^2.
     share
-        The same over the power of these waves, dimensionless.
+        The excess over the power of these waves, dimensionless.
     drawn
-        Whether the excess is drawn towards zero where it may be chance (James and Stein).
+        Whether the excess is shrunk towards zero (James and Stein).
     """
 
     dn2: float
@@ -57,18 +48,23 @@ class LowFrequencyExcess:
 
     @property
     def estimate_dn2(self) -> float:
-        """The excess to count with, DN^2."""
+        """Shrinkage estimate of the excess, DN^2."""
         return self.dn2 * self._weight
 
     @property
     def estimate_sd_dn2(self) -> float:
-        """Standard error of that, DN^2."""
-        return float(np.hypot(np.sqrt(max(self._weight, CHANCE)) * self.sd_dn2, UNSURE * self.estimate_dn2))
+        """Standard error of the estimate, DN^2."""
+        return float(
+            np.hypot(
+                np.sqrt(max(self._weight, CUBE.shrunk_variance)) * self.sd_dn2,
+                CUBE.extrapolation_sd * self.estimate_dn2,
+            )
+        )
 
     @property
     def min_fraction(self) -> float:
-        """Least size of the share that its error leaves room for, dimensionless."""
-        return abs(self.share) * max(0.0, 1.0 - CERTAIN * abs(self.sd_dn2 / self.dn2)) if self.dn2 else 0.0
+        """Lower limit of the relative excess by its error, dimensionless."""
+        return abs(self.share) * max(0.0, 1.0 - CUBE.significant_sd * abs(self.sd_dn2 / self.dn2)) if self.dn2 else 0.0
 
     @property
     def _weight(self) -> float:
@@ -84,9 +80,9 @@ class Component:
     Parameters
     ----------
     terms
-        Mean squares with their factors: the variance is their sum, and so are its draws.
+        Mean squares with their factors; the variance is their sum.
     slopes
-        What is to be subtracted besides, for each axis (`TIME`, `ROW`, `COL`) that it was averaged over.
+        Excess to subtract for each axis (`TIME`, `ROW`, `COL`) of averaging.
     """
 
     terms: tuple[tuple[float, MeanSquare], ...]
@@ -99,7 +95,7 @@ class Component:
         return sum(factor * term.value_dn2 for factor, term in self.terms) - noise
 
     def draws(self, rng: np.random.Generator, count: int) -> Array:
-        """Draws of the variance, shape (count,), DN^2; some are negative where the component is near zero."""
+        """Return draws of the variance, shape (count,), DN^2; some are negative if the component is near zero."""
         out = sum((factor * term.draws(rng, count) for factor, term in self.terms), np.zeros(count))
         for slope in self.slopes.values():
             out -= slope.estimate_dn2 + slope.estimate_sd_dn2 * rng.standard_normal(count)
@@ -111,18 +107,16 @@ def components(found: Contrasts) -> dict[str, Component]:
 
     Notes
     -----
-    U(t,v,h) = S + N_t + N_v + N_h + N_tv + N_th + N_vh + N_tvh. An orthonormal combination that is a mean along an
-    axis holds white noise of variance s^2 as s^2, and a component that is constant along the axis n-fold; the analysis
-    of variance subtracts the one from the other. What is subtracted here is not the mean square over all of N_tvh, as
-    in the textbook, but over its slowest waves along the axis averaged over: for white noise both are the same (and
-    the estimate unbiased for finite cubes), but noise correlated between pixels or frames has more power in slow waves
-    than in fast ones and only the slow ones tell what of it is left in a mean, the slope from two periods to one
-    extended to none (`LowFrequencyExcess`). Bias identities that hold for white noise, and so here:
-    s_vh^2 = sigma_vh^2 + sigma_tvh^2 / T and cyclic, s_t^2 = sigma_t^2 + sigma_tv^2 / V + sigma_th^2 / H
-    + sigma_tvh^2 / (VH) and cyclic (Appl. Opt. 54, 4907 (2015)). Mean squares are independent and vary like
-    chi-squared where noise is normal, and each with its own degrees of freedom where it is not white (see
-    `mean_square`); a draw of each gives a draw of their sum, and its quantiles the generalized confidence interval
-    (Weerahandi, J. Am. Stat. Assoc. 88, 899 (1993)).
+    U(t,v,h) = S + N_t + N_v + N_h + N_tv + N_th + N_vh + N_tvh. An orthonormal mean along an axis contains white noise
+    of variance s^2 as s^2, and a component constant along the axis n-fold; the analysis of variance subtracts the one
+    from the other. The subtracted term is not the mean square over all of N_tvh, as in the textbook, but over its
+    slowest waves along the averaged axis. Both agree for white noise, and the estimate is unbiased for finite cubes.
+    Correlated noise has more power in slow waves, which alone predict its part in a mean (`LowFrequencyExcess`). Bias
+    identities for white noise: s_vh^2 = sigma_vh^2 + sigma_tvh^2 / T and cyclic, s_t^2 = sigma_t^2 + sigma_tv^2 / V
+    + sigma_th^2 / H + sigma_tvh^2 / (VH) and cyclic (Appl. Opt. 54, 4907 (2015)). Mean squares are independent and
+    chi-squared distributed for normal noise, each with its own degrees of freedom if it is not white (see
+    `mean_square`). Draws of each give draws of their sum and the generalized confidence interval (Weerahandi, J. Am.
+    Stat. Assoc. 88, 899 (1993)).
     """
     arrays = _arrays(found)
     parts = {name: _component(arrays[name], OWN[name], found.size) for name in OWN}
@@ -130,7 +124,7 @@ def components(found: Contrasts) -> dict[str, Component]:
 
 
 def _arrays(found: Contrasts) -> dict[str, Array]:
-    """The contrasts each component is made of, shape (field, time, row, col) with waves on the axes averaged over."""
+    """Return the contrasts of each component, shape (field, time, row, col) with waves on the averaged axes."""
     frames, rows, _ = (waves(length) for length in found.size)
     return {
         "t": np.einsum("wv,ftvx->ftwx", rows, found.by_row),
@@ -143,7 +137,7 @@ def _arrays(found: Contrasts) -> dict[str, Array]:
 
 
 def _component(values: Array, own: tuple[int, ...], size: tuple[int, int, int]) -> Component:
-    """One component: mean squares of means less those of slow waves, over the pixels averaged."""
+    """Return one component: mean squares of means less those of slow waves, over the number of averaged pixels."""
     fixed = TIME not in own
     averaged = float(np.prod([size[axis - 1] for axis in (TIME, ROW, COL) if axis not in own]))
     terms, excess = [], {axis: [] for axis in (TIME, ROW, COL) if axis not in own}
@@ -157,7 +151,7 @@ def _component(values: Array, own: tuple[int, ...], size: tuple[int, int, int]) 
 
 
 def _excess(rest: Array, axis: int, square: MeanSquare) -> float:
-    """Power at frequency 0 less that of the waves of one and two periods together, by a parabola through both."""
+    """Return the power at frequency 0 less that of the waves of one and two periods, by a parabola."""
     if rest.shape[axis] < 4 or square.value_dn2 <= 0:
         return 0.0
     one, two = (float(np.mean(np.take(rest, pair, axis=axis) ** 2)) for pair in ((0, 1), (2, 3)))
@@ -165,7 +159,7 @@ def _excess(rest: Array, axis: int, square: MeanSquare) -> float:
 
 
 def _slope(found: list[tuple[float, MeanSquare, float]]) -> LowFrequencyExcess:
-    """The excess of all terms that hold waves along an axis: factor, mean square and excess of each."""
+    """Return the excess along an axis of all its terms: factor, mean square and excess of each."""
     value = sum(factor * excess for factor, _, excess in found)
     sd = [factor * square.value_dn2 * 5.0 / 6.0 * np.sqrt(8.0 / square.freedom) for factor, square, _ in found]
     power = sum(abs(factor) * square.value_dn2 for factor, square, _ in found)
@@ -173,24 +167,24 @@ def _slope(found: list[tuple[float, MeanSquare, float]]) -> LowFrequencyExcess:
 
 
 def _random_component(found: Contrasts, parts: dict[str, Component]) -> Component:
-    """The component that varies along all axes: what is left of the power, and its scatter from pairs of frames."""
+    """Return the component that varies along all axes: residual power, and its scatter from pairs of frames."""
     length = np.array(found.size)
     count = len(found.by_row) * float(np.prod(length - 1))
     means = (found.by_row[..., 0], found.by_col[:, :, 0], _arrays(found)["t"][:, :, 0, 0])
     rows, cols, frames = (float(np.sum((mean - mean.mean(axis=1, keepdims=True)) ** 2)) for mean in means)
     power = max(float(found.power_dn2.sum()) - rows - cols + frames, 0.0) / count
-    # Noise that is not white has another power in the planes that the means took away than elsewhere.
+    # Correlated noise has a different power in the planes removed with the means.
     slow = np.array([parts[name].terms[1][1].value_dn2 for name in ("vh", "th", "tv")])
     factor = float(np.prod(1.0 + (slow / power - 1.0) / length)) if power > 0 else 1.0
     square = MeanSquare(value_dn2=power, freedom=_freedom(found.pairs, power, count))
     slopes = {axis: parts[name].slopes[axis] for axis, name in ((TIME, "vh"), (ROW, "th"), (COL, "tv"))}
-    # What the other components lose to this one is little beside it: its error weighs less than a bias would.
+    # The correction is small relative to this component, so its error matters less than a bias.
     taken = {axis: replace(slope, dn2=-slope.dn2, share=-slope.share, drawn=False) for axis, slope in slopes.items()}
     return Component(terms=((factor, square),), slopes=taken)
 
 
 def _freedom(pairs: NDArray[np.float32], power: float, count: float) -> float:
-    """Degrees of freedom of the random component's power: correlated pixels and frames, and pulses, lower them."""
+    """Return the degrees of freedom of the random component; correlations and pulses reduce them."""
     rest = subtract_means(pairs, (2, 3), fixed=False)
     square = float(np.mean(rest**2, dtype=np.float64))
     if power <= 0 or square <= 0:
@@ -199,8 +193,8 @@ def _freedom(pairs: NDArray[np.float32], power: float, count: float) -> float:
     size = degrees_of_freedom(rest.shape, (2, 3), fixed=False)
     blocks = _blocks(unit**2)
     pixels = rest[0, 0].size / blocks.shape[2]
-    normal = 2.0 * correlation_factor(unit[:, :SPECTRA], (2, 3), size) / pixels
-    # The difference of two frames halves a fourth cumulant.
+    normal = 2.0 * correlation_factor(unit[:, : CUBE.spectra], (2, 3), size) / pixels
+    # A difference of two frames halves the fourth cumulant.
     pulses = 2.0 * max(_scatter(blocks) - normal, 0.5 * excess_kurtosis(unit, size) / pixels)
     lag = float(np.clip(1.0 - square / power, 0.0, 0.95))
     alike = (1.0 + lag**2) / (1.0 - lag**2) * (1.0 + squared_field_correlation(unit, size))
@@ -208,7 +202,7 @@ def _freedom(pairs: NDArray[np.float32], power: float, count: float) -> float:
 
 
 def _scatter(blocks: Array) -> float:
-    """Relative variance in time of the power of a block, blocks of uneven light each about their own mean."""
+    """Return the relative temporal variance of the block power, each block about its own mean."""
     pairs = blocks.shape[1]
     if pairs < 2:
         return 0.0
@@ -217,10 +211,10 @@ def _scatter(blocks: Array) -> float:
 
 
 def _blocks(image: NDArray) -> Array:
-    """Means over blocks of the last two axes, as a flat list, shape (field, pair, block)."""
+    """Return means over blocks of the last two axes, shape (field, pair, block)."""
     rows, cols = (
         np.linspace(0, length, min(most, length // 2) + 1).astype(int)
-        for length, most in zip(image.shape[2:], BLOCKS, strict=True)
+        for length, most in zip(image.shape[2:], CUBE.blocks, strict=True)
     )
     total = np.add.reduceat(np.add.reduceat(image, rows[:-1], axis=2), cols[:-1], axis=3)
     return (total / np.outer(np.diff(rows), np.diff(cols))).reshape(*image.shape[:2], -1)

@@ -1,4 +1,4 @@
-"""One stack as a cube of frames, rows and columns: its seven components of noise, and what spoils them."""
+"""3-D noise of one stack: seven components with their findings, and the means of its exposures."""
 
 from dataclasses import dataclass
 
@@ -12,13 +12,10 @@ from charact.noise.cube.contrasts import contrasts
 from charact.noise.cube.cube_checks import row_parity_findings, shading_findings
 from charact.noise.findings import Finding
 from charact.noise.stack.frame_means import FrameMeans, frame_means
+from charact.noise.thresholds import CUBE
 from labdata.lazy_stack import LazyStack
 
 Array = NDArray[np.float64]
-
-# Fewer frames tell too little of what changes in time; smaller fields have no slow waves to speak of.
-LEAST_FRAMES = 8
-LEAST_PIXELS = 16
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,15 +27,15 @@ class Cube:
     components
         Variance of each component, by its axes: "t" to "tvh".
     findings
-        What spoils a component, by its axes: flag and sentence.
+        Findings of each component, by its axes.
     means
         Means of the exposures.
     row_mean_dn, column_mean_dn
         Mean of each row, shape (row,), and of each column, shape (col,), DN.
     fields
-        Cubes that the frames were taken apart into: 2 for interlaced ones.
+        Number of cubes: 2 for interlaced frames.
     seconds
-        Time it took, s.
+        Run time, s.
     """
 
     components: dict[str, Component]
@@ -51,9 +48,9 @@ class Cube:
 
 
 def cube_of(stack: LazyStack, *, context: Context) -> Cube | None:
-    """Return the 3-D noise of a stack; None where it is too short or too small to tell it."""
+    """Return the 3-D noise of a stack; None if it is too short or too small."""
     frames, rows, cols = stack.shape
-    if frames < LEAST_FRAMES or min(rows // (2 if context.interlaced else 1), cols) < LEAST_PIXELS:
+    if frames < CUBE.min_frames or min(rows // (2 if context.interlaced else 1), cols) < CUBE.min_pixels:
         return None
     watch = Stopwatch()
     found = contrasts(stack, interlaced=context.interlaced)

@@ -1,4 +1,4 @@
-"""Mean squares of combinations of pixels, and how many independent values of a normal law know them as well."""
+"""Mean squares of contrasts, and their degrees of freedom."""
 
 from dataclasses import dataclass
 from itertools import product
@@ -6,37 +6,36 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.noise.thresholds import CUBE
+
 Array = NDArray[np.float64]
 
-# Axes of a contrast array: field, time, row, col; the last three may be those a component varies along.
+# Axes of a contrast array (field, time, row, col) along which components vary.
 TIME, ROW, COL = 1, 2, 3
-# Smooth shading: polynomials up to this order, lower on short axes, one order for so many pixels.
-SHADING_ORDER = 4
-PIXELS_PER_ORDER = 8
 
 
 @dataclass(frozen=True, kw_only=True)
 class MeanSquare:
-    """A mean of squares that varies like chi-squared.
+    """A mean of squares with a scaled chi-squared distribution.
 
     Parameters
     ----------
     value_dn2
         The mean of squares, DN^2.
     freedom
-        Degrees of freedom, not whole where values are correlated or not normal.
+        Degrees of freedom, reduced for correlated or non-normal values.
     """
 
     value_dn2: float
     freedom: float
 
     def draws(self, rng: np.random.Generator, count: int) -> Array:
-        """Draws of what the mean square would be without its sampling error, shape (count,), DN^2."""
+        """Return posterior draws of the expected mean square, shape (count,), DN^2."""
         return self.value_dn2 * self.freedom / rng.chisquare(self.freedom, count)
 
 
 def subtract_means(part: NDArray, own: tuple[int, ...], *, fixed: bool) -> NDArray:
-    """Return the contrasts that vary along all own axes: means taken away, and smooth shading of a fixed pattern."""
+    """Return contrasts without their means along the given axes, and without smooth shading of a fixed pattern."""
     for axis in own:
         part = part - part.mean(axis=axis, keepdims=True)
     if not fixed:
@@ -53,19 +52,19 @@ def subtract_means(part: NDArray, own: tuple[int, ...], *, fixed: bool) -> NDArr
 def shading(length: int) -> Array:
     """Return orthonormal polynomials along an axis without the constant, shape (length, order)."""
     place = np.linspace(-1.0, 1.0, length)
-    order = min(SHADING_ORDER, length // PIXELS_PER_ORDER)
+    order = min(CUBE.shading_order, length // CUBE.pixels_per_order)
     return np.linalg.qr(np.polynomial.legendre.legvander(place, order))[0][:, 1:]
 
 
 def mean_square(rest: NDArray, own: tuple[int, ...], *, fixed: bool) -> MeanSquare:
-    """Return the mean square of what `offsets_from_centre` left.
+    """Return the mean square of centred contrasts.
 
     Notes
     -----
-    For a stationary normal process with powers P of its modes the sum of n squares varies like chi-squared of
-    (sum P)^2 / sum P^2 degrees of freedom (Satterthwaite, Biometrics Bulletin 2, 110 (1946)); a fourth cumulant
-    g adds g / n to its relative variance, and fields that share their noise with correlation r count 2 / (1 + r^2)
-    times. Each of the three is measured, and only what is beyond its own error counts.
+    For a stationary normal process with mode powers P the sum of n squares is approximately chi-squared with (sum P)^2
+    / sum P^2 degrees of freedom (Satterthwaite, Biometrics Bulletin 2, 110 (1946)). A fourth cumulant g adds g / n to
+    its relative variance; two fields of correlation r count 2 / (1 + r^2) times. Each of the three is measured and
+    corrected for its own error.
     """
     count = degrees_of_freedom(rest.shape, own, fixed=fixed)
     total = float(np.sum(rest**2))
@@ -79,7 +78,7 @@ def mean_square(rest: NDArray, own: tuple[int, ...], *, fixed: bool) -> MeanSqua
 
 
 def degrees_of_freedom(shape: tuple[int, ...], own: tuple[int, ...], *, fixed: bool) -> float:
-    """Return how many independent values white noise leaves in contrasts of a shape."""
+    """Return the degrees of freedom of white noise in contrasts of a shape."""
     averaged = np.prod([length for axis, length in enumerate(shape) if axis not in own])
     free = np.prod([shape[axis] - 1 for axis in own])
     taken = np.prod([shading(shape[axis]).shape[1] for axis in own]) if fixed else 0
@@ -87,24 +86,24 @@ def degrees_of_freedom(shape: tuple[int, ...], own: tuple[int, ...], *, fixed: b
 
 
 def correlation_factor(unit: NDArray, own: tuple[int, ...], count: float) -> float:
-    """Return by how much fewer the independent values are than the values, from the spread of power over modes."""
+    """Return the number of values per independent value, from the spread of power over modes."""
     from scipy import fft
 
     modes = np.asarray(fft.rfftn(unit, axes=own))
     power = np.abs(modes[np.ix_(*(np.arange(axis in own, length) for axis, length in enumerate(modes.shape)))]) ** 2
     mean = float(np.mean(power))
-    # Powers of single modes vary like exponentials, whose mean square is twice the square of the mean.
+    # Powers of single modes are exponential, with a mean square of twice the squared mean.
     return max(1.0, 0.5 * float(np.mean(power**2)) / mean**2 - np.sqrt(10.0 / count)) if mean > 0 else 1.0
 
 
 def excess_kurtosis(unit: NDArray, count: float) -> float:
-    """Return the excess of the mean fourth power over the normal law's, for values of mean square one."""
+    """Return the excess kurtosis of values of mean square one, less its error."""
     square = unit * unit
     return max(0.0, float(np.mean(square * square)) - 3.0 - np.sqrt(24.0 / count))
 
 
 def squared_field_correlation(unit: NDArray, count: float) -> float:
-    """Return the square of the correlation of the two fields; 0 for one."""
+    """Return the squared correlation of the two fields; 0 for one field."""
     if len(unit) < 2:
         return 0.0
     first, second = unit
@@ -113,10 +112,10 @@ def squared_field_correlation(unit: NDArray, count: float) -> float:
 
 
 def strata(values: Array, own: tuple[int, ...]) -> list[tuple[int, list[int], Array]]:
-    """Return the parts of contrasts that a component is made of, each with its sign and its axes of waves.
+    """Return the parts of the contrasts of a component, each with its sign and its axes of waves.
 
-    Along every axis that the component does not vary along, the mean (index 0) is set against the slowest waves
-    (all others), which hold the same noise and none of the component: sign -1 for each axis of waves.
+    Along every other axis the mean (index 0) is compared with the slowest waves (all others), which contain the same
+    noise without the component: sign -1 for each axis of waves.
     """
     others = [axis for axis in (TIME, ROW, COL) if axis not in own]
     out = []

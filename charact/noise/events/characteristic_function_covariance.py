@@ -1,7 +1,7 @@
-"""How characteristic functions of filtered frames scatter from stack to stack, computed rather than counted.
+"""Model covariance of the characteristic functions.
 
-A scatter that is counted from the frames knows too little of the rare bright pulses that cause most of it: where by
-chance few came, both their number and its error read low, and a fit that weighs by it is drawn that way.
+An empirical covariance underestimates rare bright pulses: if few occur by chance, both their number and its error are
+low, which biases the fit.
 """
 
 import numpy as np
@@ -14,25 +14,20 @@ from charact.noise.events.event_distribution import (
     real_and_imaginary,
 )
 from charact.noise.events.filters import Filter
+from charact.noise.thresholds import EVENT_ACCURACY
 
 Array = NDArray[np.float64]
 
-# Heights that stand for the law of the heights.
-HEIGHTS = 20
-# Directions whose variance is beyond this, in units of the mean one, are computed; and what blocks miss of the variance
-# as pulses on their borders are counted in halves.
-STRONG, MORE_THAN_COUNTED = 4.0, 1.4
-
 
 def scatter(pulses: PulsePopulation, observed: CharacteristicFunctionData) -> Array:
-    """Return the covariance of `CharacteristicFunctionData.value` for given pulses, shape (2 filter t, 2 filter t).
+    """Return the covariance of the data for given pulses, shape (2 filter t, 2 filter t).
 
     Notes
     -----
     The mean of exp(i t y) over N pixels, divided by its expectation, is 1 plus what each pulse of height h adds,
-    c(h) = integral over places of [exp(i t h a(x)) - 1], and what the noise adds. Pulses come by chance: their
-    covariance is rate/N <c c'>. That of Gaussian noise of covariance C(D) is sum over D of exp(t t' C(D)) - 1. Both
-    together leave out what noise under pulses adds, which is small as long as pulses are few.
+    c(h) = integral over positions of [exp(i t h a(x)) - 1], plus the noise. Pulses are Poisson distributed: their
+    covariance is rate/N <c c'>. That of Gaussian noise of covariance C(D) is sum over D of exp(t t' C(D)) - 1. The sum
+    neglects noise beneath pulses, which is small for few pulses.
     """
     return (_by_pulses(pulses, observed) + _by_noise(pulses, observed)) / observed.pixels
 
@@ -49,14 +44,14 @@ def _by_pulses(pulses: PulsePopulation, observed: CharacteristicFunctionData) ->
 
 
 def _heights(relative_variance: float) -> tuple[Array, Array]:
-    """Heights of a gamma law of mean 1 and their chances, by Gauss and Laguerre."""
+    """Return Gauss-Laguerre heights of a gamma distribution of mean 1 and their weights."""
     from scipy.special import roots_genlaguerre
 
     shape = 1.0 / relative_variance
     if shape > 60.0:
-        node, weight = np.polynomial.hermite_e.hermegauss(HEIGHTS // 2)
+        node, weight = np.polynomial.hermite_e.hermegauss(EVENT_ACCURACY.heights // 2)
         return np.maximum(1.0 + node / np.sqrt(shape), 1e-3), weight / weight.sum()
-    node, weight = roots_genlaguerre(HEIGHTS, shape - 1.0)
+    node, weight = roots_genlaguerre(EVENT_ACCURACY.heights, shape - 1.0)
     return node / shape, weight / weight.sum()
 
 
@@ -80,7 +75,7 @@ def _by_noise(pulses: PulsePopulation, observed: CharacteristicFunctionData) -> 
 
 
 def _output_covariance(one: Filter, other: Filter, line: tuple[float, ...]) -> Array:
-    """Covariances of two filters' outputs at all distances, for noise of unit variance."""
+    """Return the covariances of two filters' outputs at all separations, for noise of unit variance."""
     across = np.correlate(np.convolve(one.columns, line), np.convolve(other.columns, line), "full")
     down = np.correlate(np.ones(one.high), np.ones(other.high), "full")
     time = np.correlate(one.times, other.times, "full")
@@ -88,15 +83,16 @@ def _output_covariance(one: Filter, other: Filter, line: tuple[float, ...]) -> A
 
 
 def blend_covariances(computed: Array, counted: Array) -> Array:
-    """Return the covariance as computed where pulses make it, and as counted from blocks in all other directions.
+    """Return the model covariance in directions dominated by pulses, and the block covariance in all others.
 
-    Rare bright pulses lie in the few strongest directions, and noise under pulses, which the computation leaves out,
-    in the weak ones.
+    Rare bright pulses lie in the few strongest directions, the neglected noise beneath pulses in the weak ones.
     """
-    # Where pulses add nothing, weights of both signs may leave less than nothing.
+    # Without pulses, weights of both signs may give negative values.
     unit = np.sqrt(np.maximum(np.diag(computed), 1e-6 * np.diag(counted)))
     power, direction = np.linalg.eigh(computed / np.outer(unit, unit))
-    strong = direction[:, power > STRONG]
+    strong = direction[:, power > EVENT_ACCURACY.strong_direction]
     weak = np.eye(len(unit)) - strong @ strong.T
     rest = weak @ (counted / np.outer(unit, unit)) @ weak
-    return ((strong * power[power > STRONG]) @ strong.T + MORE_THAN_COUNTED * rest) * np.outer(unit, unit)
+    return (
+        (strong * power[power > EVENT_ACCURACY.strong_direction]) @ strong.T + EVENT_ACCURACY.block_loss * rest
+    ) * np.outer(unit, unit)

@@ -1,4 +1,4 @@
-"""What the report draws of single photoelectrons: filtered pixels as often as they came, and the fitted law."""
+"""Figure data of single photoelectrons: histogram of filtered pixels and the fitted distribution."""
 
 from typing import Any
 
@@ -7,21 +7,17 @@ from numpy.typing import NDArray
 
 from charact.noise.events.filters import MIDDLE
 from charact.noise.events.pulse_height_fit import PulseFit
+from charact.noise.thresholds import EVENT_ACCURACY
 
 Array = NDArray[np.float64]
 
-# Bars across the noise, and the range drawn: from noise below to mean responses above.
-NOISE_BELOW, HEIGHTS_ABOVE, BARS = 5.0, 10.0, 120
-# Values of the law: a power of two, and the range they span over the range drawn, against wrap-around.
-VALUES, MARGIN = 8192, 4.0
-
 
 def pulse_figure_data(found: PulseFit) -> dict[str, Any]:
-    """Filtered pixels as measured and as the fitted law has them, ion events, and how exponential the law is."""
+    """Return measured and fitted distributions of filtered pixels, and the fit parameters."""
     best, one = found.peak.pulses, found.observed.filters[MIDDLE]
     noise = float(np.sqrt(one.noise(best.line) * best.noise_dn2))
-    low, high = -NOISE_BELOW * noise, HEIGHTS_ABOVE * found.signal_to_noise * noise
-    edges = np.linspace(low, high, BARS + 1)
+    low, high = -EVENT_ACCURACY.figure_noise_sd * noise, EVENT_ACCURACY.figure_heights * found.signal_to_noise * noise
+    edges = np.linspace(low, high, EVENT_ACCURACY.figure_bins + 1)
     middle = 0.5 * (edges[1:] + edges[:-1])
     value = [one.within(change, one.reach)[good[:, one.reach[0] : good.shape[1] - one.reach[0],
                                                 one.reach[1] : good.shape[2] - one.reach[1]]]
@@ -59,12 +55,12 @@ def pulse_figure_data(found: PulseFit) -> dict[str, Any]:
 
 
 def _density(found: PulseFit, value: Array, span_dn: float) -> Array:
-    """Probability of filtered pixels per DN under the fitted law, from its characteristic function."""
-    step = MARGIN * span_dn / VALUES
-    frequency = np.asarray(2.0 * np.pi * np.fft.rfftfreq(VALUES, step), np.float64)
+    """Return the fitted probability density of filtered pixels per DN, from its characteristic function."""
+    step = EVENT_ACCURACY.figure_margin * span_dn / EVENT_ACCURACY.figure_points
+    frequency = np.asarray(2.0 * np.pi * np.fft.rfftfreq(EVENT_ACCURACY.figure_points, step), np.float64)
     log = found.peak.pulses.log_characteristic(found.observed.filters[MIDDLE], frequency)
-    # The sign of numpy's transform is that of exp(-i t y).
-    density = np.fft.irfft(np.exp(np.conj(log)), VALUES) / step
-    place = np.fft.fftfreq(VALUES, 1.0 / (VALUES * step))
+    # NumPy's transform uses exp(-i t y).
+    density = np.fft.irfft(np.exp(np.conj(log)), EVENT_ACCURACY.figure_points) / step
+    place = np.fft.fftfreq(EVENT_ACCURACY.figure_points, 1.0 / (EVENT_ACCURACY.figure_points * step))
     order = np.argsort(place)
     return np.interp(value, place[order], np.maximum(density[order], 0.0))

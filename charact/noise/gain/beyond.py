@@ -1,8 +1,8 @@
-"""The light's noise beyond the band in which its spectrum is kept: what pixels and their neighbours still tell of it.
+"""White-noise floor of the scintillation noise, and integrals of its power beyond the spectral band.
 
-The autocovariance at no separation, one column and one row is the integral of the power over all frequencies times
-1, cos(2 pi x) and cos(2 pi y). Less what lies inside the band, it is the part beyond: a white floor shows in the first
-and hardly in the other two, blurred pulses show in all three.
+The autocovariance at zero separation, one column and one row is the integral of the power times 1, cos(2 pi x) and
+cos(2 pi y). Subtracting the band leaves the part beyond. A white floor contributes to the first integral only, blurred
+pulses to all three.
 """
 
 from collections.abc import Callable, Sequence
@@ -11,27 +11,24 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.noise.snr.area import BINNING, shares_of
+from charact.noise.snr.area import shares_of
 from charact.noise.stack.spectrum import BAND_CY_PER_PX, ROW_LIMIT_CY
 from charact.noise.stack.stack_statistics import StackStatistics
+from charact.noise.thresholds import GAIN, STACK
 
 Array = NDArray[np.float64]
-
-# Points along each axis of the quarter plane at which power is summed, and parts of the step between them that the
-# rim of the band cuts off.
-POINTS, PARTS = 8, 12
 
 
 @dataclass(frozen=True, kw_only=True)
 class Beyond:
-    """Integrals of the power of the light's noise over the signal beyond the band.
+    """Integrals beyond the band of noise power over signal.
 
     Parameters
     ----------
     value_dn
         Integrals with 1, cos(2 pi x) and cos(2 pi y), shape (3,), DN.
     inside_dn
-        The same inside the band, which was taken away from the whole, shape (3,), DN.
+        Integrals inside the band, already subtracted, shape (3,), DN.
     noise
         Factors of 1, P and P^2 in the variance density of the power P, DN^2, DN and 1.
     column_cy_per_px, row_cy_per_px
@@ -39,7 +36,7 @@ class Beyond:
     cosines
         Weights of their power in the integrals, shape (3, point).
     share
-        Part of all modes that each stands for, shape (point,).
+        Fraction of all modes per point, shape (point,).
     """
 
     value_dn: Array
@@ -53,30 +50,36 @@ class Beyond:
     def covariance(self, power: Array) -> Array:
         """Return the covariance of the integrals under a power (point,), DN, shape (3, 3), DN^2.
 
-        N pixels have N/2 independent complex modes, whose power P is known to P; steps between the bins leave
-        `BINNING` of what lies inside.
+        N pixels have N/2 independent complex modes of power P with standard deviation P; binning adds the
+        relative error `STACK.binning_sd` of the part inside.
         """
         none, once, twice = self.noise
         density = (none + once * power + twice * power**2) / self.share
-        return self.cosines * density @ self.cosines.T + np.diag((BINNING * self.inside_dn) ** 2)
+        return self.cosines * density @ self.cosines.T + np.diag((STACK.binning_sd * self.inside_dn) ** 2)
 
 
-def beyond_of(flats: Sequence[StackStatistics], darks: Sequence[StackStatistics], weight: Array, signal: Array, known: Array, name: str
-              ) -> Beyond:  # fmt: skip
-    """Return what pixels and their neighbours tell of the light's noise beyond the band.
+def beyond_of(
+    flats: Sequence[StackStatistics],
+    darks: Sequence[StackStatistics],
+    weight: Array,
+    signal: Array,
+    known: Array,
+    name: str,
+) -> Beyond:
+    """Return the integrals beyond the band from variance and neighbour covariances.
 
     Parameters
     ----------
     flats, darks
         Pooled levels, each with its dark.
     weight
-        Weight of what each has above its dark, shape (flat,), 1/DN; of sum 1 times the signal.
+        Weight of each flat above its dark, shape (flat,), 1/DN; weights times signals sum to 1.
     signal
         Signal of each, DN.
     known
-        Independent exposures of each.
+        Independent exposures of each flat.
     name
-        "few" or "many": the lags in time that are allowed for.
+        "few" or "many": the spectra with few or many temporal lags.
     """
     bins = flats[0].bins
     shares = shares_of(bins).modes
@@ -107,13 +110,19 @@ def beyond_of(flats: Sequence[StackStatistics], darks: Sequence[StackStatistics]
 
 
 def points_beyond(row_pitch: float) -> tuple[Array, Array, Array]:
-    """Return frequencies beyond the band, along rows and columns, cycles per column pitch, and the part of each."""
-    fine = (np.arange(POINTS * PARTS) + 0.5) / (2 * POINTS * PARTS)
+    """Return frequencies beyond the band along rows and columns, cycles per column pitch, and the fraction of modes of
+    each."""
+    fine = (np.arange(GAIN.points * GAIN.subdivisions) + 0.5) / (2 * GAIN.points * GAIN.subdivisions)
     y, x = np.meshgrid(fine, fine, indexing="ij")
     out = (np.hypot(x, y / row_pitch) >= BAND_CY_PER_PX) | (y > ROW_LIMIT_CY)
 
     def block_sum(values: Array) -> Array:
-        return (values * out).reshape(POINTS, PARTS, POINTS, PARTS).sum(axis=(1, 3)).ravel()
+        return (
+            (values * out)
+            .reshape(GAIN.points, GAIN.subdivisions, GAIN.points, GAIN.subdivisions)
+            .sum(axis=(1, 3))
+            .ravel()
+        )
 
     count = block_sum(np.ones_like(x))
     some = count > 0

@@ -1,4 +1,4 @@
-"""Gain of a camera that blurs after its gain: from the covariance summed over pixels and exposures."""
+"""Covariance gain, from the covariance summed over pixels and exposures; gain per electron without a tube."""
 
 from dataclasses import replace
 from typing import Any
@@ -26,7 +26,7 @@ from charact.noise.gain.forms import blur_models
 from charact.noise.gain.per_electron import electron_quantities, gain_of
 from charact.noise.gain.pooled_noise import pool_noise
 from charact.noise.gain.series import FlatSeries, read_levels, series_of
-from charact.noise.gain.single_setting import LEAST_BINS, SingleSetting, blur_exponent, fit_single_setting
+from charact.noise.gain.single_setting import SingleSetting, blur_exponent, fit_single_setting
 from charact.noise.gain_feasibility import gain_obstacle, without_flats
 from charact.noise.predictive.check import PredictiveResidual, findings_of, predictive_figure_data, predictive_residuals
 from charact.noise.provenance import provenance
@@ -35,6 +35,7 @@ from charact.noise.snr.gain_separation import separate_gains
 from charact.noise.snr.snr_against_light import snr_against_light
 from charact.noise.stack.stack_statistics import StackStatistics
 from charact.noise.sweep.sweep import gain_sweep
+from charact.noise.thresholds import GAIN
 from charact.noise.tube import has_intensifier
 from charact.noise.undetected_correlation import allowance_of
 from labdata.measurement import Measurement, Result, make_refusal, measurement_from_draws
@@ -49,22 +50,22 @@ QUANTITIES = ("covariance_gain", "blur_factor", "system_gain", "read_noise", "ph
     METHOD,
     quantities=QUANTITIES,
     scope="Flats and darks of at least two frames, intensified or not; images of some hundred pixels a side and more. "
-    "Where noise is white the gains are slopes over all levels: a response that bends by up to 2 % goes unflagged.",
+    "For white noise the gains are slopes over all levels; a nonlinearity of up to 2 % is not flagged.",
 )
 def covariance_sum(session: Session, *, context: Context) -> Result:
-    """Measure covariance gain, blur factor and all that follows from darks and flats.
+    """Measure covariance gain, blur factor and all derived quantities from darks and flats.
 
     Parameters
     ----------
     session
         Session with dark and flat stacks.
     context
-        Seed and settings; the sensor, where known, gives pitches and priors.
+        Seed and settings; a sensor description gives pitches and priors.
 
     Notes
     -----
-    Covariance gain is K + k F^2, the power of the noise at frequency 0 over the signal, summed over the lags of the
-    phosphor. See `charact.noise.gain.model`.
+    Covariance gain is K + k F^2, the noise power at frequency 0 over the signal, summed over temporal lags. See
+    `charact.noise.gain.model`.
     """
     darks, flats, single = read_levels(session, context=context, spectra=True, cubes=True)
     fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
@@ -76,9 +77,15 @@ def covariance_sum(session: Session, *, context: Context) -> Result:
     return result + snr_against_light(darks, flats, single=single, context=context)
 
 
-def _measure_levels(session: Session, darks: list[StackStatistics], flats: list[StackStatistics], single: list[str], context: Context,
-               fields: dict[str, Any]) -> Result:  # fmt: skip
-    """Gains and all that follows from them, or why there are none."""
+def _measure_levels(
+    session: Session,
+    darks: list[StackStatistics],
+    flats: list[StackStatistics],
+    single: list[str],
+    context: Context,
+    fields: dict[str, Any],
+) -> Result:
+    """Return the gains and derived quantities, or refusals."""
     small = image_size_obstacle([*darks, *flats])
     if small is not None:
         out = [
@@ -90,25 +97,25 @@ def _measure_levels(session: Session, darks: list[StackStatistics], flats: list[
     series = series_of(flats, darks, single) if flats else None
     if series is None or gain_obstacle(series) is not None:
         out = without_flats(darks, series, single, quantity=("covariance_gain", "DN"), **fields)
-        # Beside flats that cannot be used, the blur of the electronics' own noise would pass for that of the light.
+        # With unusable flats, the blur of the electronics' noise could be mistaken for that of the light.
         alone = _blur_of_darks(darks, context, fields) if darks and not flats else Result()
         return Result(measurements=(*out, *alone.measurements), evidence=alone.evidence)
     return _measure_series(session, series, context, fields)
 
 
 def image_size_obstacle(levels: list[StackStatistics]) -> str | None:
-    """Why images hold too few low frequencies to sum a covariance, or None."""
+    """Return why images have too few low frequencies for a covariance sum, or None."""
     least = min(levels, key=lambda level: len(level.bins.modes), default=None)
-    if least is None or len(least.bins.modes) >= LEAST_BINS:
+    if least is None or len(least.bins.modes) >= GAIN.min_bins:
         return None
     return (
-        f"images of {least.pixels} px hold too few low spatial frequencies for a covariance sum, some 100 x 100 px "
+        f"images of {least.pixels} px have too few low spatial frequencies for a covariance sum; about 100 x 100 px "
         "are needed at least; the method variance works on any size"
     )
 
 
 def _measure_series(session: Session, series: FlatSeries, context: Context, fields: dict[str, Any]) -> Result:
-    """All quantities of a series of flats."""
+    """Return all quantities of a flat series."""
     context.progress("posterior of the covariance gain", 0.9)
     pooled = fit_single_setting(series, context=context, quick=context.quick)
     tube = has_intensifier([level.conditions for level in (*series.flats, *series.all_darks)], context)
@@ -159,7 +166,7 @@ def _measure_series(session: Session, series: FlatSeries, context: Context, fiel
 def _predictive_residuals(
     session: Session, pooled: SingleSetting, gain: emva1288.GainLine | None, context: Context
 ) -> list[PredictiveResidual]:
-    """Frames drawn from the posterior beside those measured; no quick number waits for that."""
+    """Return the posterior predictive residuals; none for a quick measurement."""
     if context.quick:
         return []
     context.progress("frames drawn from the posterior", 0.95)
@@ -168,14 +175,14 @@ def _predictive_residuals(
 
 
 def _figure_data(pooled: SingleSetting, gain: emva1288.GainLine | None) -> dict[str, Any]:
-    """What the report draws."""
+    """Return the figure data."""
     series, summary, fit = pooled.series, pooled.summary, pooled.fit
     spectra = "many" if summary.lag.seen else "few"
     return {
         "photon-transfer": transfer_figure_data(
             series,
             gain=None if gain is None else float(np.median(gain.slope)),
-            # Frames that share light vary less about their own mean: the variance with that undone.
+            # Variances corrected for the correlation of frames by image lag.
             variance_dn2=[getattr(flat, spectra).variance_dn2 for flat in series.flats],
             dark_variance_dn2=[getattr(dark, spectra).variance_dn2 for dark in series.darks],
             covariance_dn2=(pooled.levels_dn * series.signal_dn).tolist(),
@@ -197,10 +204,10 @@ def _photoelectron_quantities(
     covariance_flags: tuple[str, ...],
     fields: dict[str, Any],
 ) -> list[Measurement]:
-    """The gain per photoelectron where the light is known; the gain per electron is refused."""
+    """Return the gain per photoelectron, if the light is known; refuse the gain per electron."""
     blur = float(np.median(fit.posterior["blur_factor"]))
     reason = (
-        f"neighbouring pixels share noise (blur factor {blur:.3g}): the variance over the signal is no gain "
+        f"noise of neighbouring pixels is correlated (blur factor {blur:.3g}): variance over signal is no gain "
         "per electron; see covariance_gain"
     )
     apart = separate_gains(
@@ -210,7 +217,7 @@ def _photoelectron_quantities(
 
 
 def _blur_of_darks(darks: list[StackStatistics], context: Context, fields: dict[str, Any]) -> Result:
-    """Blur factor of the noise of darks alone."""
+    """Return the blur factor of the noise of darks."""
     dark = max(darks, key=lambda level: (level.frames, -(level.conditions.exposure_s or 0.0)))
     if dark.variance_dn2 <= 0:
         return Result(measurements=(make_refusal("blur_factor", "1", f"{dark.label} does not change", **fields),))
@@ -220,15 +227,22 @@ def _blur_of_darks(darks: list[StackStatistics], context: Context, fields: dict[
     series = FlatSeries(flats=(dark,), darks=(nothing,), all_darks=(dark,), signal_dn=one,
                     variance_dn2=one * dark.variance_dn2, variance_sd_dn2=one * dark.variance_sd_dn2,
                     fitted=np.ones(1, bool), peak=None, reference="dark")  # fmt: skip
-    # Noise of the electronics is white whatever reads the light.
+    # Electronic noise is not filtered by the pixel aperture.
     summary = pool_noise(series, None)
     forms = blur_models(blur_exponent(context), blurred=False, floor=False)
     blur = fit_spectrum(summary, seed=context.seed, quick=context.quick, forms=forms)
     flags = ("model-misfit",) if blur.chance < 1e-4 else ()
     flags += dark_clipping_flags(dark) + (("quantised",) if dark.variance_dn2 < QUANTISED_DN2 else ())
-    note = ("from the darks alone: the electronics' white noise is in it",)
-    found = measurement_from_draws("blur_factor", "1", blur.posterior["blur_factor"], flags=flags + blur.posterior.flags,
-                       notes=note, posterior=blur.posterior, **fields)  # fmt: skip
+    note = ("from the darks alone: includes the white noise of the electronics",)
+    found = measurement_from_draws(
+        "blur_factor",
+        "1",
+        blur.posterior["blur_factor"],
+        flags=flags + blur.posterior.flags,
+        notes=note,
+        posterior=blur.posterior,
+        **fields,
+    )
     return Result(measurements=(found,), evidence={"noise-spectrum": spectrum_figure_data(summary, blur)})
 
 

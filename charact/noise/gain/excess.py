@@ -1,7 +1,4 @@
-"""Excess noise of a multiplying register: slope of variance over signal = K g F^2, K g the gain per electron before it.
-
-The register multiplies at random, which adds as much noise again as the light has: F^2 = 2 at high gain.
-"""
+"""Excess noise of a multiplying register."""
 
 from dataclasses import dataclass
 
@@ -9,28 +6,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
+from charact.noise.thresholds import GAIN
 from labdata.conditions import Conditions
 from labdata.solid_state import excess_noise_factor
-
-# Gain from which the heights of one electron are exponential, see `labdata.solid_state.excess_noise_factor`: F^2 lies
-# within 5 % of 2.
-EXPONENTIAL_FROM = 20.0
-# Stages of a register that nobody described: those of real ones (Robbins & Hadwen: 400 to 600) and no limit.
-FEWEST_STAGES = 400.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Excess:
-    """What a slope is divided by.
+    """Excess noise factor of a register.
 
     Parameters
     ----------
     factor
-        F^2 of the register; 1 for none.
+        F^2; 1 without a register.
     relative_sd
-        Relative standard deviation of it.
+        Relative standard deviation of F^2.
     note
-        Where it comes from; None for none.
+        Source of the value; None without a register.
     """
 
     factor: float = 1.0
@@ -38,7 +30,7 @@ class Excess:
     note: str | None = None
 
     def divide(self, slope: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
-        """Return draws of the gain per electron from those of the slope."""
+        """Return draws of the gain per electron: slope over F^2."""
         if self.note is None:
             return slope
         chance = np.random.default_rng([seed, 18]).standard_normal(len(slope))
@@ -46,7 +38,7 @@ class Excess:
 
 
 def excess_of(conditions: Conditions, context: Context) -> Excess:
-    """Return the excess noise factor of the register, from its gain as the session states it, else as described."""
+    """Return the excess noise factor of the register, from the stated gain or else the described one."""
     gain, register = conditions.em_gain, context.register
     if context.sensor is not None or (gain is None and register is None):
         return Excess()
@@ -55,10 +47,10 @@ def excess_of(conditions: Conditions, context: Context) -> Excess:
         gain, source = float(register.em_gain), f"em_gain {float(register.em_gain):g} of the description"
     if gain is None or gain <= 1.0:
         return Excess()
-    # Between many equal stages and heights of one electron that are exponential: 1 or 2 % apart.
-    least = excess_noise_factor(gain, FEWEST_STAGES if register is None else register.stages)
+    # Between many equal stages and exponential pulse heights, which differ by 1 or 2 %.
+    least = excess_noise_factor(gain, GAIN.min_stages if register is None else register.stages)
     factor, half = 0.5 * (2.0 + least), 0.5 * (2.0 - least)
-    if gain < EXPONENTIAL_FROM:
+    if gain < GAIN.exponential_gain:
         factor, half = excess_noise_factor(gain), excess_noise_factor(gain) - least
     note = (
         f"per electron before the multiplying register: variance over signal is K F2, and F2 = {factor:.4g} "

@@ -1,9 +1,8 @@
-"""Light that glows on beyond the last lag that the frames can tell: as much as a screen that decays evenly leaves.
+"""Image lag beyond the last measurable lag, for an exponential decay.
 
-Pixels are measured about their mean over few exposures. Light that all of these share goes with the mean, so that
-every covariance in time reads low by what lies beyond the last lag, and the sum over lags lacks it once more. What
-chance gives to the covariances of a few exposures it gives to all lags alike, as a slow glow would: glow is put back
-so far as it is likelier than none.
+Centring few exposures removes light common to all of them, which lowers every temporal covariance; the sum over lags
+lacks the rest once more. Chance errors are common to all lags too, like slow decay, so the correction is weighted
+against no decay by its likelihood.
 """
 
 from collections.abc import Sequence
@@ -13,46 +12,43 @@ from numpy.typing import NDArray
 
 from charact.noise.stack.stack_statistics import StackStatistics
 from charact.noise.stack.temporal import truncation_bias
+from charact.noise.thresholds import GAIN
 
 Array = NDArray[np.float64]
 
-# Share of the light that is left one exposure later, each as likely as the next.
+# Fraction of the light left one exposure later, uniform prior.
 KEPT = np.linspace(0.02, 0.9, 45)
-# The first lag holds fast parts of the decay that later ones have not; fewer lags than this tell no decay.
-FIRST, LEAST = 2, 3
-# Standard errors on either side of the likeliest height that are looked at.
-REACH = 5.0
-HEIGHTS = 32
 
 
-def untruncated_lag_sum(flats: Sequence[StackStatistics], share: Array, lags: NDArray[np.int64], correlation: Array, covariance: Array
-           ) -> tuple[float, Array]:  # fmt: skip
-    """Return what the sum of the correlation over all lags, earlier and later, lacks, and its change with each lag's.
+def untruncated_lag_sum(
+    flats: Sequence[StackStatistics], share: Array, lags: NDArray[np.int64], correlation: Array, covariance: Array
+) -> tuple[float, Array]:
+    """Return the missing part of the correlation sum over all lags, and its derivative by the correlations.
 
     Parameters
     ----------
     flats
         The pooled levels.
     share
-        Weight of each in the pooled covariances, of sum 1, shape (flat,).
+        Weight of each flat in the pooled covariances, sum 1, shape (flat,).
     lags
-        Lags from 0 that all of them have, exposures, shape (lag + 1,).
+        Common lags from 0, exposures, shape (lag + 1,).
     correlation, covariance
-        Covariance at the lags from 1 over that at lag 0 as measured, shape (lag,), and that of its errors.
+        Correlation at the lags from 1, shape (lag,), and the covariance of its errors.
 
     Notes
     -----
-    Beyond the first lag the correlation is b r^(lag - 2), r the share of the light that is left one exposure later.
-    About the mean of the exposures the lag k reads less, see `truncation_bias`. The mean over all b and r, each as likely as
-    the next, and over no glow, as likely as all of them, weighed by the likelihood exp(-chi^2/2); it changes with the
-    correlation c by the covariance of what is lacking with the form, over that of the errors.
+    Beyond the first lag the correlation is b r^(lag - 2), r the fraction of the light left one exposure later; centring
+    lowers it at each lag, see `truncation_bias`. The result is the mean over uniform b and r, and over no decay with
+    equal total weight, weighted by the likelihood exp(-chi^2/2). Its derivative by the correlations is the posterior
+    covariance of the missing part with the model, times the inverse covariance of the errors.
     """
     none = np.zeros(len(correlation))
-    use = lags[1:] >= FIRST
-    if use.sum() < LEAST:
+    use = lags[1:] >= GAIN.first_lag
+    if use.sum() < GAIN.min_decay_lags:
         return 0.0, none
-    last, taken = KEPT ** (lags[-1] - FIRST), _truncation_biases(flats, share, lags)
-    form = (KEPT[:, None] ** (lags[1:] - FIRST) + last[:, None] * taken[:, 1:])[:, use]
+    last, taken = KEPT ** (lags[-1] - GAIN.first_lag), _truncation_biases(flats, share, lags)
+    form = (KEPT[:, None] ** (lags[1:] - GAIN.first_lag) + last[:, None] * taken[:, 1:])[:, use]
     lacking = last * (2.0 * KEPT / (1.0 - KEPT) - taken[:, 0] - 2.0 * taken[:, 1:].sum(axis=1))
     precision = np.asarray(np.linalg.inv(covariance[np.ix_(use, use)]), np.float64)
     measured = correlation[use]
@@ -71,18 +67,18 @@ def untruncated_lag_sum(flats: Sequence[StackStatistics], share: Array, lags: ND
 
 
 def _heights(form: Array, correlation: Array, precision: Array) -> tuple[Array, Array]:
-    """Heights to look at for each decay, shape (height, kept), and the steps between them, shape (kept,)."""
+    """Return the amplitudes for each decay, shape (height, kept), and their spacing, shape (kept,)."""
     weighed = form @ precision
     information = np.einsum("rk,rk->r", weighed, form)
     height = weighed @ correlation / information
-    width = REACH / np.sqrt(information)
+    width = GAIN.amplitude_sd / np.sqrt(information)
     low, high = np.clip(height - width, 0.0, 1.0), np.clip(np.maximum(height, 0.0) + width, 0.0, 1.0)
-    parts = (np.arange(HEIGHTS) + 0.5) / HEIGHTS
-    return low + (high - low) * parts[:, None], (high - low) / HEIGHTS
+    parts = (np.arange(GAIN.amplitudes) + 0.5) / GAIN.amplitudes
+    return low + (high - low) * parts[:, None], (high - low) / GAIN.amplitudes
 
 
 def _truncation_biases(flats: Sequence[StackStatistics], share: Array, lags: NDArray[np.int64]) -> Array:
-    """What each pooled covariance reads too much (below zero) per covariance at the last lag, shape (kept, lag + 1)."""
+    """Return the bias of each pooled covariance per covariance at the last lag, shape (kept, lag + 1); negative."""
     out = np.zeros((len(KEPT), len(lags)))
     for weight, flat in zip(share, flats, strict=True):
         distance, added = truncation_bias(flat.time, flat.parity, flat.many.lags)

@@ -1,8 +1,7 @@
-"""Gain per electron of a camera without a tube, by the standard and corrected for what neighbours share.
+"""Gain per electron of a camera without a tube.
 
-EMVA 1288 takes noise for white. Neighbours that share a few percent of their signal lower the variance and leave the
-covariance sum: the slope of the standard is given with the size of that effect, and all that follows from a gain
-follows from the covariance sum.
+EMVA 1288 assumes white noise. Charge diffusion between neighbours lowers the variance and leaves the covariance sum
+unchanged: the standard's slope is reported with the size of that effect, and derived quantities use the covariance sum.
 """
 
 from dataclasses import replace
@@ -18,16 +17,13 @@ from charact.noise.gain.excess import excess_of
 from charact.noise.gain.single_setting import SingleSetting
 from charact.noise.gain.white_floor import floor_of
 from charact.noise.quantities import white_quantities
+from charact.noise.thresholds import GAIN
 from labdata import flags
 from labdata.measurement import Measurement, measurement_from_draws
 
-# Covariance sum over variance beyond which no charge that spreads in silicon explains what neighbours share (each of
-# four would get more than 8 %): an undescribed tube may stand before the chip.
-LEAST_BLUR_FACTOR = 0.5
-
 
 def gain_of(pooled: SingleSetting, allowance: float, context: Context) -> tuple[emva1288.GainLine, emva1288.GainLine]:
-    """Return the slope of the standard and the gain per electron that other quantities follow from."""
+    """Return the slope of the standard, and the gain per electron used for derived quantities."""
     plain = emva1288.gain_line(pooled.series, context=context, allowance=allowance)
     if pooled.white:
         return plain, plain
@@ -36,19 +32,24 @@ def gain_of(pooled: SingleSetting, allowance: float, context: Context) -> tuple[
     return plain, replace(plain, posterior=pooled.posterior, slope=draws)
 
 
-def electron_quantities(pooled: SingleSetting, gains: tuple[emva1288.GainLine, emva1288.GainLine], findings: list[Finding],
-                        covariance: list[Finding], context: Context, fields: dict[str, Any]
-                        ) -> list[Measurement]:  # fmt: skip
-    """Return the system gain and what follows from it.
+def electron_quantities(
+    pooled: SingleSetting,
+    gains: tuple[emva1288.GainLine, emva1288.GainLine],
+    findings: list[Finding],
+    covariance: list[Finding],
+    context: Context,
+    fields: dict[str, Any],
+) -> list[Measurement]:
+    """Return the system gain and derived quantities.
 
     Parameters
     ----------
     pooled
-        Noise of the flats of one gain.
+        Noise of the flats of one setting.
     gains
         See `gain_of`.
     findings, covariance
-        What speaks against numbers of the slope, and against those of the covariance sum.
+        Findings on the slope, and on the covariance sum.
     context, fields
         Settings; method and provenance.
     """
@@ -65,30 +66,32 @@ def electron_quantities(pooled: SingleSetting, gains: tuple[emva1288.GainLine, e
 
 
 def _correlation_finding(pooled: SingleSetting, plain: emva1288.GainLine, gain: emva1288.GainLine) -> Finding:
-    """What neighbours share, as a share of the gain."""
+    """Return the finding of correlated neighbours, relative to the gain."""
     low, right = float(np.median(plain.slope)), float(np.median(gain.slope))
     percent = 100.0 * (1.0 - low / right)
     return flags.Finding(
         flag="correlated-noise",
-        effect=f"neighbouring pixels share noise, so that the slope of EMVA 1288 is {percent:.2g} % low",
+        effect=f"noise of neighbouring pixels is correlated, so that the slope of EMVA 1288 is {percent:.2g} % low",
         remedy=f"the covariance sum, which gives {right:.4g} DN/e- (covariance_gain)",
     )
 
 
 def _blur_findings(pooled: SingleSetting) -> list[Finding]:
-    """Neighbours that share more than any chip lets them."""
+    """Return the finding of stronger correlation than charge diffusion allows."""
     blur = float(np.median(pooled.posterior["blur_factor"]))
-    if blur >= LEAST_BLUR_FACTOR:
+    if blur >= GAIN.min_blur_factor:
         return []
-    effect = f"neighbours share {100 * (1 - blur):.2g} % of the noise, so that the gain may not be one per electron"
-    remedy = "a sensor in session.toml that says what blurs"
+    effect = (
+        f"{100 * (1 - blur):.2g} % of the noise is correlated between pixels, so that the gain may not be per electron"
+    )
+    remedy = "a sensor in session.toml that describes the blur"
     return [flags.Finding(flag="correlated-noise", effect=effect, remedy=remedy)]
 
 
 def _floor(
     pooled: SingleSetting, covariance: list[Finding], context: Context, fields: dict[str, Any]
 ) -> list[Measurement]:
-    """Gain of what is counted behind the blur, where the spectrum shows it."""
+    """Return the gain per electron behind the blur, if the white floor is detected."""
     if not _blur_findings(pooled):
         return []
     floor = floor_of(pooled.series, pooled.posterior, context=context)

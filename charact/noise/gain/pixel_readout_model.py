@@ -1,7 +1,4 @@
-"""How a camera reads the light behind its gain: touching pixels, rows of one field apart, a filter along the rows.
-
-What blurs the light is smooth; what reads it is known, and its sharp corners would pass for blur.
-"""
+"""Pixel readout: aperture, row pitch of a field, video filter along the rows."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,27 +7,25 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.noise.thresholds import GAIN
 from charact.video_filter import VideoFilter
 from labdata.sensor import Sensor
 
 Array = NDArray[np.float64]
 
-# Frequency at which the leading term of the filter is taken, cycles per column pitch.
-LOW_CY_PER_PX = 0.02
-
 
 @dataclass(frozen=True, kw_only=True)
 class PixelReadoutModel:
-    """Aperture and lattice of pixels, and the filter behind them.
+    """Aperture and lattice of pixels, and the video filter.
 
     Parameters
     ----------
     row_pitch
-        Distance of the rows of one exposure, and of a described camera the height of its pixels, column pitches.
+        Row pitch of one exposure, and pixel height of a described camera, column pitches.
     described
-        Whether the camera is: how others read is not known, and counts as part of their blur.
+        Whether the camera is described; otherwise readout counts as blur.
     video
-        The filter; None: none.
+        Video filter; None for none.
     """
 
     row_pitch: float = 1.0
@@ -39,21 +34,23 @@ class PixelReadoutModel:
 
     @classmethod
     def of(cls, row_pitch: float, sensor: Sensor | None) -> "PixelReadoutModel":
-        """Return how a camera reads rows so far apart."""
+        """Return the readout model of a camera with a row pitch."""
         return cls(row_pitch=row_pitch, described=sensor is not None, video=VideoFilter.of(sensor))
 
     @cached_property
     def falls(self) -> tuple[float, float]:
-        """What aperture and filter add to the fall of ln |H|^2 along rows and along columns, to leading order, px^2."""
+        """Leading-order fall of ln |H|^2 by aperture and filter along rows and along columns, px^2."""
         if not self.described:
             return 0.0, 0.0
         aperture = np.pi**2 / 3.0
-        low = np.array([LOW_CY_PER_PX])
-        filtered = 0.0 if self.video is None else -2.0 * float(np.log(np.abs(self.video(low)))[0]) / LOW_CY_PER_PX**2
+        low = np.array([GAIN.low_cy_per_px])
+        filtered = (
+            0.0 if self.video is None else -2.0 * float(np.log(np.abs(self.video(low)))[0]) / GAIN.low_cy_per_px**2
+        )
         return aperture + filtered, aperture * self.row_pitch**2
 
     def shown(self, ln_power: Callable[[Array, Array], Array], column: Array, row: Array) -> Array:
-        """Return the power that pixels show of light.
+        """Return |H|^2 including pixel readout.
 
         Parameters
         ----------
@@ -64,9 +61,9 @@ class PixelReadoutModel:
 
         Notes
         -----
-        Pixels sample what their aperture passes, sinc^2, so that power beyond half a cycle per pixel folds back: the
-        nearest order, and all of the rest as of the second. Light that nothing blurs stays white. An order that a blur
-        would pass more of than of the frequency itself, as none does, counts at most twice as much.
+        Pixels sample light filtered by their aperture, sinc^2, so power beyond half a cycle per pixel is aliased: the
+        nearest order, and the rest as the second order. Light without blur stays white. The gain of an aliased order
+        over the baseband is limited to 2.
         """
         own = ln_power(column, row)
         if not self.described:
@@ -80,13 +77,13 @@ class PixelReadoutModel:
 
 
 def _bounded_exponential(difference: Array) -> Array:
-    """Return exp of what is below 0, and above it what goes on as smoothly, but to no more than 2."""
+    """Return exp of negative values, continued smoothly to a limit of 2 for positive ones."""
     beyond = np.exp(-np.abs(difference))
     return np.where(difference < 0.0, beyond, 2.0 - beyond)
 
 
 def _orders(frequency: Array, pitch: float) -> list[tuple[Array, Array]]:
-    """Return frequencies before the sampling that are seen at one, cycles per column pitch, and how each is passed."""
+    """Return the frequencies aliased to one, cycles per column pitch, and the aperture transfer of each."""
     near, far = (1.0 / pitch + sign * np.abs(frequency) for sign in (-1.0, 1.0))
     own, beside = np.sinc(frequency * pitch) ** 2, np.sinc(near * pitch) ** 2
     return [(frequency, own), (near, beside), (far, 1.0 - own - beside)]

@@ -1,4 +1,4 @@
-"""The plain way: gain from the variance of pixels, as for a camera whose noise is white (EMVA 1288 Release 4)."""
+"""System gain from the variance of pixels, for white noise (EMVA 1288 Release 4)."""
 
 from typing import Any
 
@@ -39,8 +39,8 @@ METHOD = "variance"
     "flats",
     METHOD,
     quantities=("system_gain", "read_noise", "quantum_efficiency", "saturation", "snr_max", "dynamic_range"),
-    scope="Cameras whose noise is white; blur after the gain stage makes it read low by the blur factor. A response "
-    "that bends by up to 2 % over the levels makes it read low by up to 6 % without a flag, as it does the standard.",
+    scope="Cameras with white noise; blur after the gain stage lowers the result by the blur factor. A nonlinearity of "
+    "up to 2 % over the levels lowers it by up to 6 % without a flag, as in the standard.",
 )
 def variance(session: Session, *, context: Context) -> Result:
     """Measure gain, efficiency, noise and range from the variance and mean of darks and flats.

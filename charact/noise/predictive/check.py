@@ -1,7 +1,7 @@
-"""Flats drawn from the posterior beside those measured: the signs in which they differ say that the model is wrong.
+"""Posterior predictive check of flats.
 
-A gain is fitted to means, variances and low spatial frequencies. Frames have more: were the model right, frames drawn
-from its posterior would have the same skewness, tails, row and column means, flicker and patches as those measured.
+Gains are fitted to means, variances and low spatial frequencies. Skewness, tails, row and column means, flicker and
+local variance of measured flats are compared with flats drawn from the posterior.
 """
 
 from collections.abc import Callable
@@ -19,36 +19,25 @@ from charact.noise.gain.single_setting import SingleSetting
 from charact.noise.predictive.predictive_frames import LightNoise, electron_noise, pulse_noise
 from charact.noise.predictive.summary_statistics import SIDE_PX, STATISTICS, summary_statistics
 from charact.noise.stack.exposure_order import split_fields
+from charact.noise.thresholds import PREDICTIVE
 from labdata.lazy_stack import open_lazy_stack
 from labdata.session import StackEntry
 
 Array = NDArray[np.float64]
 
-# Chance of calling a right model wrong, shared out over all signs of all levels.
-LEVEL = 0.01
-# Sets of frames drawn, exposures of each, side of the middle of the image that is looked at, and levels.
-REPLICATES = 24
-EXPOSURES = 8
-SIDE = 192
-LEVELS = 3
-# Smallest middle that has patches to compare.
-LEAST_SIDE = 96
-# Light is taken to be even over so many pixels.
-EVEN_PX = 17
-
 
 @dataclass(frozen=True, kw_only=True)
 class PredictiveResidual:
-    """One sign of one stack.
+    """Comparison of one statistic of one stack.
 
     Parameters
     ----------
     stack, sign
-        The stack's label and the name of the sign.
+        Label of the stack and name of the statistic.
     measured, expected, sd
-        The sign of the frames measured, mean of those drawn and their standard deviation.
+        Statistic of the measured frames, and mean and standard deviation of the drawn ones.
     chance
-        Probability of one as far off beyond what is harmless, were the model right.
+        p-value of the deviation beyond its tolerance.
     """
 
     stack: str
@@ -59,27 +48,27 @@ class PredictiveResidual:
     chance: float
 
 
-def predictive_residuals(entries: tuple[StackEntry, ...], pooled: SingleSetting, gain_dn: Array | None, *, context: Context
-               ) -> list[PredictiveResidual]:  # fmt: skip
-    """Return the signs of some flats beside those of frames drawn from the posterior.
+def predictive_residuals(
+    entries: tuple[StackEntry, ...], pooled: SingleSetting, gain_dn: Array | None, *, context: Context
+) -> list[PredictiveResidual]:
+    """Return the statistics of some flats compared with frames drawn from the posterior.
 
     Parameters
     ----------
     entries
         The session's stacks.
     pooled
-        What was fitted.
+        Fit of the flats.
     gain_dn
-        Draws of K where noise is white, DN per electron, shape (draw,); None: the blur and the gain as fitted.
+        Draws of K for white noise, DN per electron, shape (draw,); None: fitted blur and gain.
     context
         Seed, and whether frames are interlaced.
 
     Notes
     -----
-    Noise of the dark is not modelled: frames of the dark, turned over and shifted at random, are added; of the error
-    of rounding, which a dark quieter than a step does not show, anything from none to a whole step. Light that is
-    uneven over the image stays so. Replicates scatter with chance and with the posterior; what the spectrum does not
-    tell, how unequal the pulses are, scatters over its prior. Gelman, Meng & Stern, Statistica Sinica 6, 733 (1996).
+    Dark noise is not modelled: dark frames, mirrored and shifted at random, are added, with a random fraction of the
+    rounding error if the dark noise is smaller than a step. Shading is retained. Replicates vary over the posterior,
+    and over the prior of the pulse-height variance. Gelman, Meng & Stern, Statistica Sinica 6, 733 (1996).
     """
     by_label = {entry.label: entry for entry in entries}
     rng = np.random.default_rng([context.seed, 61])
@@ -96,21 +85,21 @@ def predictive_residuals(entries: tuple[StackEntry, ...], pooled: SingleSetting,
 
 
 def findings_of(told: list[PredictiveResidual]) -> list[Finding]:
-    """Return what frames drawn from the posterior have otherwise, beyond chance."""
-    odd = [one for one in told if one.chance * len(told) < LEVEL]
+    """Return findings of significant deviations from frames drawn from the posterior."""
+    odd = [one for one in told if one.chance * len(told) < PREDICTIVE.false_alarm]
     worst = sorted(odd, key=lambda one: one.chance)[:3]
     return [
         (
             "model-misfit",
-            f"{one.stack} is unlike frames drawn from the posterior: {STATISTICS[one.sign].words} is {one.measured:.3g}, "
-            f"expected {one.expected:.3g} ± {one.sd:.2g}",
+            f"{one.stack} differs from frames drawn from the posterior: {STATISTICS[one.sign].words} is "
+            f"{one.measured:.3g}, expected {one.expected:.3g} ± {one.sd:.2g}",
         )
         for one in worst
     ]
 
 
 def predictive_figure_data(told: list[PredictiveResidual]) -> dict[str, Any]:
-    """Return what the report draws of it."""
+    """Return the figure data of the check."""
     return {
         "figure": "predictive-frames",
         "stack": [one.stack for one in told],
@@ -124,22 +113,19 @@ def predictive_figure_data(told: list[PredictiveResidual]) -> dict[str, Any]:
 
 
 def _levels(pooled: SingleSetting) -> list[int]:
-    """The dimmest, the middle and the brightest of the flats fitted."""
+    """Return the dimmest, the median and the brightest of the fitted flats."""
     fitted = np.flatnonzero(pooled.series.fitted)
-    some = np.unique(np.linspace(0, len(fitted) - 1, min(LEVELS, len(fitted))).round().astype(int))
+    some = np.unique(np.linspace(0, len(fitted) - 1, min(PREDICTIVE.levels, len(fitted))).round().astype(int))
     return [int(fitted[i]) for i in some]
 
 
 def _middle(entry: StackEntry, context: Context) -> Array | None:
-    """The middle of some exposures of the even field, or of whole frames, shape (exposure, row, col); None: too small.
-
-    Exposures that follow one another: glow is compared too.
-    """
+    """Return the image centre of successive exposures of one parity, shape (exposure, row, col); None if too small."""
     stack = open_lazy_stack(entry)
-    data = stack.frames(0, min(len(stack), EXPOSURES))
+    data = stack.frames(0, min(len(stack), PREDICTIVE.exposures))
     field = split_fields(data, 2 if context.interlaced else 1)[0]
-    rows, cols = (SIDE_PX * (min(length, SIDE) // SIDE_PX) for length in field.shape[1:])
-    if min(rows, cols) < LEAST_SIDE or len(field) < 2:
+    rows, cols = (SIDE_PX * (min(length, PREDICTIVE.side_px) // SIDE_PX) for length in field.shape[1:])
+    if min(rows, cols) < PREDICTIVE.min_side_px or len(field) < 2:
         return None
     top, left = (field.shape[1] - rows) // 2, (field.shape[2] - cols) // 2
     return field[:, top : top + rows, left : left + cols].astype(np.float64)
@@ -147,7 +133,7 @@ def _middle(entry: StackEntry, context: Context) -> Array | None:
 
 def _noise_source(pooled: SingleSetting, index: int, gain_dn: Array | None, context: Context, rng: np.random.Generator
           ) -> Callable[[], LightNoise]:  # fmt: skip
-    """What gives the noise of a level by one draw of the posterior after another."""
+    """Return a function that draws the noise of a level from the posterior."""
     if gain_dn is not None:
         factor = excess_of(pooled.series.flats[0].conditions, context).factor
         return lambda: electron_noise(float(rng.choice(gain_dn)), factor)
@@ -156,12 +142,21 @@ def _noise_source(pooled: SingleSetting, index: int, gain_dn: Array | None, cont
     return lambda: pulse_noise(posterior, int(rng.integers(len(posterior.draws))), share, reading, rng)
 
 
-def _stack_residuals(label: str, frames: Array, base: Array, law: Callable[[], LightNoise], every: int, rng: np.random.Generator,
-          steps_dn: float = 0.0) -> list[PredictiveResidual]:  # fmt: skip
-    """Signs of one stack beside those of its replicates, with rounding by steps of up to `steps_dn`."""
+def _stack_residuals(
+    label: str,
+    frames: Array,
+    base: Array,
+    law: Callable[[], LightNoise],
+    every: int,
+    rng: np.random.Generator,
+    steps_dn: float = 0.0,
+) -> list[PredictiveResidual]:
+    """Return the residuals of one stack, with rounding by steps of up to `steps_dn`."""
     from scipy.ndimage import uniform_filter
 
-    light = np.maximum(uniform_filter(frames.mean(axis=0) - base.mean(axis=0), EVEN_PX, mode="nearest"), 0.0)
+    light = np.maximum(
+        uniform_filter(frames.mean(axis=0) - base.mean(axis=0), PREDICTIVE.smoothing_px, mode="nearest"), 0.0
+    )
     change = (base - base.mean(axis=0)) * np.sqrt(len(base) / (len(base) - 1))
     drawn = [
         summary_statistics(
@@ -169,14 +164,14 @@ def _stack_residuals(label: str, frames: Array, base: Array, law: Callable[[], L
             + _resampled_dark_noise(change, len(frames), rng)
             + _rounding(frames.shape, steps_dn, rng)
         )
-        for _ in range(REPLICATES)
+        for _ in range(PREDICTIVE.replicates)
     ]
     ours = summary_statistics(frames)
     return [_residual(label, name, value, np.array([one[name] for one in drawn])) for name, value in ours.items()]
 
 
 def _rounding(shape: tuple[int, ...], most_dn: float, rng: np.random.Generator) -> Array:
-    """Error of rounding by a step of unknown height, DN."""
+    """Return the rounding error of a step of random height, DN."""
     if not most_dn:
         return np.zeros(shape)
     height = rng.uniform(0.0, most_dn)
@@ -184,7 +179,7 @@ def _rounding(shape: tuple[int, ...], most_dn: float, rng: np.random.Generator) 
 
 
 def _resampled_dark_noise(change: Array, count: int, rng: np.random.Generator) -> Array:
-    """Frames of the dark's noise, drawn with repeats, mirrored and shifted at random."""
+    """Return dark-noise frames drawn with replacement, mirrored and shifted at random."""
     rows, cols = change.shape[1:]
     out = []
     for index in rng.integers(len(change), size=count):
@@ -194,7 +189,7 @@ def _resampled_dark_noise(change: Array, count: int, rng: np.random.Generator) -
 
 
 def _residual(label: str, name: str, measured: float, drawn: Array) -> PredictiveResidual:
-    """How far off one sign is, by Student's law: mean and scatter are those of a few replicates."""
+    """Return the residual of one statistic, with a p-value by Student's t for few replicates."""
     from scipy.stats import t as student
 
     expected, sd = float(drawn.mean()), max(float(drawn.std(ddof=1)), 1e-12)

@@ -1,34 +1,30 @@
-"""Signs that frames have and that no gain was fitted to: shape of the values, rows and columns, flicker, patches."""
+"""Summary statistics of frames that are not fitted: distribution of values, rows and columns, flicker, patches."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.noise.thresholds import PREDICTIVE
+
 Array = NDArray[np.float64]
 
-# Pixels a side that are taken together: what is finer leans on the blur beyond the frequencies that were fitted.
+# Side of binned squares, px: finer detail depends on the blur beyond the fitted frequencies.
 SIDE_PX = 4
-# Squares a side of a patch.
-PATCH = 6
-# Values beyond which so small a share lies tell the tail.
-TAIL = 0.999
-# Fewer exposures tell neither flicker nor what successive ones share.
-LEAST_EXPOSURES = 4
 
 
 @dataclass(frozen=True, kw_only=True)
 class SummaryStatistic:
-    """One sign of frames.
+    """A summary statistic of frames.
 
     Parameters
     ----------
     words
-        What it is, in words.
+        Description.
     harmless
-        By how much it may be off without harm to any number.
+        Tolerated deviation.
     upwards
-        Whether only more of it is odd.
+        Whether only an excess counts.
     """
 
     words: str
@@ -38,8 +34,8 @@ class SummaryStatistic:
 
 STATISTICS: dict[str, SummaryStatistic] = {
     "variance": SummaryStatistic(words=f"logarithm of the variance of {SIDE_PX} x {SIDE_PX} px", harmless=0.06),
-    "beside": SummaryStatistic(words="correlation of squares next to each other in a row", harmless=0.03),
-    "below": SummaryStatistic(words="correlation of squares next to each other in a column", harmless=0.03),
+    "beside": SummaryStatistic(words="correlation of neighbouring squares of a row", harmless=0.03),
+    "below": SummaryStatistic(words="correlation of neighbouring squares of a column", harmless=0.03),
     "skewness": SummaryStatistic(words="skewness of the squares", harmless=0.06),
     "tail": SummaryStatistic(
         words="height of the highest 0.1 % of the squares over their standard deviation", harmless=0.15
@@ -55,7 +51,7 @@ STATISTICS: dict[str, SummaryStatistic] = {
 
 
 def summary_statistics(frames: Array) -> dict[str, float]:
-    """Return the signs of exposures of the same rows.
+    """Return the summary statistics of exposures of one parity.
 
     Parameters
     ----------
@@ -73,22 +69,22 @@ def summary_statistics(frames: Array) -> dict[str, float]:
         "beside": np.mean(change[:, :, 1:] * change[:, :, :-1]) / power,
         "below": np.mean(change[:, 1:] * change[:, :-1]) / power,
         "skewness": np.mean(change**3) / power**1.5,
-        "tail": np.quantile(change, TAIL) / np.sqrt(power),
+        "tail": np.quantile(change, PREDICTIVE.tail_quantile) / np.sqrt(power),
         "patches": _log_variance(_patches(change**2) / power),
         "rows": _log_variance(change.mean(axis=2)),
         "columns": _log_variance(change.mean(axis=1)),
     }
-    if count >= LEAST_EXPOSURES:
+    if count >= PREDICTIVE.min_exposures:
         found["flicker"] = _log_variance(whole)
         found["successive"] = np.mean(change[1:] * change[:-1]) / power
     return {name: float(value) for name, value in found.items()}
 
 
 def _patches(square: Array) -> Array:
-    """Means over patches of the image and over exposures."""
-    rows, cols = (length // PATCH for length in square.shape[1:])
-    cut = square[:, : rows * PATCH, : cols * PATCH].mean(axis=0)
-    return cut.reshape(rows, PATCH, cols, PATCH).mean(axis=(1, 3))
+    """Return means over patches and exposures."""
+    rows, cols = (length // PREDICTIVE.patch for length in square.shape[1:])
+    cut = square[:, : rows * PREDICTIVE.patch, : cols * PREDICTIVE.patch].mean(axis=0)
+    return cut.reshape(rows, PREDICTIVE.patch, cols, PREDICTIVE.patch).mean(axis=(1, 3))
 
 
 def _log_variance(values: Array) -> float:

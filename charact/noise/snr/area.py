@@ -1,9 +1,4 @@
-"""Noise of the mean of a square of pixels, from the spectrum of the noise: what blur shares does not average away.
-
-The variance of the mean of n x n pixels is the mean over all modes of their power times the square's own response,
-(sin(pi n f) / (n sin(pi f)))^2 along rows and columns: the power at low frequency, which tends to K + k F^2 for the
-light, over n^2. The variance of a pixel over n^2, which holds for white noise, is too small by the blur factor.
-"""
+"""Noise of the mean of a square of pixels, from the noise spectrum."""
 
 from dataclasses import dataclass
 
@@ -12,18 +7,17 @@ from numpy.typing import NDArray
 
 from charact.noise.stack.spectrum import BAND_CY_PER_PX, ROW_LIMIT_CY, Bins
 from charact.noise.stack.stack_statistics import BlockSpectrum, StackStatistics
+from charact.noise.thresholds import STACK
 
 Array = NDArray[np.float64]
 
-# Side of the square, pixels as read in one exposure: an angle that an eye resolves well, and larger than the blur.
+# Side of the square, pixels of one exposure; larger than the blur.
 SIDE_PX = 10
-# Relative error of the variance that steps between the bins and the modes beyond them leave.
-BINNING = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
 class Shares:
-    """How much each part of the spectrum adds to the variance of a square's mean.
+    """Weights of the noise spectrum in the variance of a square's mean.
 
     Parameters
     ----------
@@ -32,9 +26,9 @@ class Shares:
     beyond
         Weight of the mean power of the modes beyond all bins.
     modes
-        Share of all modes that lies in each bin, shape (bin,).
+        Fraction of all modes in each bin, shape (bin,).
     edge
-        The bins of the outermost ring, shape (bin,).
+        Bins of the outermost ring, shape (bin,).
     """
 
     bins: Array
@@ -44,9 +38,9 @@ class Shares:
 
 
 def shares_of(bins: Bins, side: int = SIDE_PX) -> Shares:
-    """Return the weights of a square of so many pixels a side.
+    """Return the weights of a square of `side` pixels.
 
-    Modes inside the band that belong to no bin, along the axes and in the smallest rings, count with the nearest.
+    Modes of the band without a bin (on the axes and in the smallest rings) count with the nearest bin.
     """
     rows, cols = bins.window.shape
     row, col = np.abs(np.fft.fftfreq(rows))[:, None].astype(float), np.fft.rfftfreq(cols)[None, :].astype(float)
@@ -59,7 +53,7 @@ def shares_of(bins: Bins, side: int = SIDE_PX) -> Shares:
     radius = np.hypot(bins.column_cy_per_px, bins.row_cy_per_px)
     across = (x[lost][:, None] - bins.column_cy_per_px) ** 2 + (y[lost][:, None] - bins.row_cy_per_px) ** 2
     outward = (np.hypot(x, y)[lost][:, None] - radius) ** 2
-    # Power changes with the radius first, and with the direction little.
+    # Power depends mainly on the radius.
     place[lost] = (outward + 0.05 * across).argmin(axis=1)
     number = len(bins.modes)
     return Shares(
@@ -71,7 +65,7 @@ def shares_of(bins: Bins, side: int = SIDE_PX) -> Shares:
 
 
 def _response(frequency: Array, side: int) -> Array:
-    """Squared response of the mean of so many pixels in a row."""
+    """Return the squared transfer of the mean of `side` pixels."""
     sine = np.sin(np.pi * frequency)
     safe = np.where(sine == 0, 1.0, sine)
     return np.where(sine == 0, 1.0, (np.sin(np.pi * side * frequency) / (side * safe)) ** 2)
@@ -93,9 +87,10 @@ def area_variance(
 
     Notes
     -----
-    What lies beyond the bins weighs little and is taken for midway between the power at their outer edge and the mean
-    beyond, which the variance of a pixel tells. Noise of whole rows, columns and frames lies on the axes, where the
-    spectrum is not kept; it is added from the 3-D noise of stacks long enough for that.
+    The variance is the sum over modes of power times (sin(pi n f) / (n sin(pi f)))^2 along rows and columns. For white
+    noise it is the pixel variance over n^2, for blurred noise larger by the inverse blur factor. Beyond the bins the
+    power is taken midway between their outer edge and the mean beyond, which follows from the pixel variance. Row,
+    column and frame noise lies on the excluded axes and is added from the 3-D noise if available.
     """
     power = spectrum.power_dn2[:, 0]
     rest = float(spectrum.variance_dn2 - shares.modes @ power) / max(1.0 - shares.modes.sum(), 1e-6)
@@ -104,13 +99,13 @@ def area_variance(
     variance = float(shares.bins @ power) + beyond
     own = (shares.bins * power) ** 2 / (level.bins.modes * level.bins.efficiency * exposures)
     pulses = variance * level.variance_sd_dn2 / max(level.variance_dn2, 1e-12)
-    parts = [np.sqrt(own.sum()), 0.3 * shares.beyond * abs(edge - rest), BINNING * variance, pulses]
+    parts = [np.sqrt(own.sum()), 0.3 * shares.beyond * abs(edge - rest), STACK.binning_sd * variance, pulses]
     whole, whole_sd = _whole_lines(level)
     return variance + whole, float(np.sqrt(np.sum(np.square(parts)) + whole_sd**2))
 
 
 def _whole_lines(level: StackStatistics, side: int = SIDE_PX) -> tuple[float, float]:
-    """Variance that noise of whole frames, rows and columns adds to a square's mean, and its standard error, DN^2."""
+    """Return the variance of a square's mean by frame, row and column noise, and its standard error, DN^2."""
     if level.cube is None:
         return 0.0, 0.0
     rng = np.random.default_rng(8)

@@ -1,4 +1,4 @@
-"""What the report draws of signal-to-noise ratios: every level of every gain, the laws through them, their minima."""
+"""Figure data of signal-to-noise ratios: levels, fitted noise laws and minima of every gain."""
 
 from typing import Any
 
@@ -9,15 +9,14 @@ from charact.noise.gain.series import FlatSeries
 from charact.noise.snr.levels import unclipped_flats
 from charact.noise.snr.minimum_illumination import LEAST_SNR, Scope
 from charact.noise.snr.stated_illumination import StatedIllumination
+from charact.noise.thresholds import SNR
 from labdata.measurement import Measurement
 
 Array = NDArray[np.float64]
 
-POINTS = 60
-
 
 def snr_figure_data(gains: list[dict[str, Any]]) -> dict[str, Any]:
-    """Put the gains together; the unit of their light is empty where they have not one in common."""
+    """Return the figure data of all gains; the unit of light is empty if they differ."""
     units = {gain["unit"] for gain in gains}
     return {
         "figure": "snr-light",
@@ -27,20 +26,26 @@ def snr_figure_data(gains: list[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def setting_figure_data(series: FlatSeries, words: str, light: StatedIllumination | str, response: Array | None, scopes: list[Scope],
-                  found: list[Measurement]) -> dict[str, Any]:  # fmt: skip
-    """Levels, laws and minima of one gain.
+def setting_figure_data(
+    series: FlatSeries,
+    words: str,
+    light: StatedIllumination | str,
+    response: Array | None,
+    scopes: list[Scope],
+    found: list[Measurement],
+) -> dict[str, Any]:
+    """Return levels, noise laws and minima of one gain.
 
     Parameters
     ----------
     series, words
-        The flats and what their gain was set to.
+        The flats, and their gain setting in words.
     light, response
-        The light as recorded and the signal per light; where the light is unknown the signal itself is the abscissa.
+        Recorded light and signal per light; without light the signal is the abscissa.
     scopes
         Pixel and area.
     found
-        What was measured.
+        The measurements.
     """
     if isinstance(light, str) or response is None:
         amount, per_amount, unit = series.signal_dn, 1.0, "DN"
@@ -59,11 +64,11 @@ def setting_figure_data(series: FlatSeries, words: str, light: StatedIlluminatio
 
 def _scope(scope: Scope, shown: NDArray[np.bool_], amount: Array, per_amount: float, found: list[Measurement]
            ) -> dict[str, Any]:  # fmt: skip
-    """Levels, law and minimum of a pixel or an area."""
+    """Return levels, noise law and minimum of a pixel or an area."""
     least = [m for m in found if m.quantity == f"minimum_illumination{scope.suffix}" and m.value is not None]
     middle = float(np.median(scope.law.signal_at(LEAST_SNR))) / per_amount
     low = min(float(amount[shown].min(initial=np.inf)), middle if np.isfinite(middle) else np.inf) / 2.0
-    grid = np.geomspace(low, 2.0 * float(amount[shown].max(initial=low)), POINTS)
+    grid = np.geomspace(low, 2.0 * float(amount[shown].max(initial=low)), SNR.figure_points)
     temporal = np.quantile(scope.law.snr(grid * per_amount), [0.025, 0.5, 0.975], axis=0)
     total = np.median(scope.law.snr(grid * per_amount, pattern=True), axis=0)
     return {

@@ -1,4 +1,4 @@
-"""Signal and temporal noise of one exposure at every level of a gain: of a pixel, and of the mean of an area."""
+"""Signal and temporal noise of one exposure at every level of one gain: of a pixel, and of an area mean."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,13 +14,22 @@ from charact.noise.stack.temporal import n_effective_samples
 
 Array = NDArray[np.float64]
 
-# Where images are too small for a spectrum, in which alone lag is seen.
-NO_LAG = ImageLag(lag=np.empty(0, np.int64), correlation=np.empty(0), correlation_sd=np.empty(0), seen=False, factor=1.0,
-             factor_sd=0.0, freedom=np.inf, tested=False, open=False)  # fmt: skip
+# Images too small for a spectrum, in which image lag is measured.
+NO_LAG = ImageLag(
+    lag=np.empty(0, np.int64),
+    correlation=np.empty(0),
+    correlation_sd=np.empty(0),
+    seen=False,
+    factor=1.0,
+    factor_sd=0.0,
+    freedom=np.inf,
+    tested=False,
+    open=False,
+)
 
 
 def pixel_levels(series: FlatSeries, lag: ImageLag) -> SignalNoiseSeries:
-    """Return the levels of a pixel; its variance about the mean of few frames is freed of what those share."""
+    """Return the levels of a pixel, corrected for the correlation of few frames by image lag."""
     pattern, pattern_sd = pattern_of(series)
     return _levels(series, [_pixel(level, lag) for level in _stacks(series)], pattern=pattern, pattern_sd=pattern_sd)
 
@@ -37,13 +46,13 @@ def area_levels(series: FlatSeries, lag: ImageLag) -> SignalNoiseSeries:
 
 
 def unclipped_flats(series: FlatSeries) -> NDArray[np.bool_]:
-    """Return which flats show their noise whole: neither at the highest code nor beyond the variance's peak."""
+    """Return which flats have unclipped noise: neither at full scale nor beyond the variance peak."""
     whole = np.array([flat.high_fraction <= CLIPPED_SHARE for flat in series.flats])
     return whole & (np.arange(len(whole)) <= (len(whole) if series.peak is None else series.peak))
 
 
 def pattern_of(series: FlatSeries) -> tuple[float, float]:
-    """Return the squared relative non-uniformity of the pixels and its standard error, from all fitted flats."""
+    """Return the squared PRNU and its standard error, from all fitted flats."""
     chosen = np.flatnonzero(series.fitted)
     pairs = [(series.flats[i], series.darks[i]) for i in chosen]
     square = series.signal_dn[chosen] ** 2
@@ -59,12 +68,12 @@ def pattern_of(series: FlatSeries) -> tuple[float, float]:
 
 
 def _stacks(series: FlatSeries) -> list[StackStatistics]:
-    """Every dark that a flat is counted from, each once, then the flats."""
+    """Return the darks of the flats without repetition, then the flats."""
     return [*{dark.label: dark for dark in series.darks}.values(), *series.flats]
 
 
 def _levels(series: FlatSeries, known: list[tuple[float, float]], **fields) -> SignalNoiseSeries:
-    """Put variances of darks and flats with the signals."""
+    """Combine the variances of darks and flats with the signals."""
     labels = list(dict.fromkeys(dark.label for dark in series.darks))
     variance, sd = np.array(known, float).T
     darks = len(labels)
@@ -82,7 +91,7 @@ def _levels(series: FlatSeries, known: list[tuple[float, float]], **fields) -> S
 
 
 def _pixel(level: StackStatistics, lag: ImageLag) -> tuple[float, float]:
-    """Temporal variance of a pixel and its standard error, DN^2."""
+    """Return the temporal variance of a pixel and its standard error, DN^2."""
     steps = rounding_sd(level.variance_dn2)[1]
     if not lag.seen:
         return level.variance_dn2, float(np.hypot(level.variance_sd_dn2, steps))
@@ -97,7 +106,7 @@ def _pixel(level: StackStatistics, lag: ImageLag) -> tuple[float, float]:
 
 
 def _spectrum(level: StackStatistics, lag: ImageLag) -> tuple[BlockSpectrum, float]:
-    """The spectrum that allows for the lags there are, and the independent exposures behind it."""
+    """Return the spectrum with enough lags, and its independent exposures."""
     spectrum = level.many if lag.seen else level.few
     correlation = lag.correlation if lag.seen else np.empty(0)
     return spectrum, level.runs * n_effective_samples(level.time, level.parity, spectrum.lags, correlation)

@@ -1,4 +1,4 @@
-"""Minimum illumination: the light at which the signal is as large as the noise of one exposure."""
+"""Minimum illumination: light at which the SNR of one exposure is 1."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -10,35 +10,30 @@ from charact.method import Context
 from charact.noise.findings import Finding, flags_of, notes_of
 from charact.noise.snr.noise_law import NAMES, UNITS, NoiseLaw, SignalNoiseSeries, noise_law
 from charact.noise.snr.stated_illumination import StatedIllumination
+from charact.noise.thresholds import SNR
 from labdata.measurement import Measurement, Posterior, make_refusal, measurement_from_draws
 
 Array = NDArray[np.float64]
 
-# The signal-to-noise ratio that defines it.
+# Defining signal-to-noise ratio.
 LEAST_SNR = 1.0
-# The dark is a level as well, of no light and measured noise: between it and the dimmest flat the law is interpolated
-# as long as a tenth of that flat's light is left. Farther below the dimmest flat, or above the brightest, than by the
-# other factors no light is stated.
-INTERPOLATED_BELOW, FARTHEST_BELOW, FARTHEST_ABOVE = 10.0, 100.0, 2.0
-# Share of the draws that may not reach the ratio at any light.
-NEVER_SHARE = 0.01
-ALTERNATIVE = "the signal does not follow the light: an automatic gain or brightness control was at work"
+ALTERNATIVE = "the signal is not proportional to the light: an automatic gain or brightness control was active"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scope:
-    """What a ratio is stated for: a pixel or an area.
+    """A signal-to-noise ratio of a pixel or an area.
 
     Parameters
     ----------
     suffix
-        What the names of its quantities end in.
+        Suffix of the quantity names.
     sentence
-        What a note says of it.
+        Description for notes.
     levels
         Signal and noise.
     law
-        The law fitted to them.
+        Fitted noise law.
     """
 
     suffix: str
@@ -48,28 +43,35 @@ class Scope:
 
 
 def scope_of(suffix: str, sentence: str, levels: SignalNoiseSeries, reference: int, context: Context) -> Scope:
-    """Fit the law of a pixel or of an area; the read noise is that of the dark of the flat `reference`."""
+    """Fit the noise law of a pixel or an area; its read noise is that of the dark of flat `reference`."""
     rng = np.random.default_rng([context.seed, 23, len(suffix)])
     law = noise_law(levels, rng, reference=int(levels.dark[reference]))
     return Scope(suffix=suffix, sentence=sentence, levels=levels, law=law)
 
 
-def minimum_illumination(scope: Scope, light: StatedIllumination | str, response: Array | None, findings: list[Finding], *, seed: int,
-            **fields: Any) -> Measurement:  # fmt: skip
-    """Return the light at which signal over noise is `LEAST_SNR`, or why it is not known.
+def minimum_illumination(
+    scope: Scope,
+    light: StatedIllumination | str,
+    response: Array | None,
+    findings: list[Finding],
+    *,
+    seed: int,
+    **fields: Any,
+) -> Measurement:
+    """Return the light at which the SNR is `LEAST_SNR`, or a refusal.
 
     Parameters
     ----------
     scope
         Pixel or area.
     light
-        The light of the flats, or why it is not known.
+        Light of the flats, or why it is unknown.
     response
-        Draws of the signal per light as recorded.
+        Draws of the signal per recorded light.
     findings
-        What is wrong with the series.
+        Findings of the series.
     seed
-        Seed of the light's own error.
+        Seed of the error of the light.
     """
     name = f"minimum_illumination{scope.suffix}"
     if isinstance(light, str) or response is None:
@@ -98,7 +100,7 @@ def minimum_illumination(scope: Scope, light: StatedIllumination | str, response
 
 
 def law_findings(law: NoiseLaw) -> list[Finding]:
-    """What the fit of the law says against it."""
+    """Return the findings of the noise law."""
     return [] if law.misfit is None else [("model-misfit", law.misfit)]
 
 
@@ -107,22 +109,22 @@ def _time(light: StatedIllumination) -> str:
 
 
 def _beyond(amount: Array, levels: SignalNoiseSeries, light: StatedIllumination) -> tuple[str | None, list[Finding]]:
-    """Why no light is stated so far from the levels, or None; and the flag of one that lies not quite so far."""
+    """Return the reason to refuse an extrapolation, or None, and the findings of a smaller one."""
     chosen = levels.fitted & levels.lit
     low, high = float(light.amount[chosen].min()), float(light.amount[chosen].max())
-    if np.mean(~np.isfinite(amount)) > NEVER_SHARE:
+    if np.mean(~np.isfinite(amount)) > SNR.max_unreached:
         return f"the ratio may stay below {LEAST_SNR:g} at any light", []
     middle = float(np.median(amount))
-    if middle > FARTHEST_ABOVE * high:
+    if middle > SNR.max_factor_above * high:
         return f"the ratio stays below {LEAST_SNR:g} up to the brightest flat, {high:.3g} {light.unit}", []
-    if middle < low / FARTHEST_BELOW:
+    if middle < low / SNR.max_factor_below:
         return (
-            f"it lies at about {middle:.1g} {light.unit}, too far below the dimmest flat of {low:.3g} {light.unit} for "
-            "a straight response to be taken for granted"
+            f"it is about {middle:.1g} {light.unit}, too far below the dimmest flat of {low:.3g} {light.unit} to "
+            "assume a linear camera response"
         ), []
     if middle > high:
         return None, [("extrapolated", f"the brightest flat has {high:.3g} {light.unit}")]
     if middle < low:
-        sentence = f"the dimmest flat has {low:.3g} {light.unit}; below it the response is taken for straight"
-        return None, [("extrapolated" if middle < low / INTERPOLATED_BELOW else None, sentence)]
+        sentence = f"the dimmest flat has {low:.3g} {light.unit}; below it the camera response is assumed linear"
+        return None, [("extrapolated" if middle < low / SNR.interpolation_factor else None, sentence)]
     return None, []

@@ -1,4 +1,4 @@
-"""Signal-to-noise ratio against the light, for every gain of a session, and the light at which it is one."""
+"""Signal-to-noise ratio against illumination, and minimum illumination, for every gain of a session."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -18,9 +18,10 @@ from charact.noise.snr.area import SIDE_PX
 from charact.noise.snr.figure_data import setting_figure_data, snr_figure_data
 from charact.noise.snr.levels import NO_LAG, area_levels, pixel_levels, unclipped_flats
 from charact.noise.snr.minimum_illumination import Scope, minimum_illumination, scope_of
-from charact.noise.snr.noise_law import DRAWS, LIT, SignalNoiseSeries
+from charact.noise.snr.noise_law import SignalNoiseSeries
 from charact.noise.snr.stated_illumination import StatedIllumination, gathering_s, light_of_series, response_draws
 from charact.noise.stack.stack_statistics import StackStatistics
+from charact.noise.thresholds import SNR
 from charact.noise.undetected_correlation import temporally_correlated_fraction
 from labdata.conditions import Conditions
 from labdata.measurement import Measurement, Result, make_refusal, measurement_from_sd
@@ -28,11 +29,9 @@ from labdata.measurement import Measurement, Result, make_refusal, measurement_f
 Array = NDArray[np.float64]
 
 METHOD = "light-transfer"
-# A square must fit so many times into a side of the image for the spectrum to hold it.
-SQUARES = 6
 PIXEL = "of a pixel: temporal noise of one exposure"
-AREA = f"of the mean of {SIDE_PX} x {SIDE_PX} pixels of one exposure, noise that they share included"
-AXES = "noise of whole rows, columns and frames is left out of the area: too few frames to see it"
+AREA = f"of the mean of {SIDE_PX} x {SIDE_PX} pixels of one exposure, including correlated noise"
+AXES = "excludes row, column and frame noise: too few frames to measure it"
 
 
 @with_timing
@@ -46,7 +45,7 @@ def snr_against_light(
     darks, flats
         Stacks read with their spectra.
     single
-        Labels of darks and flats of a single frame, which are not among them.
+        Labels of excluded stacks of a single frame.
     context
         Seed.
 
@@ -54,12 +53,12 @@ def snr_against_light(
     -------
     Result
         `snr` and `snr_area` of every flat, `minimum_illumination` and `minimum_illumination_area` of every gain, the
-        light at which the ratio is `charact.noise.snr.minimum_illumination.LEAST_SNR`; as evidence all of it with the law fitted.
+        light at SNR `LEAST_SNR`; as figure data the levels with the fitted noise law.
 
     Notes
     -----
-    Noise is that of one exposure from which a mean dark is taken away. The minimum illumination also counts unequal
-    pixels, and its interval the uncertainty of the light, common to the session; see `charact.noise.snr.stated_illumination`.
+    Noise is that of one exposure less the mean dark. The minimum illumination includes PRNU, and its interval the
+    common uncertainty of the light; see `charact.noise.snr.stated_illumination`.
     """
     groups: dict[tuple, list[StackStatistics]] = {}
     for flat in flats:
@@ -71,9 +70,9 @@ def snr_against_light(
 
 
 def gain_in_words(conditions: Conditions) -> str:
-    """What the gain was set to."""
+    """Return the gain setting in words."""
     known = [(name, getattr(conditions, name)) for name in GAINS if getattr(conditions, name) is not None]
-    words = {"mcp_v": "plate at {:g} V", "gain_control": "gain control at {:g}", "em_gain": "multiplication of {:g}",
+    words = {"mcp_v": "MCP at {:g} V", "gain_control": "gain control at {:g}", "em_gain": "multiplication of {:g}",
              "camera_gain_db": "camera gain of {:g} dB"}  # fmt: skip
     return ", ".join(words[name].format(value) for name, value in known) or "gain not stated"
 
@@ -81,7 +80,7 @@ def gain_in_words(conditions: Conditions) -> str:
 def _measure_setting(
     series: FlatSeries, several: bool, context: Context
 ) -> tuple[list[Measurement], dict[str, Any] | None]:
-    """Quantities and evidence of the flats of one gain."""
+    """Return quantities and figure data of the flats of one gain."""
     fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
     reason = gain_obstacle(series) if series.reference == "dark" else _no_darks(series)
     if reason is not None or not len(series.flats):
@@ -90,13 +89,13 @@ def _measure_setting(
     lag = NO_LAG if small else pool_noise(series, None).lag
     findings = series_findings(series, context=context)
     findings += exposure_findings(temporally_correlated_fraction(series)) if not lag.seen else []
-    findings += [("lag", "earlier exposures still glow where the sum over lags ends")] if lag.open else []
+    findings += [("lag", "image lag has not decayed at the end of the lag sum")] if lag.open else []
     words = gain_in_words(series.flats[0].conditions)
     findings += [(None, words)] if several else []
     light = light_of_series(series)
     pixel = pixel_levels(series, lag)
     if not isinstance(light, str) and not (pixel.fitted & pixel.lit).any():
-        light = f"no flat below saturation is brighter than its dark by {LIT:g} standard errors"
+        light = f"no flat below saturation is brighter than its dark by {SNR.lit_sd:g} standard errors"
     response = None if isinstance(light, str) else _response(pixel, light, context)
     scopes = [scope_of("", PIXEL, pixel, _reference(series), context)]
     if small is None:
@@ -119,37 +118,39 @@ def _area_words(series: FlatSeries) -> str:
 
 
 def _area_obstacle(series: FlatSeries) -> str | None:
-    """Why the spectrum holds no area, or None."""
+    """Return why the images are too small for an area, or None."""
     rows, cols = series.flats[0].bins.window.shape
-    if min(rows, cols) >= SQUARES * SIDE_PX:
+    if min(rows, cols) >= SNR.squares * SIDE_PX:
         return None
-    return f"exposures of {rows} x {cols} px are too small for the noise of {SIDE_PX} x {SIDE_PX} px: {SQUARES} a side"
+    return (
+        f"exposures of {rows} x {cols} px are too small for the noise of {SIDE_PX} x {SIDE_PX} px: {SNR.squares} a side"
+    )
 
 
 def _reference(series: FlatSeries) -> int:
-    """The flat whose dark the law's read noise is: the dimmest of the longest time, for which light is stated."""
+    """Return the flat whose dark gives the read noise: the dimmest of the longest exposure."""
     times = [gathering_s(flat.conditions) or 0.0 for flat in series.flats]
     return int(np.argmax(times))
 
 
 def _response(levels: SignalNoiseSeries, light: StatedIllumination, context: Context) -> Array:
-    """Draws of the signal per light as recorded."""
+    """Draws of the signal per recorded light."""
     chosen = levels.fitted & levels.lit
     rng = np.random.default_rng([context.seed, 22])
-    return response_draws(light.amount[chosen], levels.signal_dn[chosen], levels.signal_sd_dn[chosen], rng, DRAWS)
+    return response_draws(light.amount[chosen], levels.signal_dn[chosen], levels.signal_sd_dn[chosen], rng, SNR.draws)
 
 
 def _ratios(series: FlatSeries, scope: Scope, findings: list[Finding], fields: dict[str, Any]) -> list[Measurement]:
-    """The ratio at every level."""
+    """Return the SNR at every level."""
     whole, out = unclipped_flats(series), []
     own = {"flags": flags_of(findings), "notes": (scope.sentence, *notes_of(findings))}
     for index, flat in enumerate(series.flats):
         name, told = f"snr{scope.suffix}", {**fields, "stack": flat.label}
         if not whole[index]:
-            reason = f"{flat.label} is saturated: what is cut off at the top takes noise away"
+            reason = f"{flat.label} is saturated: clipping lowers the noise"
             out.append(make_refusal(name, "1", reason, **told))
         elif not scope.levels.lit[index]:
-            reason = f"{flat.label} is not brighter than its dark by {LIT:g} standard errors"
+            reason = f"{flat.label} is not brighter than its dark by {SNR.lit_sd:g} standard errors"
             out.append(make_refusal(name, "1", reason, **told))
         else:
             value, sd = float(scope.levels.snr[index]), float(scope.levels.snr_sd[index])
@@ -159,5 +160,5 @@ def _ratios(series: FlatSeries, scope: Scope, findings: list[Finding], fields: d
 
 
 def _quantisation_flags(series: FlatSeries, index: int) -> tuple[str, ...]:
-    """The flag of a few DN above a dark whose variance may be that of rare pulses, while the steps hide the rest."""
+    """Return the flag of a signal of few DN distorted by rounding."""
     return ("quantised",) if is_quantisation_limited(series.darks[index], float(series.signal_dn[index])) else ()

@@ -1,4 +1,4 @@
-"""Pixels that misbehave and the step of the digitiser: found once a session, before anything is measured."""
+"""Preparation of a session: defective pixels replaced, values in units of the quantisation step."""
 
 from charact.noise.sound.session import Prepared, prepare
 

@@ -1,4 +1,4 @@
-"""Frames kept in memory between survey and measurement, where files have to be decoded and are not too many."""
+"""Frames retained in memory between survey and measurement."""
 
 from dataclasses import dataclass, fields
 
@@ -6,13 +6,13 @@ from charact.noise.stack.parallel_reading import WHOLE_BYTES
 from labdata.frames import FrameStack
 from labdata.session import StackEntry
 
-# Files and folders that are read a block at a time, without decoding.
+# Files and folders that are memory-mapped.
 MAPPED = (".npy", ".zarr")
 
 
 @dataclass(frozen=True, kw_only=True)
 class LoadedStackEntry(StackEntry):
-    """A stack whose frames were read.
+    """A stack with its frames in memory.
 
     Parameters
     ----------
@@ -23,12 +23,12 @@ class LoadedStackEntry(StackEntry):
     kept: FrameStack
 
     def read(self, plane: str | None = None) -> FrameStack:
-        """Return the frames; the plane was chosen when they were read."""
+        """Return the frames; `plane` has no effect."""
         return self.kept
 
 
 def load_frames(entries: tuple[StackEntry, ...]) -> tuple[StackEntry, ...]:
-    """Return darks and flats with their frames, as many as fit `WHOLE_BYTES`."""
+    """Return darks and flats with their frames in memory, up to `WHOLE_BYTES`."""
     left, out = WHOLE_BYTES, []
     for entry in entries:
         plain = type(entry) is StackEntry and entry.kind in ("dark", "flat")

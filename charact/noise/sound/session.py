@@ -1,4 +1,4 @@
-"""A session made ready: its pixels judged, its values in steps of the digitiser, its numbers turned back into DN."""
+"""Preparation of a session: defective pixels replaced, values in units of the quantisation step, results in DN."""
 
 import re
 from dataclasses import dataclass, replace
@@ -11,30 +11,27 @@ from charact.noise.sound.kept import load_frames
 from charact.noise.sound.pixels import DefectivePixels, find_defective_pixels
 from charact.noise.sound.step import common_step
 from charact.noise.sound.survey import PixelSurvey, survey_pixels
-from charact.noise.sound.thresholds import LEAST_PIXELS, LEAST_SIDE, MEANS
 from charact.noise.sound.view import frame_view
+from charact.noise.thresholds import SURVEY
 from charact.noise.tube import has_multiplication
 from labdata.measurement import Interval, Measurement, Posterior, Result
 from labdata.session import Session
 
-# Units in which the least noise of values without steps is expressed, so that no limit of a digitiser applies to it.
-FINE = 100.0
-
 
 @dataclass(frozen=True, kw_only=True)
 class Prepared:
-    """A session as it is measured.
+    """A session prepared for measurement.
 
     Parameters
     ----------
     session, context
-        Stacks with their views, and what methods are told.
+        Stacks with their views, and settings.
     unit_dn
-        What one unit of the values is, DN.
+        Unit of the values, DN.
     surveys
-        One of each dark and flat of two frames and more.
+        Survey of each dark and flat of at least two frames.
     found
-        The pixels that misbehave; None where the images are too small to tell.
+        Defective pixels; None if the images are too small.
     """
 
     session: Session
@@ -44,7 +41,7 @@ class Prepared:
     found: DefectivePixels | None
 
     def in_dn(self, result: Result) -> Result:
-        """Return a result whose levels are DN of the files, with a note on what was left out."""
+        """Return a result in DN of the files, with a note on excluded pixels."""
         note = None if self.found is None else self.found.note
         notes = () if note is None else (note,)
         if self.unit_dn == 1.0:
@@ -53,7 +50,7 @@ class Prepared:
                 if notes
                 else result
             )
-        notes += (f"DN of the other notes are units of {self.unit_dn:.4g} of the files' values",)
+        notes += (f"DN in other notes are units of {self.unit_dn:.4g} of the files' values",)
         return replace(
             result,
             measurements=tuple(_in_dn(_with_notes(m, notes), self.unit_dn) for m in result.measurements),
@@ -62,27 +59,29 @@ class Prepared:
 
 
 def prepare(session: Session, *, context: Context) -> Prepared:
-    """Survey the darks and flats of a session and return it ready to be measured.
+    """Survey the darks and flats of a session and prepare it for measurement.
 
     Parameters
     ----------
     session
         The session.
     context
-        Seed, sensor and highest code.
+        Seed, sensor and full scale.
 
     Notes
     -----
-    Means are compared pixel by pixel in eight stacks spread over the levels: a pixel that is wrong is so in several.
+    Pixel means are compared in at most eight stacks distributed over the levels, because a defect shows in several.
     """
     session = replace(session, stacks=load_frames(session.stacks) if context.spread is map else session.stacks)
     entries = session.of_kind("dark", "flat")
-    spread = set(np.linspace(0, len(entries) - 1, min(MEANS, len(entries))).round().astype(int).tolist())
-    spread |= {i for i, entry in enumerate(entries) if entry.kind == "dark"} if len(entries) <= MEANS else set()
+    spread = set(np.linspace(0, len(entries) - 1, min(SURVEY.mean_stacks, len(entries))).round().astype(int).tolist())
+    spread |= (
+        {i for i, entry in enumerate(entries) if entry.kind == "dark"} if len(entries) <= SURVEY.mean_stacks else set()
+    )
     surveys = [survey_pixels(entry, means=i in spread) for i, entry in enumerate(entries)]
     many = [one for one in surveys if one.frames > 1]
     sizes = {one.size for one in surveys}
-    large = many and len(sizes) == 1 and many[0].pixels >= LEAST_PIXELS and min(many[0].size) >= LEAST_SIDE
+    large = many and len(sizes) == 1 and many[0].pixels >= SURVEY.min_pixels and min(many[0].size) >= SURVEY.min_side_px
     found = find_defective_pixels(many, multiplies=has_multiplication(session, context)) if large else None
     unit, whole = _unit(surveys)
     views = {
@@ -96,14 +95,14 @@ def prepare(session: Session, *, context: Context) -> Prepared:
 
 
 def _unit(surveys: list[PixelSurvey]) -> tuple[float, bool]:
-    """The unit of the values, DN, and whether they are whole numbers of it."""
+    """Return the unit of the values, DN, and whether they are integers of it."""
     step = common_step([one.step_dn for one in surveys])
     if step is None:
         return 1.0, False
     if step > 0:
         return step, True
     noise = [one.sd_dn for one in surveys if one.sd_dn > 0]
-    return (2.0 ** np.floor(np.log2(min(noise) / FINE)), False) if noise else (1.0, False)
+    return (2.0 ** np.floor(np.log2(min(noise) / SURVEY.fine_units)), False) if noise else (1.0, False)
 
 
 def _with_notes(measurement: Measurement, notes: tuple[str, ...]) -> Measurement:
@@ -111,14 +110,14 @@ def _with_notes(measurement: Measurement, notes: tuple[str, ...]) -> Measurement
 
 
 def power_of_dn(unit: str) -> int:
-    """Return the power of DN in a unit: 2 of DN2, 1 of DN, DN/e- and the like, -1 of 1/DN, 0 of others."""
+    """Return the power of DN in a unit: 2 for DN2, 1 for DN or DN/e-, -1 for 1/DN, 0 for others."""
     above, _, below = unit.partition("/")
     powers = {"DN": 1, "DN2": 2}
     return powers.get(above, 0) - powers.get(below, 0)
 
 
 def _in_dn(measurement: Measurement, unit_dn: float) -> Measurement:
-    """A measurement whose levels were counted in units."""
+    """Return a measurement converted from units to DN."""
     factor = unit_dn ** power_of_dn(measurement.unit)
 
     def around(interval: Interval | None) -> Interval | None:
@@ -135,7 +134,7 @@ def _in_dn(measurement: Measurement, unit_dn: float) -> Measurement:
 
 
 def _posterior(kept: Posterior, unit_dn: float) -> Posterior:
-    """Draws in DN; logarithms are shifted."""
+    """Return draws in DN; logarithms are shifted."""
     draws = kept.draws.copy()
     for column, unit in enumerate(kept.units):
         logarithm = unit.removeprefix("log ")
@@ -147,7 +146,7 @@ def _posterior(kept: Posterior, unit_dn: float) -> Posterior:
 
 
 def _scale_figure_data(data: Any, unit_dn: float, factor: float = 1.0) -> Any:
-    """What the report draws, each entry by the unit in its name."""
+    """Return figure data in DN, each entry by the unit in its name."""
     if isinstance(data, dict):
         return {key: _scale_figure_data(value, unit_dn, _factor(key, unit_dn, factor)) for key, value in data.items()}
     if isinstance(data, list):

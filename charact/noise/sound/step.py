@@ -1,20 +1,17 @@
-"""The step of the digitiser, from the values in the data: frames may be whole numbers, shares of one, or volts."""
+"""Quantisation step of values, which may be integers, fractions of one, or volts."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-# Share of distinct values beyond which values are taken for continuous.
-DISTINCT = 0.5
-# Departure from whole steps that the rounding of single precision may leave, steps.
-WHOLE = 0.02
+from charact.noise.thresholds import SURVEY
 
 
 def step_of(values: NDArray[np.float64]) -> float | None:
-    """Return the spacing of values, their greatest common difference; 0 for continuous ones, None where all are equal.
+    """Return the greatest common difference of values; 0 for continuous ones, None if all are equal.
 
     Notes
     -----
-    Of numbers that are no whole ones the smallest spacing is the step if all others are multiples of it.
+    For non-integers the smallest spacing is the step if all others are multiples of it.
     """
     distinct = np.unique(values)
     if len(distinct) < 2:
@@ -22,7 +19,7 @@ def step_of(values: NDArray[np.float64]) -> float | None:
     gaps = np.diff(distinct)
     if np.all(distinct == np.rint(distinct)):
         return float(np.gcd.reduce(gaps.astype(np.int64)))
-    if len(distinct) > DISTINCT * values.size:
+    if len(distinct) > SURVEY.distinct_fraction * values.size:
         return 0.0
     noise = 4.0 * float(np.finfo(np.float32).eps) * float(np.abs(distinct).max())
     real = gaps[gaps > noise]
@@ -31,11 +28,11 @@ def step_of(values: NDArray[np.float64]) -> float | None:
     least = float(real.min())
     step = float(np.mean(real[real < 1.5 * least]))
     whole = gaps / step
-    return step if np.all(np.abs(whole - np.rint(whole)) < WHOLE + noise / step) else 0.0
+    return step if np.all(np.abs(whole - np.rint(whole)) < SURVEY.step_tolerance + noise / step) else 0.0
 
 
 def common_step(steps: list[float | None]) -> float | None:
-    """Return the step of all stacks: the smallest that divides all; 0 if one is continuous; None if none shows it."""
+    """Return the common step of all stacks: the smallest that divides all; 0 if one is continuous; None if unknown."""
     known = [step for step in steps if step is not None]
     if not known:
         return None

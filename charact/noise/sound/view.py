@@ -1,4 +1,4 @@
-"""Frames as they are measured: in steps of the digitiser, misbehaving pixels replaced by sound ones nearby."""
+"""Views of stacks: values in units of the quantisation step, defective pixels replaced by valid ones nearby."""
 
 from dataclasses import dataclass, replace
 
@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.noise.sound.pixels import DefectivePixels
-from charact.noise.sound.thresholds import NEAR
+from charact.noise.thresholds import SURVEY
 from labdata.lazy_stack import LazyStack
 
 Places = NDArray[np.int64]
@@ -14,24 +14,24 @@ Places = NDArray[np.int64]
 
 @dataclass(frozen=True, kw_only=True)
 class FrameView:
-    """What is done to the frames of one stack as they are read.
+    """Transformation of the frames of one stack on reading.
 
     Parameters
     ----------
     unit_dn
-        What the values are divided by, DN.
+        Divisor of the values, DN.
     whole
-        Whether they are whole numbers then.
+        Whether the values are integers then.
     places, donors
-        Pixels that are replaced, and by which.
+        Replaced pixels, and their replacements.
     struck, frame, struck_donors
-        Values replaced in single frames.
+        Values replaced in single frames, the frames, and the replacements.
 
     Notes
     -----
-    A pixel takes the values of a sound one up to 32 px away, in all frames, shifted by the difference of the medians
-    around both: level, noise and pattern are those of the place, and distances differ from pixel to pixel, so that what
-    two of them share cancels in every spectrum. Variances change by less than 1e-4 where one pixel of 200 is replaced.
+    A defective pixel takes the values of a valid one up to 32 px away in all frames, shifted by the difference of the
+    surrounding medians, which preserves level, noise and pattern. Random distances average out the added correlation in
+    spectra. Variances change by less than 1e-4 if one pixel of 200 is replaced.
     """
 
     unit_dn: float
@@ -43,7 +43,7 @@ class FrameView:
     struck_donors: Places
 
     def through(self, stack: LazyStack) -> LazyStack:
-        """Return the stack as it is measured."""
+        """Return the transformed stack."""
         if self.unit_dn == 1.0 and not len(self.places) and not len(self.struck):
             return stack
         place, donor = np.concatenate([self.places, self.struck]), np.concatenate([self.donors, self.struck_donors])
@@ -79,7 +79,7 @@ class FrameView:
 
 
 def write_values(flat: NDArray, frames, places, values: NDArray, shift) -> None:
-    """Write values, shifted, where whole numbers have room for them."""
+    """Write shifted values, clipped to the range of an integer type."""
     moved = values.astype(np.float64) + shift
     if flat.dtype.kind in "ui":
         limits = np.iinfo(flat.dtype)
@@ -88,7 +88,7 @@ def write_values(flat: NDArray, frames, places, values: NDArray, shift) -> None:
 
 
 def _surrounding_median(image: NDArray[np.float64], places: Places) -> NDArray[np.float64]:
-    """Median of the 24 pixels around each place, DN."""
+    """Return the median of the 24 pixels around each position, DN."""
     rows, cols = image.shape
     row, col = np.divmod(places, cols)
     step = np.array([(i, j) for i in range(-2, 3) for j in range(-2, 3) if i or j])
@@ -100,20 +100,20 @@ def _surrounding_median(image: NDArray[np.float64], places: Places) -> NDArray[n
 def choose_donors(
     places: Places, unsound: NDArray[np.bool_], size: tuple[int, int], rng: np.random.Generator
 ) -> Places:
-    """Return a sound pixel near each place."""
+    """Return a valid pixel near each position."""
     rows, cols = size
     found = np.full(len(places), -1)
     while (left := np.flatnonzero(found < 0)).size:
         row, col = np.divmod(places[left], cols)
-        row = _mirror_inside(row + rng.integers(-NEAR, NEAR + 1, len(left)), rows)
-        col = _mirror_inside(col + rng.integers(-NEAR, NEAR + 1, len(left)), cols)
+        row = _mirror_inside(row + rng.integers(-SURVEY.replacement_px, SURVEY.replacement_px + 1, len(left)), rows)
+        col = _mirror_inside(col + rng.integers(-SURVEY.replacement_px, SURVEY.replacement_px + 1, len(left)), cols)
         pixel = row * cols + col
         found[left] = np.where(unsound[pixel], -1, pixel)
     return found
 
 
 def _mirror_inside(place: NDArray, length: int) -> NDArray:
-    """Places beyond the rim, mirrored into the image."""
+    """Return positions mirrored into the image."""
     place = np.abs(place) % (2 * length)
     return np.where(place < length, place, 2 * length - 1 - place)
 
@@ -129,5 +129,12 @@ def frame_view(
     away = np.zeros(size[0] * size[1], bool)
     away[places] = away[struck] = True
     rng = np.random.default_rng([seed, 71])
-    return FrameView(unit_dn=unit_dn, whole=whole, places=places, donors=choose_donors(places, away, size, rng), struck=struck,
-                frame=frame, struck_donors=choose_donors(struck, away, size, rng))  # fmt: skip
+    return FrameView(
+        unit_dn=unit_dn,
+        whole=whole,
+        places=places,
+        donors=choose_donors(places, away, size, rng),
+        struck=struck,
+        frame=frame,
+        struck_donors=choose_donors(struck, away, size, rng),
+    )

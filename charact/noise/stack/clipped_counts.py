@@ -1,4 +1,4 @@
-"""Pixels at the ends of the digitiser's codes, counted run by run."""
+"""Counts of clipped pixel values."""
 
 from dataclasses import dataclass
 from functools import reduce
@@ -6,27 +6,24 @@ from functools import reduce
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.noise.thresholds import STACK
 from labdata.importers.full_scale import ends_at
-
-# So many values at the largest one, in a frame on average, are no chance.
-PILED_UP = 8
-SIGNIFICANT = 5.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class ClippedCounts:
-    """How many values lie at the ends of the codes.
+    """Number of values at 0 DN and at full scale.
 
     Parameters
     ----------
     values, frames
-        Values counted, and frames that they are of.
+        Counted values and frames.
     low, full
-        Values at code 0, and at or above the highest code where it is stated.
+        Values at 0 DN, and at or above full scale if stated.
     largest, held
-        The largest value and how many hold it.
+        The largest value and its count.
     next_largest, next_held
-        The largest value below that and how many hold it; none where too few hold the largest to matter.
+        The next largest value and its count; 0 if the largest is rare.
     """
 
     values: int
@@ -40,29 +37,33 @@ class ClippedCounts:
 
     @property
     def low_fraction(self) -> float:
-        """Share of values at code 0."""
+        """Fraction of values at 0 DN."""
         return self.low / self.values
 
     @property
     def high_fraction(self) -> float:
-        """Share at the highest code, or at the largest value where values pile up there: the camera stops there.
+        """Fraction at full scale, or at the largest value if values accumulate there.
 
-        The tail of a smooth distribution falls towards its largest value; codes need not be successive whole numbers.
+        A smooth distribution falls towards its largest value; grey values need not be consecutive integers.
         """
-        likely = self.next_held + SIGNIFICANT * np.sqrt(self.next_held)
-        piled = self.next_held and self.held >= max(PILED_UP * self.frames, 2 * PILED_UP) and self.held >= likely
+        likely = self.next_held + STACK.accumulated_sd * np.sqrt(self.next_held)
+        piled = (
+            self.next_held
+            and self.held >= max(STACK.accumulated * self.frames, 2 * STACK.accumulated)
+            and self.held >= likely
+        )
         shown = float(self.largest).is_integer() and ends_at(int(self.largest), self.held)
         return max(self.full, self.held if piled or shown else 0) / self.values
 
 
 def count_clipped(data: NDArray, full_scale_dn: float | None) -> ClippedCounts:
-    """Count the values of some frames at the ends of the codes."""
+    """Count the clipped values of frames."""
     flat = data.reshape(-1)
     largest, held, next_largest, next_held = _top(flat)
     full = 0
     if full_scale_dn is not None and largest >= full_scale_dn:
         full = held if largest == full_scale_dn else int(np.count_nonzero(flat >= full_scale_dn))
-    # Of values below 0 that is no end of the codes.
+    # With negative values, 0 is not the lower limit.
     low = int(np.count_nonzero(flat == 0)) if flat.min() == 0 else 0
     return ClippedCounts(values=flat.size, frames=len(data), low=low, full=full,
                  largest=float(largest), held=int(held), next_largest=float(next_largest),
@@ -70,7 +71,7 @@ def count_clipped(data: NDArray, full_scale_dn: float | None) -> ClippedCounts:
 
 
 def sum_counts(parts: list[ClippedCounts]) -> ClippedCounts:
-    """Return the counts of all parts."""
+    """Return the sum of the counts."""
     return reduce(_sum, parts)
 
 
@@ -87,10 +88,10 @@ def _sum(one: ClippedCounts, two: ClippedCounts) -> ClippedCounts:
 
 
 def _top(flat: NDArray) -> tuple[float, int, float, int]:
-    """The largest value and how many hold it, and where these are many, the same of the next largest."""
+    """Return the largest value and its count, and if it is frequent the next largest."""
     largest = flat.max()
     held = int(np.count_nonzero(flat == largest))
-    less = flat[flat < largest] if held >= 2 * PILED_UP else flat[:0]
+    less = flat[flat < largest] if held >= 2 * STACK.accumulated else flat[:0]
     if not less.size:
         return largest, held, largest, 0
     following = less.max()

@@ -1,4 +1,4 @@
-"""What a run of frames tells: means, products of pixels and noise spectra, of which a stack is made."""
+"""Statistics of a block of frames: clipped values, means, pixel products, fixed pattern and noise spectra."""
 
 from dataclasses import dataclass
 
@@ -20,28 +20,21 @@ from charact.noise.stack.pixels import (
 )
 from charact.noise.stack.spectrum import NO_BINS, Bins, bins_of, smooth_length
 from charact.noise.stack.temporal import autocovariance, usable_lags
+from charact.noise.thresholds import STACK
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 
 Array = NDArray[np.float64]
 
-# Longest lag at which light of earlier exposures is looked for, and lags allowed for where none is seen, exposures.
-MOST_LAGS = 12
-FEW_LAGS = 2
-# Exposures of an intensified camera this far apart no longer share the glow of the screen to speak of.
-GLOW_EXPOSURES = 8
-# Squares of values beyond this leave the range of single precision.
-LARGEST_DN = 1e9
-
 
 @dataclass(frozen=True, kw_only=True)
 class BlockSpectrum:
-    """Noise of one stack when so many lags are allowed for: the more, the less biased and the less certain.
+    """Temporal noise of one stack up to a largest lag: more lags mean less bias and more scatter.
 
     Parameters
     ----------
     lags
-        Lags, exposures, 0 first, shape (lag,); none where no spectrum was asked for.
+        Lags, exposures, 0 first, shape (lag,); empty if no spectrum was requested.
     power_dn2
         Autocovariance in time of the modes of each bin, shape (bin, lag), DN^2.
     variance_dn2
@@ -58,7 +51,7 @@ NO_SPECTRUM = BlockSpectrum(lags=np.empty(0, np.int64), power_dn2=np.empty((0, 0
 
 @dataclass(frozen=True, kw_only=True)
 class FrameBlock:
-    """Statistics of a run of frames: values with their standard errors, and spectra. Names as in `Level`."""
+    """Statistics of a block of frames: values with their standard errors, and spectra. Names as in `Level`."""
 
     codes: ClippedCounts
     frame_mean_dn: Array
@@ -74,12 +67,12 @@ class FrameBlock:
 
 
 def run_of(frames: FrameStack, *, context: Context, spectra: bool) -> FrameBlock:
-    """Return the statistics of the frames of one run.
+    """Return the statistics of one block of frames.
 
     Raises
     ------
     BadInput
-        If values are beyond all bounds, or a frame is too low for two fields.
+        If values are out of range, or a frame has too few rows for two fields.
     """
     _check(frames, context)
     full_scale_dn = context.full_scale_dn if context.full_scale_dn is not None else frames.full_scale_dn
@@ -90,7 +83,7 @@ def run_of(frames: FrameStack, *, context: Context, spectra: bool) -> FrameBlock
     variance = float(autocovariance(sums.products, order.time, order.parity, plain, within_parity=True)[0])
     few, many = NO_SPECTRUM, NO_SPECTRUM
     if spectra:
-        few, many = (_spectrum(sums, order, most) for most in (FEW_LAGS, MOST_LAGS))
+        few, many = (_spectrum(sums, order, most) for most in (STACK.few_lags, STACK.max_lags))
     rows, cols = line_errors(sums, order)
     lines = np.hypot(rows, cols)
     scale = max(variance, np.finfo(float).tiny)
@@ -103,19 +96,19 @@ def run_of(frames: FrameStack, *, context: Context, spectra: bool) -> FrameBlock
         neighbour=_with_error(right_neighbour(sums), rows / scale),
         below=_with_error(lower_neighbour(sums), cols / scale),
         successor=successor_correlation(sums, order.parity),
-        pattern=measure_fixed_pattern(order, sums, GLOW_EXPOSURES if context.interlaced else 1),
+        pattern=measure_fixed_pattern(order, sums, STACK.decay_exposures if context.interlaced else 1),
         few=few,
         many=many,
     )
 
 
 def _with_error(known: tuple[float, float], error: float) -> tuple[float, float]:
-    """A value with one more independent error."""
+    """Return a value with one more independent error."""
     return known[0], float(np.hypot(known[1], error))
 
 
 def bins_of_run(shape: tuple[int, int, int], context: Context, *, spectra: bool) -> Bins:
-    """Return the bins of the spectra of frames of a shape: a few rows and columns short, to transform quickly."""
+    """Return the spectral bins of frames of a shape, cropped to lengths with a fast transform."""
     if not spectra:
         return NO_BINS
     step = 2 if context.interlaced else 1
@@ -123,18 +116,18 @@ def bins_of_run(shape: tuple[int, int, int], context: Context, *, spectra: bool)
 
 
 def _check(frames: FrameStack, context: Context) -> None:
-    """Refuse frames that no statistic can be made of."""
+    """Reject frames without valid statistics."""
     if context.interlaced and frames.data.shape[1] < 2:
-        raise BadInput(f"interlaced frames must have two rows at least, got {frames.data.shape[1]}")
+        raise BadInput(f"interlaced frames must have at least two rows, got {frames.data.shape[1]}")
     if frames.data.dtype.itemsize <= 2:
         return
     largest = max(abs(float(frames.data.max())), abs(float(frames.data.min())))
-    if largest > LARGEST_DN:
-        raise BadInput(f"pixel values must lie below {LARGEST_DN:.0e} DN, got {largest:.3g}")
+    if largest > STACK.max_dn:
+        raise BadInput(f"pixel values must lie below {STACK.max_dn:.0e} DN, got {largest:.3g}")
 
 
 def _spectrum(sums: PixelSums, order: Order, most: int) -> BlockSpectrum:
-    """Unbiased covariances in time up to a lag."""
+    """Return the unbiased temporal autocovariance up to a lag."""
     lags = usable_lags(order.time, order.parity, most)
     same = rows_lags(lags, order.parity)
     variance = autocovariance(sums.products, order.time, order.parity, same, within_parity=True)[0]

@@ -1,35 +1,33 @@
-"""The mean of every exposure in the order of time: its spectrum, a line of flicker in it and drift."""
+"""Means of successive exposures: spectrum, flicker line and drift."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from charact.noise.thresholds import STACK
 
-# A line or a drift is seen where chance would make one as strong in so small a share of steady stacks.
-CHANCE = 1e-4
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
 class FrameMeans:
-    """Means of the exposures of one stack, and what they tell of the light and the electronics.
+    """Means of the exposures of one stack.
 
     Parameters
     ----------
     mean_dn
-        Mean of each exposure, fields of interlaced frames one after the other, each parity about its own mean,
-        shape (exposure,), DN.
+        Mean of each exposure about the mean of its parity, shape (exposure,), DN.
     frequency_cy_per_exposure
         Frequencies above zero, shape (frequency,), cycles per exposure.
     power_dn2
-        Share of the variance of the means at each frequency, drift taken away, shape (frequency,), DN^2.
+        Variance of the means at each frequency without drift, shape (frequency,), DN^2.
     exposure_period_s
-        Time from one exposure to the next, s; None where the stack has no time stamps.
+        Exposure period, s; None without time stamps.
     drift_dn, drift_seen
-        Straight line's change from first to last exposure, DN, and whether it is beyond chance.
+        Linear change from first to last exposure, DN, and whether it is significant.
     line
-        Index of the strongest frequency where it stands out beyond chance, else None.
+        Index of the strongest frequency if significant, else None.
     """
 
     mean_dn: Array
@@ -42,19 +40,19 @@ class FrameMeans:
 
     @property
     def line_rms_dn(self) -> float:
-        """Root mean square of the line, DN; 0 for none."""
+        """Root mean square of the flicker line, DN; 0 for none."""
         return 0.0 if self.line is None else float(np.sqrt(self.power_dn2[self.line]))
 
     @property
     def line_hz(self) -> float | None:
-        """Frequency of the line, or of its alias below half of the exposures' rate, Hz."""
+        """Frequency of the line, or of its alias below half of the exposure rate, Hz."""
         if self.line is None or self.exposure_period_s is None:
             return None
         return float(self.frequency_cy_per_exposure[self.line] / self.exposure_period_s)
 
 
 def frame_means(field_mean_dn: Array, time_s: NDArray) -> FrameMeans:
-    """Look for drift and for a line of flicker in the means of exposures.
+    """Search the means of exposures for drift and a flicker line.
 
     Parameters
     ----------
@@ -65,8 +63,8 @@ def frame_means(field_mean_dn: Array, time_s: NDArray) -> FrameMeans:
 
     Notes
     -----
-    The strongest of m powers of white noise holds more than the share g of them all with the probability
-    m (1 - g)^(m - 1) (Fisher, Proc. R. Soc. A 125, 54 (1929), first term).
+    The largest of m powers of white noise exceeds the fraction g of their sum with probability m (1 - g)^(m - 1)
+    (Fisher, Proc. R. Soc. A 125, 54 (1929), first term).
     """
     fields = len(field_mean_dn)
     series = (field_mean_dn - field_mean_dn.mean(axis=1, keepdims=True)).T.ravel()
@@ -82,7 +80,7 @@ def frame_means(field_mean_dn: Array, time_s: NDArray) -> FrameMeans:
 
 
 def _drift(series: Array, taken: int) -> tuple[float, bool, Array]:
-    """Change along a straight line from first to last, whether it is beyond chance, and what is left."""
+    """Return the linear change from first to last, whether it is significant, and the residual."""
     from scipy.special import fdtrc
 
     place = np.linspace(-0.5, 0.5, len(series))
@@ -92,13 +90,13 @@ def _drift(series: Array, taken: int) -> tuple[float, bool, Array]:
     explained, left = slope**2 * float(place @ place), float(rest @ rest) / free
     if left <= 0:
         return slope, slope != 0, rest
-    return slope, bool(fdtrc(1, free, explained / left) < CHANCE), rest
+    return slope, bool(fdtrc(1, free, explained / left) < STACK.false_alarm), rest
 
 
 def _line(power: Array) -> int | None:
-    """Index of a power that no chance makes stand out so."""
+    """Return the index of a significant power."""
     if power.sum() <= 0:
         return None
     strongest = int(np.argmax(power))
     share = float(power[strongest] / power.sum())
-    return strongest if len(power) * (1.0 - share) ** (len(power) - 1) < CHANCE else None
+    return strongest if len(power) * (1.0 - share) ** (len(power) - 1) < STACK.false_alarm else None

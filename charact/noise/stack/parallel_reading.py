@@ -1,4 +1,4 @@
-"""Stacks read part by part, here or on the workers of a cluster: one path, the same bytes, whatever fits in memory."""
+"""Parallel reading of stacks in parts."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -16,28 +16,28 @@ from labdata.frames import FrameStack
 from labdata.lazy_stack import LazyStack, open_lazy_stack
 from labdata.session import StackEntry
 
-# A stack up to this size is one part and read once; the runs of a larger one are parts, and its cube is another.
+# Largest stack that is read at once; of a larger one each block is a part, and the cube another.
 WHOLE_BYTES = 128 * 2**20
 
 
 @dataclass(frozen=True, kw_only=True)
 class Part:
-    """Some of the statistics of a stack, to be computed wherever its frames can be read.
+    """Task: some of the statistics of a stack.
 
     Parameters
     ----------
     entry
         The stack.
     runs
-        First and last-plus-one frame of each run.
+        First and last-plus-one frame of each block.
     cube
-        Whether the 3-D noise of the whole stack is wanted.
+        Whether to compute 3-D noise.
     spectra
-        Whether noise spectra are wanted.
+        Whether to compute noise spectra.
     context
         Settings.
     whole
-        Whether the stack is read whole.
+        Whether to read the complete stack at once.
     """
 
     entry: StackEntry
@@ -50,7 +50,7 @@ class Part:
 
 @dataclass(frozen=True, kw_only=True)
 class PartStatistics:
-    """Statistics of a part, as far as it has them."""
+    """Statistics of a part."""
 
     runs: tuple[FrameBlock, ...]
     cube: Cube | None
@@ -59,24 +59,24 @@ class PartStatistics:
 def read_levels_of(
     entries: Sequence[StackEntry], *, context: Context, spectra: bool = True, cubes: bool = False
 ) -> list[StackStatistics | None]:
-    """Return the statistics of stacks; None for one of a single frame, which shows no change in time.
+    """Return the statistics of stacks; None for a stack of a single frame.
 
     Parameters
     ----------
     entries
         The stacks.
     context
-        Settings; `context.spread` says where parts are computed.
+        Settings; `context.spread` maps over the parts.
     spectra, cubes
-        Whether noise spectra and 3-D noise are wanted.
+        Whether to compute noise spectra and 3-D noise.
 
     Raises
     ------
     BadInput
-        If two frames have one number, values are beyond all bounds, or a frame is too low for two fields.
+        If frame numbers repeat, values are out of range, or a frame has too few rows for two fields.
     """
     alone = replace(context, progress=Context.progress, spread=Context.spread)
-    # Workers stand in other folders.
+    # Workers run in other folders.
     entries = [replace(entry, folder=entry.folder.absolute()) for entry in entries]
     parts, shapes = [], []
     for entry in entries:
@@ -106,10 +106,10 @@ def part_statistics(part: Part) -> PartStatistics:
 
 
 def _parts(entry: StackEntry, stack: LazyStack, context: Context, spectra: bool, cube: bool) -> list[Part]:
-    """The parts of a stack."""
+    """Return the parts of a stack."""
     number = stack.frame_number
     if len(np.unique(number)) < len(number):
-        raise BadInput(f"frames of {entry.label} must have numbers of their own, got {number.tolist()[:8]}")
+        raise BadInput(f"frame numbers of {entry.label} must be unique, got {number.tolist()[:8]}")
     if len(stack) < 2:
         return []
     runs = tuple(runs_of(stack))
@@ -122,7 +122,7 @@ def _parts(entry: StackEntry, stack: LazyStack, context: Context, spectra: bool,
 
 def _join_parts(entry: StackEntry, shape: tuple[int, int, int], found: Iterable[PartStatistics], context: Context
               ) -> StackStatistics | None:  # fmt: skip
-    """Statistics of a stack from those of its parts."""
+    """Return the statistics of a stack from those of its parts."""
     parts = list(found)
     runs = [run for part in parts for run in part.runs]
     cube = next((part.cube for part in parts if part.cube is not None), None)
@@ -130,13 +130,13 @@ def _join_parts(entry: StackEntry, shape: tuple[int, int, int], found: Iterable[
 
 
 def read_stack_frames(entry: StackEntry) -> FrameStack:
-    """Read all frames of a stack through its view."""
+    """Read all frames of a stack."""
     stack = open_lazy_stack(entry)
     return _frames(stack, 0, len(stack))
 
 
 def _frames(stack: LazyStack, first: int, last: int) -> FrameStack:
-    """The frames of one run."""
+    """Return the frames of one block."""
     stamped = len(stack.frame_number) == len(stack)
     number = stack.frame_number[first:last] if stamped else np.arange(first, last)
     return FrameStack(data=stack.frames(first, last), frame_number=number, full_scale_dn=stack.full_scale_dn)

@@ -1,4 +1,4 @@
-"""The fixed pattern: what unequal pixels add to every exposure alike, told from noise that is shared for a while."""
+"""Fixed-pattern noise, separated from slowly varying noise."""
 
 from dataclasses import dataclass
 
@@ -7,26 +7,21 @@ from numpy.typing import NDArray
 
 from charact.noise.stack.exposure_order import Order
 from charact.noise.stack.pixels import PixelSums
+from charact.noise.thresholds import STACK
 
 Array = NDArray[np.float64]
-
-# Near pairs that share more than far ones, beyond so many standard errors and this share of all, still share noise.
-SIGNIFICANT = 3.0
-SHARE = 0.02
-# What may be left of it beyond the last pairs, share of the variance; it is in the standard error too.
-LEFT = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
 class Pattern:
-    """Variance over the image of what does not change in time.
+    """Spatial variance of the fixed pattern.
 
     Parameters
     ----------
     variance_dn2, sd_dn2
         The variance and its standard error, DN^2.
     settled
-        Whether pairs of exposures further apart share no less: where they do, noise that fades passes for pattern.
+        Whether the covariance is independent of the separation of exposures; if not, slow noise counts as pattern.
     """
 
     variance_dn2: float
@@ -35,7 +30,7 @@ class Pattern:
 
 
 def measure_fixed_pattern(order: Order, sums: PixelSums, least: int) -> Pattern:
-    """Return the variance over the image of what does not change in time.
+    """Return the spatial variance of the fixed pattern.
 
     Parameters
     ----------
@@ -44,13 +39,13 @@ def measure_fixed_pattern(order: Order, sums: PixelSums, least: int) -> Pattern:
     sums
         Products of their pixels.
     least
-        Exposures nearer in time than this are never compared.
+        Smallest separation of compared exposures.
 
     Notes
     -----
-    The mean covariance over the image of two exposures of the same rows: their temporal noise is not alike, so none
-    of it has to be known and subtracted. Light that lags is alike in exposures near in time. The distance is doubled
-    until pairs further apart share no less.
+    The estimate is the mean covariance over the image of two exposures of the same rows, whose temporal noise is
+    independent. Image lag correlates exposures near in time, so the separation is doubled until the covariance no
+    longer falls.
     """
     parts = [_field_pattern(order, sums, int(parity), least) for parity in np.unique(order.parity)]
     return Pattern(
@@ -61,7 +56,7 @@ def measure_fixed_pattern(order: Order, sums: PixelSums, least: int) -> Pattern:
 
 
 def _field_pattern(order: Order, sums: PixelSums, parity: int, least: int) -> Pattern:
-    """The pattern of the exposures of the same rows."""
+    """Return the pattern of the exposures of one parity."""
     same = np.flatnonzero(order.parity == parity)
     cross = sums.with_mean[same]
     products = sums.mean_square[parity] + cross[:, None] + cross + sums.products[np.ix_(same, same)]
@@ -73,7 +68,9 @@ def _field_pattern(order: Order, sums: PixelSums, parity: int, least: int) -> Pa
         further = distance >= 2 * apart
         if not further.any():
             rest = _remaining_correlation(excess)
-            return Pattern(variance_dn2=found, sd_dn2=float(np.hypot(sd, rest)), settled=rest <= LEFT * abs(found))
+            return Pattern(
+                variance_dn2=found, sd_dn2=float(np.hypot(sd, rest)), settled=rest <= STACK.max_slow_noise * abs(found)
+            )
         beside = (distance >= apart) & ~further
         if not beside.any():
             apart *= 2
@@ -81,17 +78,17 @@ def _field_pattern(order: Order, sums: PixelSums, parity: int, least: int) -> Pa
         near, near_sd = _mean(products, beside, spread)
         far, far_sd = _mean(products, further, spread)
         noise = float(np.hypot(near_sd, far_sd))
-        alike = near - far <= SIGNIFICANT * noise + 0.5 * SHARE * abs(far)
-        # What near pairs may still share is part of the error, as much as they are of all pairs.
+        alike = near - far <= STACK.slow_noise_sd * noise + 0.5 * STACK.slow_noise_fraction * abs(far)
+        # A possible excess of near pairs adds to the error in proportion to their number.
         unseen = (max(near - far, 0.0) + noise) * float(beside.sum() / (distance >= apart).sum())
-        if alike and apart >= least and (not any(excess) or unseen <= LEFT * abs(found)):
+        if alike and apart >= least and (not any(excess) or unseen <= STACK.max_slow_noise * abs(found)):
             return Pattern(variance_dn2=found, sd_dn2=float(np.hypot(sd, unseen)), settled=True)
         excess.append(0.0 if alike and not any(excess) else max(near - far, noise))
         apart *= 2
 
 
 def _remaining_correlation(excess: list[float]) -> float:
-    """What is still shared beyond the last distance, if the excess goes on falling by the ratio of the last two."""
+    """Return the excess beyond the last separation, extrapolated by the ratio of the last two."""
     before, last = ([np.nan, *excess])[-2:]
     if last <= 0:
         return 0.0
@@ -99,7 +96,7 @@ def _remaining_correlation(excess: list[float]) -> float:
 
 
 def _mean(products: Array, chosen: NDArray[np.bool_], spread: tuple[float, float]) -> tuple[float, float]:
-    """Mean product over the chosen pairs and its standard error, for noise of the spread given."""
+    """Return the mean product over the chosen pairs and its standard error, for noise of the given spread."""
     weight = chosen / chosen.sum()
     common = float((weight * products).sum())
     noise = products - common
@@ -111,17 +108,16 @@ def _mean(products: Array, chosen: NDArray[np.bool_], spread: tuple[float, float
 
 
 def _spread(sums: PixelSums, parity: int) -> tuple[float, float]:
-    """One over the number of independent pixels: for noise with noise, and for noise with the pattern.
+    """Return the inverse number of independent pixels, for noise with noise and for noise with the pattern.
 
-    The middle of the image speaks for all of it; what its mean image lacks of the whole one's variance is shading,
-    and lies at the lowest frequencies.
+    The image centre represents the image; variance missing from its mean image is shading at the lowest frequencies.
     """
     middle, pixels = sums.middle[parity], sums.size[0] * sums.size[1]
     noise, mean = np.mean([_power(image) for image in middle], axis=0), _power(sums.mean_middle[parity])
     level = float(noise.mean())
     if level <= 0:
         return 0.0, 0.0
-    # The square of a mean over m exponential powers is too large by 1 + 1/m.
+    # The mean square of a mean of m exponential powers is biased by 1 + 1/m.
     twice = float(np.mean(noise**2)) / level**2 / (1.0 + 1.0 / len(middle))
     lowest = np.delete(
         noise[np.ix_(*([0, min(1, n - 1), -1][:most] for n, most in zip(noise.shape, (3, 2), strict=True)))], 0
@@ -133,7 +129,7 @@ def _spread(sums: PixelSums, parity: int) -> tuple[float, float]:
 
 
 def _power(image: NDArray[np.float32]) -> Array:
-    """Power of every mode of an image but its mean, half of the plane."""
+    """Return the power of every mode of an image except its mean, half plane."""
     from scipy import fft
 
     modes = np.asarray(fft.rfft2(image, workers=1), np.complex64)

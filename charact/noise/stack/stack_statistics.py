@@ -1,4 +1,4 @@
-"""What one stack of dark or evenly lit frames tells: its level, its variance in time and the spectrum of its noise."""
+"""Statistics of one stack of dark or uniformly illuminated frames: level, temporal variance, noise spectrum."""
 
 from dataclasses import dataclass
 
@@ -20,14 +20,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class StackStatistics:
-    """Statistics of one stack; DN throughout.
+    """Statistics of one stack, in DN.
 
     Parameters
     ----------
     label, kind, conditions
         As in the session.
     frames, pixels, size
-        Number of frames, of pixels in each, and its rows and columns.
+        Number of frames and of pixels of a frame; rows and columns.
     mean_dn
         Mean over all pixels and frames.
     frame_mean_dn
@@ -35,26 +35,25 @@ class StackStatistics:
     variance_dn2, variance_sd_dn2
         Temporal variance of a pixel, mean over the image, and its standard error.
     neighbour_correlation, neighbour_sd
-        Correlation of the fluctuations of pixels next to each other in a row, and its standard error.
+        Correlation of neighbouring pixels of a row, and its standard error.
     below_correlation, below_sd
-        The same of pixels next to each other in a column of one exposure.
+        Correlation of neighbouring pixels of a column of one exposure.
     successor_correlation, successor_sd
-        Correlation of exposures next to each other in time beyond that of others, and its standard error; infinite
-        for two frames.
+        Correlation of successive exposures relative to others, and its standard error; infinite for two frames.
     spatial_variance_dn2, spatial_sd_dn2
-        Variance over the image of what does not change in time, and its standard error.
+        Spatial variance of the fixed pattern, and its standard error.
     settled
-        Whether that variance is free of noise that exposures share for a while.
+        Whether that variance is free of slowly varying noise.
     low_fraction, high_fraction
-        Share of pixel values at code 0 and at the highest code.
+        Fraction of pixel values at 0 DN and at full scale.
     few, many
-        Spectra that allow for few and for many lags.
+        Spectra with few and with many temporal lags.
     runs, time, parity
-        Runs of frames the statistics come from, and the exposures of one of them.
+        Number of blocks of frames, and the exposures of one of them.
     bins
         Bins of the spectra.
     cube
-        3-D noise; None where it was not asked for or the stack is too short for it.
+        3-D noise; None if not requested or the stack is too short.
     """
 
     label: str
@@ -90,7 +89,7 @@ class StackStatistics:
 def stack_statistics(
     entry: StackEntry, runs: list[FrameBlock], cube: Cube | None, *, shape: tuple[int, int, int], context: Context
 ) -> StackStatistics:
-    """Return the statistics of a stack from those of its runs."""
+    """Return the statistics of a stack from those of its blocks."""
     weight = np.array([len(run.time) for run in runs], float)
     frame_mean = np.concatenate([run.frame_mean_dn for run in runs])
     variance, variance_sd = _pool([run.variance for run in runs], weight)
@@ -132,14 +131,14 @@ def stack_statistics(
 
 
 def _pool(values: list[tuple[float, float]], weight: Array) -> tuple[float, float]:
-    """Weighted mean and its standard error."""
+    """Return a weighted mean and its standard error."""
     share = weight / weight.sum()
     value, sd = np.array(values).T
     return float(share @ value), float(np.sqrt(share**2 @ sd**2))
 
 
 def _mean_spectrum(runs: list[BlockSpectrum], weight: Array) -> BlockSpectrum:
-    """Mean of the spectra of all runs over the lags that all of them have."""
+    """Return the mean spectrum of all blocks over their common lags."""
     if len(runs) == 1:
         return runs[0]
     lags = min((run.lags for run in runs), key=len)

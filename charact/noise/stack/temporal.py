@@ -1,4 +1,4 @@
-"""Autocovariance in time without bias, from a few exposures whose mean was taken away."""
+"""Unbiased temporal autocovariance from few centred exposures."""
 
 from functools import lru_cache
 
@@ -9,7 +9,7 @@ Array = NDArray[np.float64]
 
 
 def centring(parity: NDArray[np.int64]) -> Array:
-    """Return the projection that takes each parity's mean over time away, shape (exposure, exposure)."""
+    """Return the projection that subtracts the mean over time of each parity, shape (exposure, exposure)."""
     same = (parity[:, None] == parity[None, :]).astype(float)
     return np.eye(len(parity)) - same / same.sum(axis=1, keepdims=True)
 
@@ -21,13 +21,13 @@ def autocovariance(products: Array, time: NDArray[np.int64], parity: NDArray[np.
     Parameters
     ----------
     products
-        Mean products of exposures i and j after each pixel's mean was taken away, shape (..., exposure, exposure).
+        Mean products of centred exposures i and j, shape (..., exposure, exposure).
     time, parity
         As in `Exposures`, shape (exposure,).
     lags
-        Lags at which the covariance may differ from zero, 0 first, in exposures, shape (lag,).
+        Lags of nonzero covariance, 0 first, exposures, shape (lag,).
     within_parity
-        Only exposures of the same rows are compared (odd lags of interlaced video then cannot be had).
+        Whether to compare only exposures of the same rows (no odd lags of interlaced video).
 
     Returns
     -------
@@ -36,8 +36,8 @@ def autocovariance(products: Array, time: NDArray[np.int64], parity: NDArray[np.
 
     Notes
     -----
-    Centring replaces the covariance matrix C by P C P, which is linear in the covariances c(lag): the mean over the
-    pairs of each lag, A c, is solved for c. With independent exposures this is the factor n/(n-1).
+    Centring replaces the covariance matrix C by P C P, which is linear in the covariances c(lag). The mean A c over the
+    pairs of each lag is solved for c. For independent exposures this is the factor n/(n-1).
     """
     pairs, solve = _solution(time, parity, lags, within_parity)
     measured = np.stack([products[..., pair].mean(axis=-1) for pair in pairs], axis=-1)
@@ -45,13 +45,13 @@ def autocovariance(products: Array, time: NDArray[np.int64], parity: NDArray[np.
 
 
 def _solution(time, parity, lags, within_parity: bool):
-    """The pairs of every lag, and the matrix that undoes the centring."""
+    """Return the pairs of every lag, and the matrix that inverts the centring."""
     return _cached_solution(tuple(time.tolist()), tuple(parity.tolist()), tuple(lags.tolist()), within_parity)
 
 
 @lru_cache(maxsize=64)
 def _cached_solution(time: tuple[int, ...], parity: tuple[int, ...], lags: tuple[int, ...], within_parity: bool):
-    """The same, remembered: most stacks of a session are exposed alike."""
+    """Return the same from a cache: most stacks of a session have equal exposure times."""
     when, rows = np.array(time), np.array(parity)
     usable = (rows[:, None] == rows[None, :]) if within_parity else np.ones((len(when), len(when)), bool)
     distance = np.abs(when[:, None] - when[None, :])
@@ -63,15 +63,15 @@ def _cached_solution(time: tuple[int, ...], parity: tuple[int, ...], lags: tuple
 
 def truncation_bias(time: NDArray[np.int64], parity: NDArray[np.int64], lags: NDArray[np.int64]
            ) -> tuple[NDArray[np.int64], Array]:  # fmt: skip
-    """Return the distances beyond the last lag, and what a covariance of 1 there adds to `autocovariance`.
+    """Return the lags beyond the last one, and the bias of `autocovariance` by a covariance of 1 there.
 
     Returns
     -------
     distance
-        Exposures apart, shape (distance,).
+        Lags, exposures, shape (distance,).
     added
-        What the covariance at each lag reads too much, shape (lag, distance): below zero, as centring takes away what
-        exposures share.
+        Bias of the covariance at each lag, shape (lag, distance); negative, because centring removes what exposures
+        have in common.
     """
     return _cached_truncation_bias(tuple(time.tolist()), tuple(parity.tolist()), tuple(lags.tolist()))
 
@@ -80,7 +80,7 @@ def truncation_bias(time: NDArray[np.int64], parity: NDArray[np.int64], lags: ND
 def _cached_truncation_bias(
     time: tuple[int, ...], parity: tuple[int, ...], lags: tuple[int, ...]
 ) -> tuple[NDArray[np.int64], Array]:
-    """The same, remembered."""
+    """Return the same from a cache."""
     when = np.array(time)
     pairs, solve = _cached_solution(time, parity, lags, False)
     apart = np.abs(when[:, None] - when[None, :])
@@ -90,9 +90,15 @@ def _cached_truncation_bias(
     return distance, solve @ np.array([[one[pair].mean() for one in centred] for pair in pairs])
 
 
-def n_effective_samples(time: NDArray[np.int64], parity: NDArray[np.int64], lags: NDArray[np.int64], correlation: Array, *,
-                within_parity: bool = False) -> float:  # fmt: skip
-    """Return how many independent exposures know the covariance at lag 0 as well as `autocovariance` does.
+def n_effective_samples(
+    time: NDArray[np.int64],
+    parity: NDArray[np.int64],
+    lags: NDArray[np.int64],
+    correlation: Array,
+    *,
+    within_parity: bool = False,
+) -> float:
+    """Return the number of independent exposures that give the covariance at lag 0 the same uncertainty.
 
     Parameters
     ----------
@@ -101,7 +107,7 @@ def n_effective_samples(time: NDArray[np.int64], parity: NDArray[np.int64], lags
 
     Notes
     -----
-    The estimate is a sum of products with weights M; for Gaussian modes its relative variance is tr(P M P R P M P R).
+    The estimate is a sum of products with weights M; for normal modes its relative variance is tr(P M P R P M P R).
     """
     known = tuple(np.asarray(correlation, float).tolist())
     return _cached_n_effective_samples(
@@ -110,9 +116,14 @@ def n_effective_samples(time: NDArray[np.int64], parity: NDArray[np.int64], lags
 
 
 @lru_cache(maxsize=64)
-def _cached_n_effective_samples(time: tuple[int, ...], parity: tuple[int, ...], lags: tuple[int, ...], correlation: tuple[float, ...],
-             within_parity: bool) -> float:  # fmt: skip
-    """The same, remembered."""
+def _cached_n_effective_samples(
+    time: tuple[int, ...],
+    parity: tuple[int, ...],
+    lags: tuple[int, ...],
+    correlation: tuple[float, ...],
+    within_parity: bool,
+) -> float:
+    """Return the same from a cache."""
     pairs, solve = _cached_solution(time, parity, lags, within_parity)
     weight = sum(share * pair / pair.sum() for share, pair in zip(solve[0], pairs, strict=True))
     when = np.array(time)
@@ -126,14 +137,14 @@ def _cached_n_effective_samples(time: tuple[int, ...], parity: tuple[int, ...], 
 def error_correlation(time: NDArray[np.int64], parity: NDArray[np.int64], lags: NDArray[np.int64]) -> Array:
     """Return the correlation of the errors of `autocovariance` at all lags, shape (lag, lag).
 
-    Exposures of the same kind that share nothing; errors go together, as the same mean was taken from all of them.
+    Exposures are independent; centring correlates the errors.
     """
     return _cached_error_correlation(tuple(time.tolist()), tuple(parity.tolist()), tuple(lags.tolist()))
 
 
 @lru_cache(maxsize=64)
 def _cached_error_correlation(time: tuple[int, ...], parity: tuple[int, ...], lags: tuple[int, ...]) -> Array:
-    """The same, remembered."""
+    """Return the same from a cache."""
     pairs, solve = _cached_solution(time, parity, lags, False)
     project = centring(np.array(parity))
     each = np.array([pair / pair.sum() for pair in pairs])
@@ -143,7 +154,7 @@ def _cached_error_correlation(time: tuple[int, ...], parity: tuple[int, ...], la
 
 
 def usable_lags(time: NDArray[np.int64], parity: NDArray[np.int64], most: int) -> NDArray[np.int64]:
-    """Return the lags 0..most that the exposures can tell from the mean that was taken away."""
+    """Return the lags 0..most that can be estimated from centred exposures."""
     frames = int(np.bincount(parity).min())
     fields = len(np.unique(parity))
     longest = min(most, (frames // 2) * fields - (fields == 1)) if frames > 3 else 0

@@ -1,4 +1,4 @@
-"""What a sweep tells besides the law: excess noise against gain, and whether the plate or the camera saturates."""
+"""Excess noise against gain, and MCP saturation against camera nonlinearity."""
 
 from dataclasses import replace
 
@@ -8,24 +8,17 @@ from numpy.typing import NDArray
 from charact.noise.findings import Finding
 from charact.noise.sweep.responsivity import SweepResponsivity
 from charact.noise.sweep.settings import SweepSetting
+from charact.noise.thresholds import SWEEP
 
 Array = NDArray[np.float64]
 
-# The loss at the brightest level is seen where its interval begins above this and it is so many standard errors.
-LEAST_LOST = 0.01
-LOST_ERRORS = 4.0
-# How the covariance over signal falls as the response bends: with the gain lost in the plate, as its cube where the
-# camera bends (its slope squared, as the variance, over the signal).
-PLATE, CAMERA = 1.0, 3.0
-# Standard errors within which noise agrees with either.
-AGREES = 2.5
 
+def correct_saturation(
+    settings: tuple[SweepSetting, ...], lit: tuple[int, ...], response: SweepResponsivity, *, seed: int
+) -> tuple[SweepSetting, ...]:
+    """Return the settings with their noise corrected to small signals, if MCP saturation was measured.
 
-def correct_saturation(settings: tuple[SweepSetting, ...], lit: tuple[int, ...], response: SweepResponsivity, *, seed: int
-            ) -> tuple[SweepSetting, ...]:  # fmt: skip
-    """Return the settings with their noise carried to small signals, where the response shows how the plate tires.
-
-    The pulses of a tired plate are lower, and with them covariance and variance over signal, by the share of gain lost.
+    The relative gain loss lowers covariance and variance over signal.
     """
     if not response.bendable:
         return settings
@@ -44,14 +37,14 @@ def correct_saturation(settings: tuple[SweepSetting, ...], lit: tuple[int, ...],
 
 def relative_excess(settings: tuple[SweepSetting, ...], pulses_dn: Array, response: SweepResponsivity, *, seed: int
                     ) -> tuple[Array, int]:  # fmt: skip
-    """Return draws of F^2 of every setting over that of the one known best, shape (draw, setting), and which it is.
+    """Return draws of F^2 of every setting over that of the most precise one, shape (draw, setting), and its index.
 
     Parameters
     ----------
     settings
-        The settings of the response.
+        Settings of the responsivity fit.
     pulses_dn
-        Draws of the pulses' part k F^2 of their covariance gain, carried to small signals, shape (draw, setting).
+        Draws of k F^2 at small signals, shape (draw, setting), DN.
     response
         Signal over light.
     seed
@@ -59,8 +52,7 @@ def relative_excess(settings: tuple[SweepSetting, ...], pulses_dn: Array, respon
 
     Notes
     -----
-    Noise and response were seen at the same signals, where a tired plate has lost the same share of both: what is not
-    known of that share drops out.
+    Noise and responsivity refer to the same signals with the same gain loss, so its uncertainty cancels.
     """
     order = np.random.default_rng([seed, 10]).permutation(len(response.settings))
     left = 1.0 - response.lost_per_dn[:, None] * np.array([s.mean_signal_dn for s in settings])
@@ -73,43 +65,52 @@ def relative_excess(settings: tuple[SweepSetting, ...], pulses_dn: Array, respon
 
 
 def reaches_saturation(response: SweepResponsivity) -> bool:
-    """Whether the sweep reaches the saturation of the plate."""
+    """Return whether the sweep reaches MCP saturation."""
     lost = response.posterior["lost"]
     return bool(
-        response.bendable and np.quantile(lost, 0.025) > LEAST_LOST and np.median(lost) > LOST_ERRORS * np.std(lost)
+        response.bendable
+        and np.quantile(lost, 0.025) > SWEEP.min_loss
+        and np.median(lost) > SWEEP.loss_sd * np.std(lost)
     )
 
 
 def saturation_limit(response: SweepResponsivity) -> str:
-    """Why the saturation of the plate is refused, with its limit."""
+    """Return the refusal of MCP saturation, with its limit."""
     if not response.bendable:
-        return "saturation of the plate takes two lights at one setting at least, the brighter 1.5 times the other"
+        return "MCP saturation needs at least two lights at one setting, the brighter 1.5 times the other"
     most = float(np.quantile(response.lost_per_dn, 0.975))
     if most <= 0:
-        return "the response bends the other way: no sign of a plate that tires"
+        return "the signal rises faster than the light: no MCP saturation"
     return (
-        f"not reached in the sweep: {response.brightest_dn:.4g} DN above the dark cost less than "
-        f"{100 * most * response.brightest_dn:.2g} % of the gain, so that the plate saturates above {1 / most:.3g} DN"
+        f"not reached in the sweep: {response.brightest_dn:.4g} DN above the dark lower the gain by less than "
+        f"{100 * most * response.brightest_dn:.2g} %, so that the MCP saturates above {1 / most:.3g} DN"
     )
 
 
 def bending_findings(settings: tuple[SweepSetting, ...], response: SweepResponsivity) -> list[Finding]:
-    """Whether the noise says that the plate tires, or that the camera behind it bends."""
+    """Return the finding on MCP saturation against camera nonlinearity, from the noise."""
     told = _fall_of_noise(settings, float(np.median(response.lost_per_dn)))
     if told is None:
-        return [("nonlinear", "no setting has two levels whose noise could tell a plate that tires from a bent camera")]
+        return [
+            ("nonlinear", "no setting has two levels whose noise separates MCP saturation from camera nonlinearity")
+        ]
     fall, sd = told
-    plate, camera = abs(fall - PLATE) < AGREES * sd, abs(fall - CAMERA) < AGREES * sd
-    seen = f"covariance over signal falls as the power {fall:.2g} +- {sd:.1g} of the response"
+    plate, camera = (
+        abs(fall - SWEEP.mcp_exponent) < SWEEP.agreement_sd * sd,
+        abs(fall - SWEEP.camera_exponent) < SWEEP.agreement_sd * sd,
+    )
+    seen = f"covariance over signal falls as the power {fall:.2g} +- {sd:.1g} of the relative response"
     if plate and not camera:
-        return [(None, f"{seen}: the plate tires (power 1), the camera does not bend (3)")]
+        return [(None, f"{seen}: MCP saturation (power 1), no camera nonlinearity (3)")]
     if plate:
-        return [("nonlinear", f"{seen}: too uncertain to tell a plate that tires (power 1) from a bent camera (3)")]
-    return [("nonlinear", f"{seen}: that of a plate that tires falls as the power 1, that of a bent camera 3")]
+        return [
+            ("nonlinear", f"{seen}: too uncertain to separate MCP saturation (power 1) from camera nonlinearity (3)")
+        ]
+    return [("nonlinear", f"{seen}: expected is power 1 for MCP saturation, 3 for camera nonlinearity")]
 
 
 def _fall_of_noise(settings: tuple[SweepSetting, ...], lost_per_dn: float) -> tuple[float, float] | None:
-    """Slope of ln(covariance over signal) against ln(1 - S/S_s) within settings, and its standard error."""
+    """Return the slope of ln(covariance over signal) against ln(1 - S/S_s) within settings, and its standard error."""
     top = square = cross = 0.0
     freedom = -1
     for s in settings:

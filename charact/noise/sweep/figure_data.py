@@ -1,4 +1,4 @@
-"""What the report draws of a gain sweep: gain and read noise along the knob, and noise against signal at each gain."""
+"""Figure data of a gain sweep: gain and read noise against the control, noise against signal at each setting."""
 
 from typing import Any
 
@@ -7,17 +7,16 @@ from numpy.typing import NDArray
 
 from charact.noise.sweep.joint import SweepJointFit
 from charact.noise.sweep.knee import STATED_PE, Knee
+from charact.noise.thresholds import SWEEP
 
 Array = NDArray[np.float64]
 
-GRID = 41
-
 
 def sweep_figure_data(joint: SweepJointFit, knee: Knee | None) -> dict[str, Any]:
-    """Gains and read noise against the knob, the law with its band, and the knee."""
+    """Return gains and read noise against the control, the gain law with its interval, and the knee."""
     sweep, axis, law = joint.sweep, joint.axis, joint.law
     log_gains = np.array([s.log_gain for s in sweep.settings])
-    x = np.linspace(-0.5, 0.5, GRID)
+    x = np.linspace(-0.5, 0.5, SWEEP.figure_points)
     pulses = np.exp(law.posterior["log_gain"][:, None] + law.posterior["rise"][:, None] * x)
     low, middle, high = np.quantile(pulses + law.electron_gain_dn[:, None], [0.025, 0.5, 0.975], axis=0)
     left = np.exp(law.posterior["log_blur"]) if "log_blur" in law.posterior.names else np.ones(len(pulses))
@@ -53,7 +52,7 @@ def sweep_figure_data(joint: SweepJointFit, knee: Knee | None) -> dict[str, Any]
 
 
 def levels_figure_data(joint: SweepJointFit) -> dict[str, Any]:
-    """Noise of a pixel and signal over light at every level of every setting."""
+    """Return noise of a pixel and signal over light at every level of every setting."""
     sweep, response = joint.sweep, joint.response
     found: dict[str, Any] = {
         "figure": "noise-by-gain",

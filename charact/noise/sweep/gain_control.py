@@ -1,4 +1,4 @@
-"""What sets the gain: voltage, control word, multiplication or decibels, and the flats taken along each."""
+"""Settings of a gain sweep: the varied control, and flats and darks at each of its values."""
 
 from dataclasses import dataclass
 
@@ -7,31 +7,28 @@ from numpy.typing import NDArray
 
 from charact.noise.gain.series import GAINS
 from charact.noise.stack.stack_statistics import StackStatistics
+from charact.noise.thresholds import SWEEP
 from labdata.conditions import Conditions
 
 Array = NDArray[np.float64]
 
-# Read back, one setting is never quite the same twice: closer ones are one, as a share and in the knob's unit.
-SAME_SHARE = 2e-3
-SAME_DB = 0.05
-
 
 @dataclass(frozen=True, kw_only=True)
 class GainControl:
-    """What sets the gain.
+    """A control of the gain.
 
     Parameters
     ----------
     name
-        The condition.
+        Name of the condition.
     unit
-        Its unit.
+        Unit.
     words
-        How a sentence names it.
+        Name in notes.
     logarithmic
-        Whether the gain goes as a power of it; else its logarithm goes straight with it.
+        Whether the gain is a power of it; else the gain is exponential in it.
     tube
-        Whether it acts before the chip, so that the gain per electron stays as it is.
+        Whether it acts in the tube, so that the gain per electron is constant.
     """
 
     name: str
@@ -41,13 +38,13 @@ class GainControl:
     tube: bool
 
     def place(self, value: Array) -> Array:
-        """Return where values lie on the axis along which the logarithm of the gain is straight."""
+        """Return positions on the axis along which ln gain is linear."""
         if self.logarithmic:
             return np.log(value)
         return value * (np.log(10.0) / 20.0 if self.unit == "dB" else 1.0)
 
     def value(self, place: Array) -> Array:
-        """Return the values at places: the inverse of `place`."""
+        """Return the values at positions, the inverse of `place`."""
         if self.logarithmic:
             return np.exp(place)
         return place / (np.log(10.0) / 20.0 if self.unit == "dB" else 1.0)
@@ -58,7 +55,7 @@ class GainControl:
 
 
 KNOBS = (
-    GainControl(name="mcp_v", unit="V", words="plate voltage", logarithmic=True, tube=True),
+    GainControl(name="mcp_v", unit="V", words="MCP voltage", logarithmic=True, tube=True),
     GainControl(name="gain_control", unit="count", words="control word", logarithmic=False, tube=True),
     GainControl(name="em_gain", unit="1", words="stated multiplication", logarithmic=True, tube=False),
     GainControl(name="camera_gain_db", unit="dB", words="camera gain", logarithmic=False, tube=False),
@@ -66,7 +63,8 @@ KNOBS = (
 
 
 def setting_of(flats: list[StackStatistics], knob: GainControl) -> list[tuple[float, list[StackStatistics]]]:
-    """Return the flats by value of a knob, all other knobs alike; of several such groups the one of most values."""
+    """Return the flats by value of a control with all other controls equal; of several groups the one of most
+    values."""
     others: dict[tuple, list[StackStatistics]] = {}
     for flat in flats:
         value = getattr(flat.conditions, knob.name)
@@ -78,21 +76,21 @@ def setting_of(flats: list[StackStatistics], knob: GainControl) -> list[tuple[fl
 
 
 def repeatable_value(conditions: Conditions, name: str) -> float | None:
-    """Return a setting up to how well it repeats."""
+    """Return a setting rounded to its repeatability."""
     value = getattr(conditions, name)
     if value is None or value == 0:
         return value
-    step = SAME_DB if name == "camera_gain_db" else SAME_SHARE
+    step = SWEEP.same_setting_db if name == "camera_gain_db" else SWEEP.same_setting
     return round(value / step if name == "camera_gain_db" else float(np.log(abs(value))) / step)
 
 
 def _by_value(flats: list[StackStatistics], knob: GainControl) -> list[tuple[float, list[StackStatistics]]]:
-    """Flats of values that are the same up to how well a setting repeats, with the mean value."""
+    """Return the flats grouped by value within its repeatability, with the mean value."""
     groups: list[list[StackStatistics]] = []
     last = None
     for flat in sorted(flats, key=lambda level: getattr(level.conditions, knob.name)):
         value = getattr(flat.conditions, knob.name)
-        same = SAME_DB if knob.unit == "dB" else SAME_SHARE * abs(value)
+        same = SWEEP.same_setting_db if knob.unit == "dB" else SWEEP.same_setting * abs(value)
         if last is None or value - last > same:
             groups.append([])
         groups[-1].append(flat)

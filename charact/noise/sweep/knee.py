@@ -1,8 +1,7 @@
-"""The knee of noise against gain: below it reading makes the noise, above it scintillation.
+"""Knee of noise against gain: equal read noise and scintillation noise.
 
-Light makes a pixel vary by B C S at a signal S under the covariance gain C and the blur factor B. At a signal of
-n = S/C photoelectrons, counted as their noise counts them (n of unequal pulses count as n/F^2), that is B C^2 n: it
-goes with the gain while read noise stays, and both are equal at C = r / sqrt(B n).
+At signal S, covariance gain C and blur factor B the variance is B C S = B C^2 n for n = S/C effective photoelectrons (n
+unequal pulses count as n/F^2). It equals the squared read noise r^2 at C = r / sqrt(B n).
 """
 
 from dataclasses import dataclass
@@ -13,29 +12,28 @@ from numpy.typing import NDArray
 from charact.noise.checks import QUANTISED_DN2
 from charact.noise.sweep.gain_law import GainLaw
 from charact.noise.sweep.settings import SweepSetting
+from charact.noise.thresholds import SWEEP
 
 Array = NDArray[np.float64]
 
-# The signal at which the knee is stated, photoelectrons on a pixel in one exposure as noise counts them.
+# Signal of the stated knee, effective photoelectrons per pixel and exposure.
 STATED_PE = 1.0
-# How well the dark's variance follows its law, as a share.
-MODEL = 0.02
 
 
 @dataclass(frozen=True, kw_only=True)
 class Knee:
-    """Where read noise gives way to scintillation.
+    """Gain of equal read noise and scintillation noise.
 
     Parameters
     ----------
     read_noise_dn
-        Draws of the read noise without what scintillates in the dark, shape (draw,), DN.
+        Draws of the read noise without dark scintillation, shape (draw,), DN.
     gain_dn
         Draws of the covariance gain at the knee, shape (draw,), DN.
     place
-        Draws of its place along the axis of the sweep, within -1/2 and 1/2 where the sweep holds it, shape (draw,).
+        Draws of its position on the axis of the sweep, between -1/2 and 1/2 inside the sweep, shape (draw,).
     flags
-        What speaks against the read noise.
+        Flags of the read noise.
     """
 
     read_noise_dn: Array
@@ -45,12 +43,12 @@ class Knee:
 
 
 def knee_of(settings: tuple[SweepSetting, ...], law: GainLaw, *, seed: int) -> Knee | str:
-    """Return the knee of a sweep, or why there is none.
+    """Return the knee of a sweep, or the reason for refusal.
 
     Parameters
     ----------
     settings
-        Settings, of which some have darks of their own.
+        Settings, some with darks.
     law
         Law of the covariance gain.
     seed
@@ -59,11 +57,11 @@ def knee_of(settings: tuple[SweepSetting, ...], law: GainLaw, *, seed: int) -> K
     rng = np.random.default_rng([seed, 9])
     dark = {s.dark: i for i, s in enumerate(settings) if s.dark_variance_dn2 is not None}
     if not dark:
-        return "the knee takes darks at one setting at least: read noise is not known"
+        return "the knee needs darks at one setting at least: the read noise is unknown"
     own = [settings[i] for i in dark.values()]
     floor = _floor(law.settings[:, list(dark.values())], own, rng)
     if np.quantile(floor, 0.025) <= 0:
-        return "darks scintillate at every setting: read noise is lost in it, and with it the knee"
+        return "dark scintillation at every setting hides the read noise and the knee"
     floor = np.maximum(floor, np.quantile(floor, 0.01).clip(1e-9))
     pulses = _pulses_at(floor, law)
     place = (np.log(pulses) - law.posterior["log_gain"]) / law.posterior["rise"]
@@ -71,7 +69,7 @@ def knee_of(settings: tuple[SweepSetting, ...], law: GainLaw, *, seed: int) -> K
 
 
 def outside_reason(knee: Knee) -> str | None:
-    """Return on which side of the sweep the knee lies, or None where it lies inside."""
+    """Return the refusal of a knee outside the sweep, or None if inside."""
     middle = float(np.median(knee.place))
     if abs(middle) <= 0.5:
         return None
@@ -79,13 +77,14 @@ def outside_reason(knee: Knee) -> str | None:
     side, ruler = ("below", "scintillation outweighs") if middle < 0 else ("above", "read noise outweighs")
     other = "read noise" if middle < 0 else "scintillation"
     return (
-        f"not reached in the sweep: {ruler} {other} at every setting at {STATED_PE:g} photoelectron a pixel; the knee "
-        f"is where the covariance gain is {low:.3g} to {high:.3g} DN, {side} the sweep"
+        f"not reached in the sweep: {ruler} {other} at every setting at {STATED_PE:g} photoelectron per pixel; "
+        f"the knee is where the covariance gain is {low:.3g} to {high:.3g} DN, {side} the sweep"
     )
 
 
 def _pulses_at(floor_dn2: Array, law: GainLaw) -> Array:
-    """Draws of the pulses' gain P, DN, at which (K + S P)(K + P) n is the read noise squared, K the electrons' gain."""
+    """Return draws of the pulse gain P, DN, at which (K + S P)(K + P) n is the squared read noise, K the electron
+    gain."""
     left = np.exp(law.posterior["log_blur"]) if "log_blur" in law.posterior.names else np.ones(len(floor_dn2))
     half, electrons = 0.5 * (1.0 + left) * law.electron_gain_dn, law.electron_gain_dn
     root = np.sqrt(np.maximum(half**2 - left * (electrons**2 - floor_dn2 / STATED_PE), half**2))
@@ -93,9 +92,9 @@ def _pulses_at(floor_dn2: Array, law: GainLaw) -> Array:
 
 
 def _floor(gain: Array, settings: list[SweepSetting], rng: np.random.Generator) -> Array:
-    """Draws of the darks' variance without gain, shape (draw,), DN^2: D = r^2 + c C^2, c for scintillation."""
+    """Return draws of the dark variance at zero gain, shape (draw,), DN^2: D = r^2 + c C^2, c for scintillation."""
     variance = np.array([s.dark_variance_dn2 for s in settings], float)
-    sd = np.hypot([s.dark_variance_sd_dn2 for s in settings], MODEL * variance)
+    sd = np.hypot([s.dark_variance_sd_dn2 for s in settings], SWEEP.dark_model_sd * variance)
     drawn = variance + sd * rng.standard_normal(gain.shape)
     weight, square = 1.0 / sd**2, gain**2
     total, mean = weight.sum(), (drawn @ weight) / weight.sum()
@@ -107,7 +106,7 @@ def _floor(gain: Array, settings: list[SweepSetting], rng: np.random.Generator) 
 
 
 def _flags(dark: list[SweepSetting]) -> tuple[str, ...]:
-    """One dark does not tell what of its noise goes with the gain; small noise is that of the digitiser's steps."""
+    """Return the flags: one dark cannot separate scintillation; small noise is quantised."""
     flags = ("unlike-conditions",) if len(dark) < 2 else ()
     least = min(s.dark_variance_dn2 or 0.0 for s in dark)
     return flags + (("quantised",) if least < QUANTISED_DN2 else ())

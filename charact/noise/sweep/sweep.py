@@ -1,4 +1,4 @@
-"""Noise against gain: a joint analysis of the flats and darks of a session over all settings of its gain."""
+"""Quantities of a gain sweep: gain law, knee, MCP saturation, excess noise, responsivity."""
 
 from typing import Any
 
@@ -15,46 +15,46 @@ from charact.noise.stack.stack_statistics import StackStatistics
 from charact.noise.sweep.excess import bending_findings, reaches_saturation, relative_excess, saturation_limit
 from charact.noise.sweep.figure_data import levels_figure_data, sweep_figure_data
 from charact.noise.sweep.gain_control import GainControl
-from charact.noise.sweep.gain_law import BLUR
 from charact.noise.sweep.joint import SweepJointFit, fit_sweep
 from charact.noise.sweep.knee import STATED_PE, Knee, knee_of, outside_reason
 from charact.noise.sweep.settings import Sweep, SweepSetting, sweep_of
+from charact.noise.thresholds import SWEEP
 from labdata.measurement import Measurement, Result, make_refusal, measurement_from_draws, measurement_from_sd
 
 Array = NDArray[np.float64]
 Fields = dict[str, Any]
 
 METHOD = "gain-sweep"
-DROWNS = "the settings lie too close together, or the gain does not follow them: its rise drowns in noise"
-ABSOLUTE = "F2 itself takes a known flux or the pulse heights of single photoelectrons"
+DROWNS = "the slope of the gain law is not significant: the settings are too close, or the gain does not follow them"
+ABSOLUTE = "absolute F2 needs a known illumination or the pulse heights of single photoelectrons"
 
 
 @with_timing
 def gain_sweep(darks: list[StackStatistics], flats: list[StackStatistics], *, context: Context) -> Result:
-    """Return what a sweep of the gain tells; nothing where the gain was not changed.
+    """Return the quantities of a gain sweep; none if the gain was not varied.
 
     Parameters
     ----------
     darks, flats
-        Levels of a session with their spectra.
+        Stack statistics of a session with spectra.
     context
-        Seed and settings; the sensor, where known, gives the gain per electron.
+        Seed and settings; a sensor description gives the gain per electron.
 
     Returns
     -------
     Result
-        Law of the gain, knee of read noise and scintillation, saturation of the plate, excess noise of each setting
-        over that of one; gain, blur, read noise and response of each setting, whose `stack` is its brightest flat.
+        Gain law, knee of read noise and scintillation, MCP saturation, relative excess noise of each setting; gain,
+        blur factor, read noise and responsivity of each setting, whose `stack` is its brightest flat.
     """
     sweep = sweep_of(darks, flats, context=context)
     return Result() if sweep is None else measure_sweep(sweep, context=context)
 
 
 def measure_sweep(sweep: Sweep, *, context: Context) -> Result:
-    """Return what the statistics of a sweep tell, see `gain_sweep`."""
+    """Return the quantities of a gain sweep from its statistics, see `gain_sweep`."""
     fields: Fields = {"method": METHOD, "provenance": provenance(context, knob=sweep.knob.name)}
     if len(sweep.settings) < 2:
-        reason = "; ".join(["the law of the gain takes usable flats at two settings at least", *sweep.left_out])
+        reason = "; ".join(["the gain law needs usable flats at two settings at least", *sweep.left_out])
         return Result(measurements=(make_refusal(*_quantity_of(sweep.knob), reason, **fields),))
     joint = fit_sweep(sweep, context=context)
     knee = knee_of(joint.sweep.settings, joint.law, seed=context.seed) if joint.is_resolved else DROWNS
@@ -71,20 +71,20 @@ def measure_sweep(sweep: Sweep, *, context: Context) -> Result:
 
 
 def _quantity_of(knob: GainControl) -> tuple[str, str]:
-    """Quantity and unit of the law along a knob."""
+    """Return quantity and unit of the gain law of a control."""
     if knob.logarithmic:
         return "gain_exponent", "1"
     return ("gain_slope", "dB/dB") if knob.unit == "dB" else ("gain_doubling", knob.unit)
 
 
 def _rise(joint: SweepJointFit, fields: Fields) -> Measurement:
-    """Exponent, doubling or slope of the law."""
+    """Return exponent, doubling or slope of the gain law."""
     quantity, unit = _quantity_of(joint.sweep.knob)
     departure = 100.0 * np.exp(np.quantile(joint.source.posterior["log_departure"], [0.5, 0.975]))
     on = "covariance gain" if joint.response is None else "signal over light"
     many = len(joint.sweep.settings if joint.response is None else joint.lit)
     note = (
-        f"from the {on} at {many} settings, which depart from the law by {departure[0]:.2g} %, at 97.5 % by less than "
+        f"from the {on} at {many} settings, which deviate from the law by {departure[0]:.2g} %, at 97.5 % by less than "
         f"{departure[1]:.2g} %"
     )
     notes = (*notes_of(joint.findings), note)
@@ -96,14 +96,14 @@ def _rise(joint: SweepJointFit, fields: Fields) -> Measurement:
 
 
 def _knee(joint: SweepJointFit, knee: Knee | str, fields: Fields) -> list[Measurement]:
-    """Setting and covariance gain at the knee."""
+    """Return setting and covariance gain at the knee."""
     knob = joint.sweep.knob
     reason = knee if isinstance(knee, str) else outside_reason(knee)
     if isinstance(knee, str) or reason is not None:
         return [make_refusal("gain_knee", unit, str(reason), **fields) for unit in (knob.unit, "DN")]
     note = (
-        f"at {STATED_PE:g} photoelectron a pixel and exposure, as noise counts them (n of unequal pulses count as "
-        "n/F2); at n of them the covariance gain of the knee is smaller by the root of n"
+        f"at {STATED_PE:g} effective photoelectron per pixel and exposure (n of unequal pulses count as "
+        "n/F2); at n of them the covariance gain at the knee is smaller by the root of n"
     )
     own = {"flags": flags_of(joint.findings) + knee.flags, "notes": (note,), **fields}
     places = knob.value(joint.axis.middle + joint.axis.span * knee.place)
@@ -114,10 +114,10 @@ def _knee(joint: SweepJointFit, knee: Knee | str, fields: Fields) -> list[Measur
 
 
 def _saturation(joint: SweepJointFit, fields: Fields) -> Measurement:
-    """Signal towards which a plate that tires bends the response."""
+    """Return the saturation signal of the MCP."""
     response = joint.response
     if response is None:
-        reason = "saturation of the plate takes light recorded at two settings at least"
+        reason = "MCP saturation needs light recorded at two settings at least"
         return make_refusal("plate_saturation", "DN", reason, **fields)
     if not reaches_saturation(response):
         return make_refusal("plate_saturation", "DN", saturation_limit(response), **fields)
@@ -130,19 +130,19 @@ def _saturation(joint: SweepJointFit, fields: Fields) -> Measurement:
 
 
 def _excess(joint: SweepJointFit, context: Context, fields: Fields) -> list[Measurement]:
-    """Excess noise of every setting over that of the one known best."""
+    """Return the excess noise factor of every setting relative to the most precise one."""
     if joint.response is None:
         reason = (
-            "covariance gain goes as gain times F2, and only light recorded at every setting tells the gain by itself: "
-            f"state illuminance_lux or photons_per_px; {ABSOLUTE}"
+            "covariance gain is proportional to gain times F2, and only light recorded at every setting gives the "
+            f"gain alone: state illuminance_lux or photons_per_px; {ABSOLUTE}"
         )
         return [make_refusal("relative_excess_noise_factor", "1", reason, **fields)]
     settings, text = joint.responsivity_settings, joint.sweep.knob.text
     pulses = joint.law.pulses[:, list(joint.lit)]
     draws, reference = relative_excess(settings, pulses, joint.response, seed=context.seed)
     note = (
-        f"F2 over that at {text(settings[reference].value)}, from the noise over the signal per light, the blur being "
-        f"that of all settings within {100 * BLUR:g} %; {ABSOLUTE}"
+        f"F2 relative to {text(settings[reference].value)}, from the noise over the responsivity, for equal blur "
+        f"within {100 * SWEEP.blur_relative_sd:g} %; {ABSOLUTE}"
     )
     shared = settings[reference].findings
     return [
@@ -155,7 +155,7 @@ def _excess(joint: SweepJointFit, context: Context, fields: Fields) -> list[Meas
 def _of_setting(
     joint: SweepJointFit, number: int, s: SweepSetting, context: Context, fields: Fields
 ) -> list[Measurement]:
-    """Response of a setting and, besides the one that the session's own gain is measured at, gain, blur and noise."""
+    """Return responsivity, gain, blur factor and noise of a setting; only responsivity for the main setting."""
     knob = joint.sweep.knob
     own = {"flags": flags_of(s.findings), "notes": (f"at {knob.text(s.value)}: {', '.join(s.labels)}",), **fields}
     out: list[Measurement] = []
@@ -167,10 +167,13 @@ def _of_setting(
         )
     if number == int(np.argmin([abs(other.value - joint.sweep.main) for other in joint.sweep.settings])):
         return out
-    # A law that does not hold would draw the settings the wrong way.
+    # Shrinkage towards an invalid law would bias the settings.
     gain = s.gain_dn if "nonlinear" in flags_of(joint.findings) else joint.law.settings[:, number]
-    out.append(measurement_from_draws(*(("system_gain", "DN/e-") if s.white else ("covariance_gain", "DN")), gain, stack=s.stack,
-                          **own))  # fmt: skip
+    out.append(
+        measurement_from_draws(
+            *(("system_gain", "DN/e-") if s.white else ("covariance_gain", "DN")), gain, stack=s.stack, **own
+        )
+    )
     if not s.white:
         out.append(measurement_from_draws("blur_factor", "1", s.blur_factor, stack=s.stack, **own))
     if s.dark_variance_dn2 is not None and s.dark_variance_dn2 > 0:

@@ -288,7 +288,7 @@ def test_every_gain_has_its_own_ratios_and_minimum(pulses, in_memory, seed):
     result = measured(in_memory(stacks))
     low, high = of(result, "minimum_illumination")
     assert low.value > 2.0 * high.value
-    assert "plate at 700 V" in low.notes and "plate at 800 V" in high.notes
+    assert "MCP at 700 V" in low.notes and "MCP at 800 V" in high.notes
     # One light for both: its error is one and the same draw.
     assert np.array_equal(low.posterior["light_scale"], high.posterior["light_scale"])
     assert len(result.evidence["snr-light"]["gains"]) == 2
@@ -314,7 +314,7 @@ def test_quantum_efficiency_holds_the_stated_doubt_of_its_photons(pulses, in_mem
                for electrons in (400.0, 1500.0, 4000.0, 9000.0)]  # fmt: skip
     (found,) = of(noise.measure(in_memory(stacks), method="variance", context=QUICK), "quantum_efficiency")
     if relative_sd is None:
-        assert any("taken for exact" in note for note in found.notes)
+        assert any("assumed exact" in note for note in found.notes)
         assert found.interval95[1] < 50.0
     else:
         assert errors(found, 50.0) == pytest.approx(-1.0, abs=0.3)

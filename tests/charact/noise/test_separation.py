@@ -165,8 +165,15 @@ def found(rng, flux: bool, heights_off: float = 1.0, flux_sd: float = 0.04) -> R
     def spread(value, sd):
         return value * np.exp(sd * rng.standard_normal(4000))
 
-    out = [measurement_from_draws("pulse_gain", "DN", (draws := spread(12.0 * 2.0 / 0.6, 0.02)), method="covariance-sum",
-                      posterior=posterior_of("pulse_gain", "DN", draws, 1))]  # fmt: skip
+    out = [
+        measurement_from_draws(
+            "pulse_gain",
+            "DN",
+            (draws := spread(12.0 * 2.0 / 0.6, 0.02)),
+            method="covariance-sum",
+            posterior=posterior_of("pulse_gain", "DN", draws, 1),
+        )
+    ]
     heights = spread(heights_off * 12.0 / 0.6, 0.03)
     out.append(measurement_from_draws("detected_photoelectron_gain", "DN", heights, method="pulse-law", stack="dark",
                           posterior=posterior_of("height_dn", "DN", heights, 1)))  # fmt: skip
