@@ -158,7 +158,7 @@ def _measure_series(session: Session, series: FlatSeries, context: Context, fiel
     out += pattern_quantities(series, None if gain is None else gain.slope, flags=plain, gain_flags=gain_flags,
                               pair_flags=exposure_flags(pooled.exposures), **fields)  # fmt: skip
     evidence = _figure_data(pooled, gain) | (
-        {"predictive_residuals-frames": predictive_figure_data(told)} if told else {}
+        {"predictive-frames": predictive_figure_data(told)} if told else {}
     )
     return Result(measurements=tuple(out), evidence=evidence)
 
