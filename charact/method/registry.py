@@ -1,20 +1,132 @@
 """Registered methods, and `auto`: the fastest method whose measured error meets the tolerance."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from importlib import resources
-from typing import Any
+from functools import lru_cache, wraps
+from importlib import import_module, resources
+from typing import Any, ParamSpec, TypeVar
 
-from charact.method.catalogue import CHARTED, MODULES, load
+from threadpoolctl import ThreadpoolController
+
 from charact.method.cluster import Spread
 from charact.method.stopwatch import with_timing
-from charact.method.threads import with_single_blas_thread
-from charact.method.tolerance import meets
 from labdata.errors import BadInput
-from labdata.measurement import Result
+from labdata.measurement import Measurement, Result
 from labdata.sensor import Sensor
 from labdata.solid_state import Register
+
+MODULES: dict[str, dict[str, str]] = {
+    "edge": {
+        "edge-forward": "charact.mtf.edge.forward",
+        "edge-free": "charact.mtf.edge.free",
+        "edge-gradient": "charact.mtf.edge.gradient",
+        "edge-parametric": "charact.mtf.edge.parametric",
+        "edge-slanted": "charact.mtf.edge.slanted",
+    },
+    "bars": {
+        "bars-coltman": "charact.mtf.bars.coltman",
+        "bars-contrast": "charact.mtf.bars.contrast",
+        "bars-forward": "charact.mtf.bars.forward",
+    },
+    "point": {
+        "point-forward": "charact.mtf.point.forward",
+        "point-parametric": "charact.mtf.point.parametric",
+        "point-spread": "charact.mtf.point.spot_transform",
+    },
+    "post-gain": {
+        "noise-spectrum": "charact.mtf.noise_spectrum.flats",
+        "noise-spectrum-free": "charact.mtf.noise_spectrum.flats",
+    },
+    "flats": {
+        "covariance-sum": "charact.noise.covariance_sum",
+        "variance": "charact.noise.variance",
+    },
+    "bloom": {
+        "series-forward": "charact.bloom.series_forward",
+    },
+    "lit-edge": {"lit-edge": "charact.bloom.lit_edge_halo"},
+}
+
+
+# By kind of target: the quantity in the accuracy chart of its methods, and the default of "auto" without a chart.
+CHARTED: dict[str, tuple[str, str]] = {
+    "edge": ("mtf50", "edge-forward"),
+    "bars": ("mtf", "bars-forward"),
+    "point": ("mtf50", "point-forward"),
+    "post-gain": ("post_gain_mtf50", "noise-spectrum"),
+    "flats": ("covariance_gain", "covariance-sum"),
+    "bloom": ("halo_diameter", "series-forward"),
+    "lit-edge": ("halo_diameter", "lit-edge"),
+}
+
+
+def load(kind: str, name: str | None = None) -> None:
+    """Import the modules that register the methods of a kind, or only the named method.
+
+    Examples
+    --------
+    >>> from charact.method import METHODS
+    >>> load("edge", "edge-slanted")
+    >>> ("edge", "edge-slanted") in METHODS
+    True
+    """
+    for method, module in MODULES.get(kind, {}).items():
+        if name in (None, method):
+            import_module(module)
+
+
+Arguments = ParamSpec("Arguments")
+
+
+Found = TypeVar("Found")
+
+
+def with_single_blas_thread(function: Callable[Arguments, Found]) -> Callable[Arguments, Found]:
+    """Return a function that runs with one BLAS thread and restores the previous number afterwards.
+
+    Notes
+    -----
+    On two cores an edge takes twice as long on two threads as on one, and forty times as long when other work runs.
+    """
+
+    @wraps(function)
+    def alone(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Found:
+        with _libraries().limit(limits=1):
+            return function(*args, **kwargs)
+
+    return alone
+
+
+@lru_cache(maxsize=1)
+def _libraries() -> ThreadpoolController:
+    """Return the BLAS libraries of this process: NumPy's, and SciPy's, which compiled functions call."""
+    import scipy.linalg  # noqa: F401  # loads its own
+
+    return ThreadpoolController().select(user_api="blas")
+
+
+def meets(row: Mapping[str, Any], within_percent: float) -> bool:
+    """Return whether a method's row in a chart meets a tolerance.
+
+    The upper confidence limit of the 95th error percentile must meet it; older tables contain the percentile alone.
+    """
+    return row.get("error_limit_percent", row["error_percent"]) <= within_percent
+
+
+def reach_percent(value: float, interval95: tuple[float, float]) -> float:
+    """Return the longer arm of a 95 % interval relative to its value, percent."""
+    return 100.0 * max(value - interval95[0], interval95[1] - value) / abs(value)
+
+
+def beyond_note(measurement: Measurement, within_percent: float) -> str | None:
+    """Return the note on an interval wider than the tolerance; None if it is not wider."""
+    if not measurement.value or measurement.interval95 is None:
+        return None
+    reach = reach_percent(measurement.value, measurement.interval95)
+    if reach <= within_percent:
+        return None
+    return f"95 % interval extends {reach:.2g} % from the value, beyond the tolerance --within {within_percent:g} %."
 
 
 def ignore_progress(sentence: str, share: float) -> None:

@@ -4,7 +4,7 @@ from dataclasses import replace
 from typing import Any
 
 from charact.method import Context, Method, choose
-from charact.method.tolerance import beyond_note
+from charact.method.registry import beyond_note
 from charact.mtf.duplicate_frames import drop_duplicate_frames
 from charact.mtf.region import Region
 from labdata.errors import BadInput

@@ -31,7 +31,7 @@ def rounding_shifts(level_dn: Array, variance_dn2: Array) -> Array:
     Quantization Noise, 2008). Where x lies between codes is not known well enough: black is put at several places
     between two codes, each as likely. The noise is the least that rounding may leave with such a variance.
     """
-    from charact.noise.snr.rounding import EVEN_DN2
+    from charact.noise.rounding import EVEN_DN2
 
     least = np.interp(variance_dn2, *_least_noise())
     noise = np.where(variance_dn2 > EVEN_DN2, variance_dn2 - QUANTISATION_DN2, least)
@@ -48,7 +48,7 @@ def rounding_shifts(level_dn: Array, variance_dn2: Array) -> Array:
 @cache
 def _least_noise() -> tuple[Array, Array]:
     """Variances as rounded, and the least that they may come of, DN^2."""
-    from charact.noise.snr.rounding import EVEN_DN2, unrounded_variance_range
+    from charact.noise.rounding import EVEN_DN2, unrounded_variance_range
 
     rounded = np.linspace(0.0, EVEN_DN2, 91)
     return rounded, np.array([unrounded_variance_range(float(one))[0] for one in rounded])

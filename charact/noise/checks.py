@@ -9,10 +9,9 @@ from charact.method import Context
 from charact.noise.findings import Finding, flags_of
 from charact.noise.gain.emva1288 import errors_of
 from charact.noise.gain.series import CLIPPED_SHARE, GAINS, FlatSeries, without_noise
-from charact.noise.processing import gamma_of_light, gamma_of_noise, processing_findings
 from charact.noise.stack.stack_statistics import StackStatistics
 from charact.noise.thresholds import CHECKS
-from charact.noise.undetected_correlation import UndetectedEffect
+from charact.noise.undetected_correlation import UndetectedEffect, gamma_of_light, gamma_of_noise, processing_findings
 from labdata import flags
 from labdata.conditions import Conditions
 

@@ -10,8 +10,8 @@ from charact.method import Context
 from charact.method.stopwatch import with_timing
 from charact.noise.checks import QUANTISED_DN2, drift_and_flicker
 from charact.noise.findings import Finding, flags_of, notes_of
-from charact.noise.gain.emva1288 import QUANTISATION_DN2
 from charact.noise.provenance import provenance
+from charact.noise.rounding import QUANTISATION_DN2
 from charact.noise.stack.stack_statistics import StackStatistics
 from charact.noise.thresholds import CHECKS, DARK_CURRENT
 from labdata.measurement import Measurement, Result, make_refusal, measurement_from_draws

@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.noise.checks import QUANTISED_DN2
+from charact.noise.checks import QUANTISED_DN2, dark_findings
 from charact.noise.findings import Finding, flags_of, notes_of
 from charact.noise.gain import emva1288
-from charact.noise.gain.series import FlatSeries
-from charact.noise.snr.rounding import rounding_sd
+from charact.noise.gain.series import FlatSeries, without_noise
+from charact.noise.rounding import rounding_sd
 from charact.noise.snr.stated_illumination import light_of_photons
 from charact.noise.stack.stack_statistics import StackStatistics
 from charact.noise.thresholds import CHECKS, CORRELATION
@@ -197,3 +197,36 @@ def _range(series: FlatSeries, slope: Array, efficiency: Array | None, dark_e2: 
     # The peak is resolved to the spacing of the levels.
     draws = (capacity, np.sqrt(capacity / factor), capacity / least)
     return [measurement_from_draws(name, unit, d, **fields) for (name, unit), d in zip(names, draws, strict=True)]
+
+
+def gain_obstacle(series: FlatSeries) -> str | None:
+    """Return why a series cannot give a gain, or None."""
+    if not len(series.flats):
+        return "flats need at least two frames each, and darks or a second level as reference"
+    error = np.array([np.sqrt(f.variance_dn2 / (f.pixels * f.frames)) + 1e-12 for f in series.flats])
+    brighter = series.signal_dn > 5.0 * np.sqrt(50.0) * error
+    if not brighter.any():
+        return f"no flat is brighter than its dark: the largest difference is {series.signal_dn.max():.3g} DN"
+    noisier = series.variance_dn2 > 5.0 * series.variance_sd_dn2
+    if not (brighter & noisier).any():
+        return f"no flat is noisier than its dark: the largest difference is {series.variance_dn2.max():.3g} DN2"
+    if not (series.fitted & brighter & noisier).any():
+        return "every flat is saturated: none lies within 70 % of saturation and below full scale"
+    return None
+
+
+def without_flats(
+    darks, series: FlatSeries | None, single: list[str], *, quantity=("system_gain", "DN/e-"), **fields: Any
+) -> list[Measurement]:
+    """Return the quantities of darks alone, and the refusal of the gain."""
+    if series is not None:
+        reason = "; ".join(part for part in (gain_obstacle(series), without_noise(series.single)) if part)
+    elif single:
+        reason = f"noise needs stacks of at least two frames; {', '.join(single)} has one"
+    else:
+        reason = "there are no flats"
+    out = [make_refusal(quantity[0], quantity[1], reason, **fields)]
+    wrong = [] if series is None or not len(series.flats) else dark_findings(series)
+    dark = dark_quantities(tuple(darks), flags=(), **fields) if darks else []
+    notes = notes_of(wrong)
+    return out + [one.with_(flags=flags_of(wrong), notes=(*one.notes, *notes)) for one in dark]

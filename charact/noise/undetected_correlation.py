@@ -9,7 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.noise.findings import Finding
 from charact.noise.gain.series import FlatSeries
+from charact.noise.stack.stack_statistics import StackStatistics
 from charact.noise.thresholds import CORRELATION
 
 Array = NDArray[np.float64]
@@ -142,3 +144,130 @@ def _common_variance_fraction(series: FlatSeries, taken: float) -> UndetectedEff
     # Dark and illuminated patterns may be correlated, which adds a linear part that is no image lag.
     error = np.sqrt(max(1.0, excess) * covariance[0, 0])
     return UndetectedEffect(share=taken * linear / slope, sd=taken * float(error) / abs(slope))
+
+
+def processing_findings(series: FlatSeries) -> list[Finding]:
+    """Return findings of filters in the camera, from the noise of a series."""
+    lit = [flat for flat, fitted in zip(series.flats, series.fitted, strict=True) if fitted]
+    return [
+        *_sharpening_findings(lit),
+        *_temporal_filter_findings(series.all_darks),
+        *_level_smoothing_findings(series),
+    ]
+
+
+def _sharpening_findings(levels: list[StackStatistics]) -> list[Finding]:
+    """Return findings of noise that is stronger at high than at low frequency, which blur cannot cause."""
+    for place, correlations in (
+        ("in a row", [(level.neighbour_correlation, level.neighbour_sd) for level in levels]),
+        ("in a column", [(level.below_correlation, level.below_sd) for level in levels]),
+    ):
+        value, sd = inverse_variance_mean(correlations)
+        if value < -CORRELATION.min_correlation - CORRELATION.processing_sd * sd:
+            word = f"the noise of neighbours {place} is anticorrelated ({100 * value:.2g} %)"
+            return [("processed", f"{word}: the camera sharpens its images, which raises the variance")]
+    value, sd = inverse_variance_mean([_rise(level) for level in levels])
+    if value > CORRELATION.min_rise + CORRELATION.processing_sd * sd:
+        word = f"the noise power is {100 * value:.2g} % larger at high than at low frequency"
+        return [("processed", f"{word}: the camera sharpens its images")]
+    return []
+
+
+def _rise(level: StackStatistics) -> tuple[float, float]:
+    """Return the noise power of the outer over the inner band, less one, and its standard error."""
+    radius = np.hypot(level.bins.column_cy_per_px, level.bins.row_cy_per_px)
+    exposures = level.runs * (len(level.time) - len(np.unique(level.parity)))
+    power, modes = [], []
+    for low, high in (CORRELATION.inner_cy_per_px, CORRELATION.outer_cy_per_px):
+        ring = (radius >= low) & (radius < high)
+        if not ring.any():
+            return 0.0, np.inf
+        power.append(float(np.average(level.few.power_dn2[ring, 0], weights=level.bins.modes[ring])))
+        modes.append(float(level.bins.modes[ring].sum()) * level.bins.efficiency * exposures)
+    if min(power) <= 0:
+        return 0.0, np.inf
+    ratio = power[1] / power[0]
+    return ratio - 1.0, ratio * float(np.sqrt(1.0 / modes[0] + 1.0 / modes[1]))
+
+
+def _temporal_filter_findings(darks: tuple[StackStatistics, ...]) -> list[Finding]:
+    """Return findings of temporal noise reduction: darks correlated in time and not in space."""
+    known = [dark for dark in darks if dark.frames > CORRELATION.few_frames]
+    value, sd = inverse_variance_mean([(dark.successor_correlation, dark.successor_sd) for dark in known])
+    around = [inverse_variance_mean([(d.neighbour_correlation, d.neighbour_sd) for d in known]),
+              inverse_variance_mean([(d.below_correlation, d.below_sd) for d in known])]  # fmt: skip
+    if (
+        value < CORRELATION.min_correlation + CORRELATION.processing_sd * sd
+        or max(part for part, _ in around) > CORRELATION.max_spatial_ratio * value
+    ):
+        return []
+    word = f"noise of successive dark frames is correlated ({100 * value:.2g} %), that of neighbouring pixels is not"
+    return [("processed", f"{word}: the camera reduces noise in time")]
+
+
+def _level_smoothing_findings(series: FlatSeries) -> list[Finding]:
+    """Return findings of a neighbour correlation that changes with level.
+
+    Blur and linear filters correlate the noise of all levels alike; an edge-preserving filter smooths weak noise more
+    than strong noise.
+    """
+    chosen = np.flatnonzero(series.fitted & (series.variance_dn2 > 0))
+    if len(chosen) < 2:
+        return []
+    span = np.log(series.signal_dn[chosen])
+    span = (span - span.min()) / max(float(np.ptp(span)), 1e-12)
+    design = np.stack([1.0 - span, span])
+    for place, name in (("in a row", "neighbour"), ("in a column", "below")):
+        share, sd = np.array([light_correlation(series, int(i), name) for i in chosen]).T
+        weight = 1.0 / np.maximum(sd, 1e-9) ** 2
+        covariance = np.linalg.pinv(design * weight @ design.T)
+        low, high = covariance @ (design * weight @ share)
+        error = float(np.sqrt(covariance[0, 0] + covariance[1, 1] - 2.0 * covariance[0, 1]))
+        if abs(high - low) > CORRELATION.min_change + CORRELATION.processing_sd * error:
+            word = f"noise of neighbours {place} is correlated by {100 * low:.2g} % in the dimmest flat"
+            return [("processed", f"{word} and by {100 * high:.2g} % in the brightest: the camera smooths nonlinearly")]
+    return []
+
+
+def gamma_of_light(light: Array, signal: Array) -> list[Finding]:
+    """Return the finding of a signal that is a power of the light, shapes (level,)."""
+    if len(light) < CORRELATION.min_power_law_levels or signal.min() <= 0:
+        return []
+    power, off = _power(light, signal)
+    straight = CORRELATION.linear_exponents[0] < power < CORRELATION.linear_exponents[1]
+    if (
+        straight
+        or not CORRELATION.gamma_exponents[0] < power < CORRELATION.gamma_exponents[1]
+        or off > CORRELATION.power_law_tolerance
+    ):
+        return []
+    word = f"the signal is proportional to the power {power:.2f} of the light within {100 * off:.2g} %"
+    return [("gamma", f"{word}: a gamma curve, or a gain that follows the light")]
+
+
+def gamma_of_noise(signal: Array, gain: Array, sd: Array) -> list[Finding]:
+    """Return the finding of variance over signal that is a power of the signal, shapes (level,).
+
+    The dark's variance is included, because a gamma curve is steep at its start and amplifies dark noise. For v =
+    u^gamma and a variance of u proportional to u, the variance of v over v is proportional to v^(1 - 1/gamma).
+    """
+    if (
+        len(signal) < CORRELATION.min_power_law_levels
+        or gain.min() <= 0
+        or np.any(sd > CORRELATION.power_law_tolerance * gain)
+    ):
+        return []
+    power, off = _power(signal, gain)
+    if power >= 1.0 or off > CORRELATION.power_law_tolerance:
+        return []
+    gamma = 1.0 / (1.0 - power)
+    if CORRELATION.linear_exponents[0] < gamma < CORRELATION.linear_exponents[1]:
+        return []
+    word = f"variance over signal is proportional to the power {power:.2f} of the signal within {100 * off:.2g} %"
+    return [("gamma", f"{word}, as behind a gamma of {gamma:.2f}")]
+
+
+def _power(x: Array, y: Array) -> tuple[float, float]:
+    """Return the exponent of a power law, and the largest relative deviation from it."""
+    slope, level = np.polyfit(np.log(x), np.log(y), 1)
+    return float(slope), float(np.abs(np.expm1(np.log(y) - level - slope * np.log(x))).max())

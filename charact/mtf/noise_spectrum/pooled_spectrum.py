@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.mtf.noise_spectrum.stack import StackSpectra, low_frequency_weights, smear, stack_spectra
-from charact.noise.gain.emva1288 import QUANTISATION_DN2
 from charact.noise.gain.series import CLIPPED_SHARE, longest_series, read_levels, series_of
-from charact.noise.snr.rounding import unrounded_variance_range
+from charact.noise.rounding import QUANTISATION_DN2, unrounded_variance_range
 from charact.noise.stack.spectrum import Bins
 from labdata.frames import FrameStack
 from labdata.session import Session

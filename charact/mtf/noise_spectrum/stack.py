@@ -6,9 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.noise.stack.exposure_order import exposures, fluctuations, runs_of
 from charact.noise.stack.spectrum import Bins, bins_of, cross_spectra
-from charact.noise.stack.temporal import autocovariance, n_effective_samples, usable_lags
+from charact.noise.stack.temporal import (
+    autocovariance,
+    exposures,
+    fluctuations,
+    n_effective_samples,
+    runs_of,
+    usable_lags,
+)
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 

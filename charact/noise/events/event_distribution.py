@@ -11,8 +11,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.noise.events.filters import Filter
-from charact.noise.events.spot import PulseSpread, quantise_amplitudes, responses
+from charact.noise.events.filters import Filter, PulseSpread, quantise_amplitudes, responses
 from charact.noise.thresholds import EVENT_ACCURACY
 
 Array = NDArray[np.float64]

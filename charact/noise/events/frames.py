@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.noise.events.filters import MIDDLE, Filter, boxes, common_reach
-from charact.noise.stack.exposure_order import exposures
+from charact.noise.stack.temporal import exposures
 from charact.noise.thresholds import EVENT_ACCURACY, EVENTS
 from labdata.frames import FrameStack
 

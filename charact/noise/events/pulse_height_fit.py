@@ -6,10 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.noise.events.characteristic_function_covariance import blend_covariances, scatter
-from charact.noise.events.characteristic_functions import observe
+from charact.noise.events.characteristic_functions import blend_covariances, observe, scatter
 from charact.noise.events.event_distribution import CharacteristicFunctionData, PulsePopulation
-from charact.noise.events.filters import MIDDLE, Filter
+from charact.noise.events.filters import MIDDLE, REFERENCE_CY_PER_PX, Filter, responses
 from charact.noise.events.fit import (
     FAST,
     PRIORS,
@@ -24,7 +23,6 @@ from charact.noise.events.fit import (
     optimise_pulses,
 )
 from charact.noise.events.frames import DarkFrames, ImageLagCorrelation, image_lag_correlation, spread, usable_values
-from charact.noise.events.spot import REFERENCE_CY_PER_PX, responses
 from charact.noise.thresholds import EVENTS
 from labdata.measurement import Posterior
 

@@ -1,14 +1,13 @@
 """Flat series: flats of one gain with their darks, and the range of the gain fit."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.noise.stack.parallel_reading import read_levels_of
-from charact.noise.stack.stack_statistics import StackStatistics
+from charact.noise.stack.stack_statistics import StackStatistics, read_levels_of
 from charact.noise.thresholds import GAIN
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
@@ -16,8 +15,11 @@ from labdata.session import Session
 
 Array = NDArray[np.float64]
 
+
 # Fraction of values at full scale above which clipping lowers the variance.
 CLIPPED_SHARE = 1e-4
+
+
 # Conditions that set the gain.
 GAINS = ("mcp_v", "gain_control", "em_gain", "camera_gain_db")
 
@@ -170,3 +172,20 @@ def _peak(flats: list[StackStatistics], signal: Array) -> int | None:
     beyond = variance[top + 1 :]
     rose = signal.min() < GAIN.fit_fraction * signal[top]
     return top if rose and len(beyond) and beyond.min() < 0.9 * variance[top] else None
+
+
+# Conditions that imply an intensifier.
+OF_TUBES = ("mcp_v", "gain_control", "luminous_gain", "brightness_control")
+
+
+def has_intensifier(conditions: Iterable[Conditions], context: Context) -> bool:
+    """Return whether an intensifier is described, or one of its settings stated."""
+    return context.sensor is not None or any(getattr(one, name) is not None for one in conditions for name in OF_TUBES)
+
+
+def has_multiplication(session: Session, context: Context) -> bool:
+    """Return whether single electrons are multiplied, in a tube or in a register."""
+    known = [entry.conditions for entry in session.of_kind("dark", "flat")]
+    return (
+        has_intensifier(known, context) or context.register is not None or any((c.em_gain or 1.0) > 1.0 for c in known)
+    )

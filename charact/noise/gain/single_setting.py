@@ -10,7 +10,7 @@ from charact.noise.checks import QUANTISED_DN2, exposure_findings
 from charact.noise.findings import Finding
 from charact.noise.gain import emva1288
 from charact.noise.gain.fit import Fit, fit_spectrum
-from charact.noise.gain.forms import blur_models
+from charact.noise.gain.model import blur_models
 from charact.noise.gain.pooled_noise import PooledNoise, pool_noise, pooling
 from charact.noise.gain.series import FlatSeries
 from charact.noise.gain.white_floor import has_analogue_chain

@@ -6,24 +6,80 @@ relative variance of heights; with the detection probability p or a known light,
 session cannot separate are refused, with the measurement that would separate them.
 """
 
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from charact.method import Context
-from charact.noise.gain.series import FlatSeries
+from charact.noise.cathode_radiometry import (
+    ELECTRON_C,
+    lognormal_draws,
+    photoelectrons_per_lux_s,
+    photoelectrons_per_photon,
+    pixel_area_m2,
+)
+from charact.noise.gain.series import FlatSeries, gain_of
 from charact.noise.gain.white_floor import Floor, floor_of
-from charact.noise.snr.cathode_radiometry import photoelectrons_per_lux_s, photoelectrons_per_photon, pixel_area_m2
 from charact.noise.snr.stated_illumination import StatedIllumination, light_of_series, response_draws, signal_sd
-from charact.noise.snr.tube_snr import snr_from_measurement
-from charact.noise.thresholds import GAIN
-from labdata.measurement import Measurement, Posterior, make_refusal, measurement_from_draws
+from charact.noise.thresholds import GAIN, SNR
+from labdata.measurement import Measurement, Posterior, Result, make_refusal, measurement_from_draws
+from labdata.session import Session
 
 Array = NDArray[np.float64]
 
+
+ILLUMINANCE_LUX = 108e-6
+
+
+SPOT_MM = 0.2
+
+
+BANDWIDTH_HZ = 10.0
+
+
+SPOT_M2 = np.pi / 4.0 * (SPOT_MM * 1e-3) ** 2
+
+
+def snr_from_specification(sensitivity_ua_per_lm: ArrayLike, excess_noise_factor: ArrayLike) -> Array:
+    """Return the signal-to-noise ratio of a specified tube.
+
+    Parameters
+    ----------
+    sensitivity_ua_per_lm
+        Luminous sensitivity S of the photocathode at 2856 K, uA/lm.
+    excess_noise_factor
+        F^2 including undetected photoelectrons; the square of the noise factor NF.
+    """
+    photoelectrons = np.asarray(sensitivity_ua_per_lm) * 1e-6 / ELECTRON_C
+    return _snr(photoelectrons / np.asarray(excess_noise_factor))
+
+
+def snr_from_measurement(response_dn_per_lux_s: ArrayLike, pulse_gain_dn: ArrayLike, pixel_area_m2: ArrayLike) -> Array:
+    """Return the signal-to-noise ratio of a measured tube and camera.
+
+    Parameters
+    ----------
+    response_dn_per_lux_s
+        Signal of a pixel per lux and second at the photocathode, DN.
+    pulse_gain_dn
+        k F^2: covariance sum of the scintillation noise over the signal, DN.
+    pixel_area_m2
+        Area of a pixel at the photocathode, m2.
+    """
+    return _snr(np.asarray(response_dn_per_lux_s) / (np.asarray(pulse_gain_dn) * np.asarray(pixel_area_m2)))
+
+
+def _snr(effective_per_lux_s_m2: Array) -> Array:
+    """Return the signal-to-noise ratio from the photoelectrons per lux, second and m2 over F^2."""
+    return np.sqrt(effective_per_lux_s_m2 * ILLUMINANCE_LUX * SPOT_M2 / (2.0 * BANDWIDTH_HZ))
+
+
 APART = "a known light (illuminance_lux with gate or exposure, or photons_per_px at a wavelength_nm, and the sensor)"
+
+
 PULSES = "the heights of single photoelectrons in dark frames"
 
 
@@ -198,3 +254,85 @@ def _tube(response: ResponsivityEstimate, pulses: Array | None, context: Context
     )
     draws = snr_from_measurement(response.per_lux_s, np.maximum(pulses, 1e-12), area)
     return measurement_from_draws(name, "1", draws, notes=notes, **fields)
+
+
+def add_event_gains(result: Result, session: Session, *, context: Context) -> Result:
+    """Return the result with k and F^2 from flats, light and pulses, if pulses were measured at the same gain.
+
+    Parameters
+    ----------
+    result
+        `pulse_gain` of the flats and `detected_photoelectron_gain` of a dark stack, with their posteriors; without
+        either it is returned unchanged.
+    session
+        The session, with the gain of the dark stack.
+    context
+        The sensor, and the seed.
+    """
+    flats = [one for one in result.find("pulse_gain") if one.posterior is not None]
+    darks = [one for one in result.find("detected_photoelectron_gain") if one.posterior is not None]
+    if not flats or not darks or not _same_gain(session, darks[0]):
+        return result
+    parted = _event_gains(result, flats[0], darks[0], context)
+    better = {one.quantity for one in result.find("tube_snr") if one.value is not None}
+    new = tuple(one for one in parted if one.quantity not in better)
+    named = {one.quantity for one in new}
+    return replace(result, measurements=(*(one for one in result.measurements if one.quantity not in named), *new))
+
+
+def _same_gain(session: Session, dark: Measurement) -> bool:
+    """Return whether a dark stack was taken at the gain of most flats."""
+    (most, _), *_ = Counter(gain_of(entry.conditions) for entry in session.of_kind("flat")).most_common()
+    here = [gain_of(entry.conditions) for entry in session.of_kind("dark") if entry.label == dark.stack]
+    return most in here
+
+
+def _event_gains(result: Result, flats: Measurement, darks: Measurement, context: Context) -> list[Measurement]:
+    """Return k and F^2, and the tube's signal-to-noise ratio."""
+    from charact.noise.events.event_measurements import detection
+
+    assert flats.posterior is not None and darks.posterior is not None
+    rng = np.random.default_rng([context.seed, 41])
+    pulses = rng.choice(flats.posterior["pulse_gain"], SNR.separation_draws)
+    height = rng.choice(darks.posterior["height_dn"], SNR.separation_draws)
+    share, note = detection(context, rng, SNR.separation_draws)
+    gain, agreement = _gain(result, flats.method, height, share, rng)
+    flags = tuple(dict.fromkeys((*flats.flags, *darks.flags)))
+    fields = {"method": f"{flats.method} + {darks.method}", "provenance": flats.provenance}
+    out = [measurement_from_draws("pulse_height_factor", "1", pulses / height, flags=flags, **fields)]
+    flags += ("model-misfit",) if agreement < SNR.min_agreement else ()
+    notes = (note, "from the light and single photoelectrons" if agreement < 1.0 else
+             "from single photoelectrons of the dark frames")  # fmt: skip
+    kept = posterior_of("photoelectron_gain", "DN/pe", gain, context.seed)
+    out.append(
+        measurement_from_draws("photoelectron_gain", "DN/pe", gain, flags=flags, notes=notes, posterior=kept, **fields)
+    )
+    factor = pulses / gain
+    out.append(measurement_from_draws("excess_noise_factor", "1", factor, flags=flags, notes=notes, **fields))
+    if context.sensor is not None:
+        sensitivity = lognormal_draws(
+            context.sensor.photocathode.luminous_sensitivity_ua_per_lm, rng, SNR.separation_draws
+        )
+        told = (*notes, "luminous sensitivity from the sensor description")
+        out.append(
+            measurement_from_draws(
+                "tube_snr", "1", snr_from_specification(sensitivity, factor), flags=flags, notes=told, **fields
+            )
+        )
+    return out
+
+
+def _gain(result: Result, method: str, height: Array, share: Array, rng: np.random.Generator) -> tuple[Array, float]:
+    """Return draws of k, and the effective fraction consistent with light and pulses; 1 without a known light."""
+    lit = [one for one in result.find("photoelectron_gain", method=method) if one.posterior is not None]
+    if not lit or lit[0].posterior is None:
+        return share * height, 1.0
+    gain = rng.choice(lit[0].posterior["photoelectron_gain"], SNR.separation_draws)
+    density, edges = np.histogram(np.log(share), bins=SNR.bins, density=True)
+    place = np.searchsorted(edges, np.log(gain / height)) - 1
+    inside = (place >= 0) & (place < SNR.bins)
+    weight = np.where(inside, density[np.clip(place, 0, SNR.bins - 1)], 0.0)
+    if not weight.any():
+        return gain, 0.0
+    agreement = float(weight.sum() ** 2 / (weight**2).sum() / SNR.separation_draws)
+    return gain[rng.choice(SNR.separation_draws, SNR.separation_draws, p=weight / weight.sum())], min(agreement, 0.999)

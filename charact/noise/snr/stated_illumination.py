@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.noise.gain.series import FlatSeries
-from charact.noise.snr.rounding import rounding_sd
+from charact.noise.rounding import rounding_sd
 from charact.noise.stack.stack_statistics import StackStatistics
 from charact.noise.thresholds import SNR
 from labdata.conditions import Conditions

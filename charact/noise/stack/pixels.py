@@ -6,8 +6,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from charact.noise.stack.exposure_order import Order, split_fields
 from charact.noise.stack.spectrum import Bins, along_rows, modes_of, products_of, smooth_length
+from charact.noise.stack.temporal import Order, split_fields
 from charact.noise.thresholds import STACK
 
 Array = NDArray[np.float64]
@@ -19,7 +19,7 @@ SUMS = ("power", "beside", "below", "near", "level")
 
 @dataclass(frozen=True, kw_only=True)
 class PixelSums:
-    """Products of the temporal fluctuations of pixels, see `charact.noise.stack.exposure_order.fluctuations`.
+    """Products of the temporal fluctuations of pixels, see `charact.noise.stack.temporal.fluctuations`.
 
     Parameters
     ----------

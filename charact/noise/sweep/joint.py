@@ -7,9 +7,8 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.noise.findings import Finding, flag_of, note_of
-from charact.noise.sweep.excess import correct_saturation
 from charact.noise.sweep.gain_law import Axis, GainLaw, Gains, law_of, line_departure, weighted_line
-from charact.noise.sweep.responsivity import SweepResponsivity, response_of
+from charact.noise.sweep.responsivity import SweepResponsivity, correct_saturation, response_of
 from charact.noise.sweep.settings import Sweep, SweepSetting
 from charact.noise.thresholds import GAIN, SWEEP
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from charact.method import Context
-from charact.noise.events.characteristic_function_covariance import blend_covariances
+from charact.noise.events.characteristic_functions import blend_covariances
 from charact.noise.events.event_distribution import PulseDecay, PulsePopulation, height_transform
 from charact.noise.events.event_measurements import measure_events, pulses_of_darks
 from charact.noise.events.filters import Filter, boxes

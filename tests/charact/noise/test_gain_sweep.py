@@ -9,8 +9,7 @@ import pytest
 from benchmarks.studies.gain_sweeps import SweepScene, covered
 from charact import noise
 from charact.method import Context
-from charact.noise.sweep.gain_control import KNOBS
-from charact.noise.sweep.settings import Sweep
+from charact.noise.sweep.settings import KNOBS, Sweep
 from charact.noise.sweep.sweep import measure_sweep
 from labdata.conditions import Conditions
 

@@ -10,12 +10,11 @@ from scipy.special import ndtr
 from charact import noise
 from charact.method import Context
 from charact.noise.gain.series import read_levels
-from charact.noise.snr.area import SIDE_PX
-from charact.noise.snr.minimum_illumination import Scope, minimum_illumination
+from charact.noise.rounding import rounding_sd, unrounded_variance_range
 from charact.noise.snr.noise_law import SignalNoiseSeries, noise_law
-from charact.noise.snr.rounding import rounding_sd, unrounded_variance_range
-from charact.noise.snr.snr_against_light import snr_against_light
+from charact.noise.snr.snr_against_light import Scope, minimum_illumination, snr_against_light
 from charact.noise.snr.stated_illumination import StatedIllumination, response_draws
+from charact.noise.stack.stack_statistics import SIDE_PX
 from labdata.conditions import Conditions
 from labdata.measurement import Measurement
 

@@ -11,37 +11,180 @@ from charact.noise.checks import (
     bend_allowance,
     exposure_findings,
     exposure_flags,
+    light_findings,
     quantisation_findings,
     series_findings,
     variance_ratio_changes,
 )
-from charact.noise.cube.three_dimensional import three_dimensional
 from charact.noise.dark_current import dark_current
 from charact.noise.events.event_measurements import pulses_of_darks
-from charact.noise.figure_data import correlation_figure_data, spectrum_figure_data, transfer_figure_data
-from charact.noise.findings import flags_of, notes_of
+from charact.noise.findings import Finding, flags_of, notes_of
 from charact.noise.gain import emva1288
+from charact.noise.gain.emva1288 import excess_of
 from charact.noise.gain.fit import Fit, fit_spectrum
-from charact.noise.gain.forms import blur_models
-from charact.noise.gain.per_electron import electron_quantities, gain_of
-from charact.noise.gain.pooled_noise import pool_noise
-from charact.noise.gain.series import FlatSeries, read_levels, series_of
+from charact.noise.gain.model import blur_models
+from charact.noise.gain.pooled_noise import PooledNoise, pool_noise
+from charact.noise.gain.series import FlatSeries, has_intensifier, read_levels, series_of
 from charact.noise.gain.single_setting import SingleSetting, blur_exponent, fit_single_setting
-from charact.noise.gain_feasibility import gain_obstacle, without_flats
-from charact.noise.predictive.check import PredictiveResidual, findings_of, predictive_figure_data, predictive_residuals
+from charact.noise.gain.white_floor import floor_of
+from charact.noise.predictive_check import PredictiveResidual, findings_of, predictive_figure_data, predictive_residuals
 from charact.noise.provenance import provenance
-from charact.noise.quantities import dark_clipping_flags, dark_quantities, pattern_quantities, saturation_level
+from charact.noise.quantities import (
+    dark_clipping_flags,
+    dark_quantities,
+    gain_obstacle,
+    pattern_quantities,
+    saturation_level,
+    white_quantities,
+    without_flats,
+)
 from charact.noise.snr.gain_separation import separate_gains
 from charact.noise.snr.snr_against_light import snr_against_light
 from charact.noise.stack.stack_statistics import StackStatistics
 from charact.noise.sweep.sweep import gain_sweep
+from charact.noise.three_dimensional import three_dimensional
 from charact.noise.thresholds import GAIN
-from charact.noise.tube import has_intensifier
 from charact.noise.undetected_correlation import allowance_of
+from labdata import flags
 from labdata.measurement import Measurement, Result, make_refusal, measurement_from_draws
 from labdata.session import Session
 
+
+def transfer_figure_data(series: FlatSeries, *, gain: float | None = None, **more: Any) -> dict[str, Any]:
+    """Return the photon transfer curve: signal, variance and fitted range."""
+    return {
+        "figure": "photon-transfer",
+        "label": [flat.label for flat in series.flats],
+        "mean_dn": [flat.mean_dn for flat in series.flats],
+        "signal_dn": series.signal_dn.tolist(),
+        "variance_dn2": [flat.variance_dn2 for flat in series.flats],
+        "variance_sd_dn2": series.variance_sd_dn2.tolist(),
+        "fitted": series.fitted.tolist(),
+        "system_gain_dn_per_e": gain,
+        "reference": series.reference,
+        "variance_above_dark_dn2": series.variance_dn2.tolist(),
+        "dark_mean_dn": [dark.mean_dn for dark in series.darks],
+        "dark_variance_dn2": [dark.variance_dn2 for dark in series.darks],
+        **more,
+    }
+
+
+def spectrum_figure_data(summary: PooledNoise, fit: Fit) -> dict[str, Any]:
+    """Return noise power over signal against radial frequency, with its fit."""
+    radius = np.hypot(summary.column_cy_per_px, summary.row_cy_per_px)
+    order = np.argsort(radius)
+    return {
+        "figure": "noise-spectrum",
+        "radius_cy_per_px": radius[order].tolist(),
+        "angle_deg": np.degrees(np.arctan2(summary.row_cy_per_px, summary.column_cy_per_px))[order].tolist(),
+        "power_dn": summary.power_dn[order].tolist(),
+        "power_sd_dn": summary.power_sd_dn[order].tolist(),
+        "model_dn": fit.model_dn[order].tolist(),
+        "used": fit.used[order].tolist(),
+        "variance_over_signal_dn": summary.variance_dn,
+        "chi2": fit.chi2,
+        "freedom": fit.freedom,
+        "chance": fit.chance,
+    }
+
+
+def correlation_figure_data(series: FlatSeries, summary: PooledNoise) -> dict[str, Any]:
+    """Return the correlation of neighbouring pixels and of successive exposures."""
+    lag = summary.lag
+    return {
+        "figure": "autocorrelation",
+        "label": [flat.label for flat in series.flats],
+        "neighbour_correlation": [flat.neighbour_correlation for flat in series.flats],
+        "neighbour_sd": [flat.neighbour_sd for flat in series.flats],
+        "lag_exposures": lag.lag.tolist(),
+        "lag_correlation": lag.correlation.tolist(),
+        "lag_correlation_sd": lag.correlation_sd.tolist(),
+        "lag_factor": lag.factor,
+        "lag_factor_sd": lag.factor_sd,
+    }
+
+
+def gain_of(pooled: SingleSetting, allowance: float, context: Context) -> tuple[emva1288.GainLine, emva1288.GainLine]:
+    """Return the slope of the standard, and the gain per electron used for derived quantities."""
+    plain = emva1288.gain_line(pooled.series, context=context, allowance=allowance)
+    if pooled.white:
+        return plain, plain
+    excess = excess_of(pooled.series.flats[0].conditions, context)
+    draws = excess.divide(pooled.posterior["covariance_gain"], context.seed)
+    return plain, replace(plain, posterior=pooled.posterior, slope=draws)
+
+
+def electron_quantities(
+    pooled: SingleSetting,
+    gains: tuple[emva1288.GainLine, emva1288.GainLine],
+    findings: list[Finding],
+    covariance: list[Finding],
+    context: Context,
+    fields: dict[str, Any],
+) -> list[Measurement]:
+    """Return the system gain and derived quantities.
+
+    Parameters
+    ----------
+    pooled
+        Noise of the flats of one setting.
+    gains
+        See `gain_of`.
+    findings, covariance
+        Findings on the slope, and on the covariance sum.
+    context, fields
+        Settings; method and provenance.
+    """
+    series, (plain, gain) = pooled.series, gains
+    excess = excess_of(series.flats[0].conditions, context)
+    notes = () if excess.note is None else (excess.note,)
+    own = findings if pooled.white else [*findings, _correlation_finding(pooled, plain, gain)]
+    first = measurement_from_draws("system_gain", "DN/e-", plain.slope, flags=flags_of(own) + plain.posterior.flags,
+                       notes=notes_of(own) + notes, posterior=plain.posterior, **fields)  # fmt: skip
+    why = findings if pooled.white else [*covariance, *_blur_findings(pooled)]
+    out = [first, *white_quantities(series, gain, context=context, findings=why, light=light_findings(series),
+                                    notes=notes, factor=excess.factor, **fields)]  # fmt: skip
+    return out if pooled.white else [*out, *_floor(pooled, covariance, context, fields)]
+
+
+def _correlation_finding(pooled: SingleSetting, plain: emva1288.GainLine, gain: emva1288.GainLine) -> Finding:
+    """Return the finding of correlated neighbours, relative to the gain."""
+    low, right = float(np.median(plain.slope)), float(np.median(gain.slope))
+    percent = 100.0 * (1.0 - low / right)
+    return flags.Finding(
+        flag="correlated-noise",
+        effect=f"noise of neighbouring pixels is correlated, so that the slope of EMVA 1288 is {percent:.2g} % low",
+        remedy=f"the covariance sum, which gives {right:.4g} DN/e- (covariance_gain)",
+    )
+
+
+def _blur_findings(pooled: SingleSetting) -> list[Finding]:
+    """Return the finding of stronger correlation than charge diffusion allows."""
+    blur = float(np.median(pooled.posterior["blur_factor"]))
+    if blur >= GAIN.min_blur_factor:
+        return []
+    effect = (
+        f"{100 * (1 - blur):.2g} % of the noise is correlated between pixels, so that the gain may not be per electron"
+    )
+    remedy = "a sensor in session.toml that describes the blur"
+    return [flags.Finding(flag="correlated-noise", effect=effect, remedy=remedy)]
+
+
+def _floor(
+    pooled: SingleSetting, covariance: list[Finding], context: Context, fields: dict[str, Any]
+) -> list[Measurement]:
+    """Return the gain per electron behind the blur, if the white floor is detected."""
+    if not _blur_findings(pooled):
+        return []
+    floor = floor_of(pooled.series, pooled.posterior, context=context)
+    if not floor.seen:
+        return []
+    return [measurement_from_draws("conversion_gain", "DN/e-", floor.draws, flags=flags_of(covariance), **fields)]
+
+
 METHOD = "covariance-sum"
+
+
 QUANTITIES = ("covariance_gain", "blur_factor", "system_gain", "read_noise", "photoelectron_gain")
 
 
@@ -157,9 +300,7 @@ def _measure_series(session: Session, series: FlatSeries, context: Context, fiel
     gain_flags = flags_of(slope if pooled.white else findings)
     out += pattern_quantities(series, None if gain is None else gain.slope, flags=plain, gain_flags=gain_flags,
                               pair_flags=exposure_flags(pooled.exposures), **fields)  # fmt: skip
-    evidence = _figure_data(pooled, gain) | (
-        {"predictive-frames": predictive_figure_data(told)} if told else {}
-    )
+    evidence = _figure_data(pooled, gain) | ({"predictive-frames": predictive_figure_data(told)} if told else {})
     return Result(measurements=tuple(out), evidence=evidence)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.noise.gain import model
-from charact.noise.gain.pixel_readout_model import PixelReadoutModel
+from charact.noise.gain.model import PixelReadoutModel
 from charact.noise.thresholds import PREDICTIVE
 from labdata.measurement import Posterior
 

@@ -13,10 +13,17 @@ from labdata.sensor import Photocathode
 
 Array = NDArray[np.float64]
 
+
 ELECTRON_C = 1.602176634e-19
+
+
 # h c in J nm, and h c / k in nm K.
 PHOTON_J_NM, SECOND_RADIATION_NM_K = 1.986445857e-16, 1.438776877e7
+
+
 LUMENS_PER_WATT = 683.002
+
+
 LAMP_K = 2856.0
 
 

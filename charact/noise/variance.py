@@ -13,17 +13,22 @@ from charact.noise.checks import (
     series_findings,
     variance_ratio_changes,
 )
-from charact.noise.cube.three_dimensional import three_dimensional
+from charact.noise.covariance_sum import transfer_figure_data
 from charact.noise.dark_current import dark_current
-from charact.noise.figure_data import transfer_figure_data
 from charact.noise.findings import flags_of, notes_of
 from charact.noise.gain import emva1288
-from charact.noise.gain.excess import excess_of
-from charact.noise.gain.series import read_levels, series_of
-from charact.noise.gain_feasibility import gain_obstacle, without_flats
+from charact.noise.gain.emva1288 import excess_of
+from charact.noise.gain.series import has_intensifier, read_levels, series_of
 from charact.noise.provenance import provenance
-from charact.noise.quantities import dark_quantities, pattern_quantities, saturation_level, white_quantities
-from charact.noise.tube import has_intensifier
+from charact.noise.quantities import (
+    dark_quantities,
+    gain_obstacle,
+    pattern_quantities,
+    saturation_level,
+    white_quantities,
+    without_flats,
+)
+from charact.noise.three_dimensional import three_dimensional
 from charact.noise.undetected_correlation import (
     allowance_of,
     spatially_correlated_fraction,

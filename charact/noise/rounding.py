@@ -4,6 +4,8 @@ import numpy as np
 
 # Variance of rounding, DN^2.
 QUANTISATION_DN2 = 1.0 / 12.0
+
+
 # Above this variance rounding adds 1/12 DN^2 within 0.001 DN^2.
 EVEN_DN2 = 0.45
 

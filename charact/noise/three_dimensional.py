@@ -9,19 +9,20 @@ from numpy.typing import NDArray
 from charact.method import Context
 from charact.method.stopwatch import Stopwatch
 from charact.noise.checks import QUANTISED_DN2
-from charact.noise.cube.components import OWN, Component
-from charact.noise.cube.cube import Cube
-from charact.noise.cube.mean_squares import TIME
 from charact.noise.findings import Finding, flags_of, notes_of
 from charact.noise.provenance import provenance
-from charact.noise.stack.frame_means import FrameMeans
+from charact.noise.stack.components import OWN, TIME, Component
+from charact.noise.stack.cube import Cube, FrameMeans
 from charact.noise.stack.stack_statistics import StackStatistics
 from charact.noise.thresholds import CHECKS, CUBE
 from labdata.measurement import Measurement, Result, intervals_of, make_measurement, make_refusal
 
 Array = NDArray[np.float64]
 
+
 METHOD = "three-dimensional"
+
+
 NAMES = (*OWN, "tvh")
 
 

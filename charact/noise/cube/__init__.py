@@ -1,1 +1,0 @@
-"""3-D noise of a stack of frames, rows and columns."""
