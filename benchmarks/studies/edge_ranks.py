@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.method.threads import with_single_blas_thread
+from charact.method.registry import with_single_blas_thread
 from charact.mtf.blur_models.one_dimensional import EXPONENT_PRIOR, HALF_FREQUENCY_PRIOR, BlurModel
 from charact.mtf.curve import FINE, crossing_frequency
 from charact.mtf.edge.fit.model_fit import BlurModelFitter

@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from charact.method import Context
-from charact.method.registry import choose
-from charact.method.tolerance import reach_percent
+from charact.method.registry import choose, reach_percent
 from charact.study.harness import CaseResult, run
 from charact.study.speed_accuracy import write_json
 from charact.study.study_registry import methods_of, studies_of

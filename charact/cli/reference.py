@@ -20,8 +20,7 @@ def methods(as_json: options.Json = False) -> None:
 
     Example: charact methods
     """
-    from charact.method.catalogue import MODULES
-    from charact.method.registry import chart_table, methods_of_kind
+    from charact.method.registry import MODULES, chart_table, methods_of_kind
     from charact.method.stopwatch import time_text
 
     rows = []

@@ -1,4 +1,4 @@
-"""What the light's noise is made of under one draw of the posterior, and frames of it: pulses, blurred, glowing on."""
+"""Simulated light noise of one posterior draw: pulses with blur and image lag, and electrons."""
 
 from dataclasses import dataclass, field
 
@@ -6,36 +6,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.noise.gain import model
-from charact.noise.gain.pixel_readout_model import PixelReadoutModel
+from charact.noise.gain.model import PixelReadoutModel
+from charact.noise.thresholds import PREDICTIVE
 from labdata.measurement import Posterior
 
 Array = NDArray[np.floating]
 
-# Relative variance of the pulse heights of a plate: anything from all alike to a little beyond exponential.
-HEIGHTS = (0.0, 1.2)
-# Glow of earlier exposures below this share is left out.
-FAINTEST = 0.02
-LONGEST = 12
-
 
 @dataclass(frozen=True, kw_only=True)
 class LightNoise:
-    """Noise of even light as one draw of the posterior has it.
+    """Noise of uniform light for one posterior draw.
 
     Parameters
     ----------
     pulse_dn
-        Mean height of a pulse, DN; 0: no intensifier, light arrives as electrons.
+        Mean pulse height, DN; 0: no intensifier.
     height_variance
-        Variance of the heights over their squared mean, dimensionless.
+        Relative variance of the pulse heights, dimensionless.
     electron_gain_dn
-        K, DN per electron of the CCD; 0: their own noise is none.
+        K, DN per electron of the CCD; 0: no electron noise.
     blur
-        Parameters of the blur as `charact.noise.gain.model.transfer` takes them, shape (6,); None: no blur.
+        Parameters of `charact.noise.gain.model.transfer`; None: no blur.
     reading
-        How the light is read.
+        Pixel readout.
     kept
-        Share of the glow that is left one exposure later, dimensionless.
+        Fraction of the light left one exposure later, dimensionless.
     """
 
     pulse_dn: float
@@ -46,7 +41,7 @@ class LightNoise:
     kept: float = 0.0
 
     def frames(self, light_dn: Array, count: int, every: int, rng: np.random.Generator) -> Array:
-        """Draw exposures, `every` so many one of them, shape (count, row, col), DN above the dark.
+        """Draw every `every`-th of successive exposures, shape (count, row, col), DN above the dark.
 
         Parameters
         ----------
@@ -55,7 +50,11 @@ class LightNoise:
         """
         if not self.pulse_dn:
             return self._electrons(np.broadcast_to(light_dn, (count, *light_dn.shape)), rng)
-        before = int(min(np.ceil(np.log(FAINTEST) / np.log(self.kept)), LONGEST)) if self.kept > FAINTEST else 0
+        before = (
+            int(min(np.ceil(np.log(PREDICTIVE.min_lag) / np.log(self.kept)), PREDICTIVE.max_exposures))
+            if self.kept > PREDICTIVE.min_lag
+            else 0
+        )
         blur = self._blur(light_dn.shape)
         glow, out = light_dn.astype(float), []
         for number in range(-before, 1 + (count - 1) * every):
@@ -65,7 +64,7 @@ class LightNoise:
         return self._electrons(np.array(out), rng)
 
     def _pulses(self, light_dn: Array, blur: Array | None, rng: np.random.Generator) -> Array:
-        """Light of the pulses of one exposure."""
+        """Return the light of the pulses of one exposure."""
         number = rng.poisson(light_dn / self.pulse_dn)
         light = number * self.pulse_dn
         if self.height_variance > 0:
@@ -75,7 +74,7 @@ class LightNoise:
         return np.fft.irfft2(np.fft.rfft2(light) * blur, s=light.shape)
 
     def _blur(self, shape: tuple[int, int]) -> Array | None:
-        """Transfer at every frequency of an image."""
+        """Return the transfer at every frequency of an image."""
         if self.blur is None:
             return None
         column, row = np.meshgrid(np.fft.rfftfreq(shape[1]), np.abs(np.fft.fftfreq(shape[0])) / self.reading.row_pitch)
@@ -84,7 +83,7 @@ class LightNoise:
         return np.sqrt(power).reshape(column.shape)
 
     def _electrons(self, light_dn: Array, rng: np.random.Generator) -> Array:
-        """The same counted in electrons."""
+        """Return the light with shot noise of electrons."""
         if not self.electron_gain_dn:
             return light_dn
         return self.electron_gain_dn * rng.poisson(np.maximum(light_dn, 0.0) / self.electron_gain_dn)
@@ -92,27 +91,27 @@ class LightNoise:
 
 def pulse_noise(posterior: Posterior, index: int, share: float, reading: PixelReadoutModel, rng: np.random.Generator
               ) -> LightNoise:  # fmt: skip
-    """Return the noise of an intensified camera at one draw of the model of the noise spectrum.
+    """Return the noise of an intensified camera for one draw of the noise-spectrum model.
 
     Parameters
     ----------
     posterior, index
-        Draws of `charact.noise.gain.model`, and which of them.
+        Draws of `charact.noise.gain.model`, and the index of one.
     share
-        Covariance over signal of this level over that of all, dimensionless.
+        Covariance over signal of this level over the pooled one, dimensionless.
     reading
-        How the light is read.
+        Pixel readout.
     rng
-        Generator of what the spectrum does not tell.
+        Generator for the pulse-height variance.
 
     Notes
     -----
-    The spectrum tells k F^2 and not how unequal pulses are: their relative variance is drawn from its prior. A screen
-    that keeps the share r from one exposure to the next shows (1 - r) / (1 + r) of the covariance in one of them.
+    The spectrum gives k F^2; the relative variance of heights is drawn from its prior. Image lag that leaves the
+    fraction r per exposure lowers the covariance of one exposure by (1 - r) / (1 + r).
     """
     at = {name: float(posterior[name][index]) for name in (*model.NAMES, "lag_factor")}
     electrons = max(at["electron_share"], 0.0)
-    spread = float(rng.uniform(*HEIGHTS))
+    spread = float(rng.uniform(*PREDICTIVE.height_variances))
     factor = max(at["lag_factor"], 1.0)
     return LightNoise(
         pulse_dn=share * at["power"] * factor * (1.0 - electrons) / (1.0 + spread),
@@ -125,7 +124,8 @@ def pulse_noise(posterior: Posterior, index: int, share: float, reading: PixelRe
 
 
 def electron_noise(gain_dn: float, excess_factor: float) -> LightNoise:
-    """Return the noise of a camera without an intensifier; F^2 of a register is one plus the variance of its heights.
+    """Return the noise of a camera without an intensifier; F^2 of a register is one plus the relative variance of
+    heights.
 
     `gain_dn` is the gain per electron, DN.
     """

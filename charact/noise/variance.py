@@ -1,4 +1,4 @@
-"""The plain way: gain from the variance of pixels, as for a camera whose noise is white (EMVA 1288 Release 4)."""
+"""System gain from the variance of pixels, for white noise (EMVA 1288 Release 4)."""
 
 from typing import Any
 
@@ -13,17 +13,22 @@ from charact.noise.checks import (
     series_findings,
     variance_ratio_changes,
 )
-from charact.noise.cube.three_dimensional import three_dimensional
+from charact.noise.covariance_sum import transfer_figure_data
 from charact.noise.dark_current import dark_current
-from charact.noise.figure_data import transfer_figure_data
 from charact.noise.findings import flags_of, notes_of
 from charact.noise.gain import emva1288
-from charact.noise.gain.excess import excess_of
-from charact.noise.gain.series import read_levels, series_of
-from charact.noise.gain_feasibility import gain_obstacle, without_flats
+from charact.noise.gain.emva1288 import excess_of
+from charact.noise.gain.series import has_intensifier, read_levels, series_of
 from charact.noise.provenance import provenance
-from charact.noise.quantities import dark_quantities, pattern_quantities, saturation_level, white_quantities
-from charact.noise.tube import has_intensifier
+from charact.noise.quantities import (
+    dark_quantities,
+    gain_obstacle,
+    pattern_quantities,
+    saturation_level,
+    white_quantities,
+    without_flats,
+)
+from charact.noise.three_dimensional import three_dimensional
 from charact.noise.undetected_correlation import (
     allowance_of,
     spatially_correlated_fraction,
@@ -39,8 +44,8 @@ METHOD = "variance"
     "flats",
     METHOD,
     quantities=("system_gain", "read_noise", "quantum_efficiency", "saturation", "snr_max", "dynamic_range"),
-    scope="Cameras whose noise is white; blur after the gain stage makes it read low by the blur factor. A response "
-    "that bends by up to 2 % over the levels makes it read low by up to 6 % without a flag, as it does the standard.",
+    scope="Cameras with white noise; blur after the gain stage lowers the result by the blur factor. A nonlinearity of "
+    "up to 2 % over the levels lowers it by up to 6 % without a flag, as in the standard.",
 )
 def variance(session: Session, *, context: Context) -> Result:
     """Measure gain, efficiency, noise and range from the variance and mean of darks and flats.

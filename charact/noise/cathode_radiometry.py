@@ -1,7 +1,7 @@
-"""What a photocathode makes of light: photoelectrons on a pixel per lux and second, and per photon of one wavelength.
+"""Photoelectrons per pixel from illuminance and time, or from photons of one wavelength.
 
-Illuminance is that of a lamp at 2856 K, for which the luminous sensitivity of a tube is stated. The sensitivity scales
-the table of quantum efficiencies, whose own at 2856 K follows from Planck's law and the eye's response to light.
+Illuminance refers to a lamp at 2856 K, as does the luminous sensitivity of a tube. The sensitivity scales the table of
+quantum efficiencies.
 """
 
 import numpy as np
@@ -13,15 +13,22 @@ from labdata.sensor import Photocathode
 
 Array = NDArray[np.float64]
 
+
 ELECTRON_C = 1.602176634e-19
+
+
 # h c in J nm, and h c / k in nm K.
 PHOTON_J_NM, SECOND_RADIATION_NM_K = 1.986445857e-16, 1.438776877e7
+
+
 LUMENS_PER_WATT = 683.002
+
+
 LAMP_K = 2856.0
 
 
 def photoelectrons_per_lux_s(context: Context, rng: np.random.Generator, count: int) -> Array:
-    """Return draws of the photoelectrons on a pixel per lux and second of gate, shape (count,)."""
+    """Return draws of the photoelectrons per pixel, lux and second of gate, shape (count,)."""
     sensor = context.sensor
     assert sensor is not None
     sensitivity = lognormal_draws(sensor.photocathode.luminous_sensitivity_ua_per_lm, rng, count)
@@ -29,7 +36,7 @@ def photoelectrons_per_lux_s(context: Context, rng: np.random.Generator, count: 
 
 
 def pixel_area_m2(context: Context, rng: np.random.Generator, count: int) -> Array:
-    """Return draws of the area of a pixel as read at the photocathode, shape (count,), m2: two rows in a field."""
+    """Return draws of the pixel area at the photocathode, shape (count,), m2; two rows for a field."""
     sensor = context.sensor
     assert sensor is not None
     demagnification = lognormal_draws(sensor.taper.demagnification, rng, count)
@@ -47,7 +54,7 @@ def photoelectrons_per_photon(context: Context, wavelength_nm: float, rng: np.ra
 
 
 def luminous_sensitivity_ua_per_lm(cathode: Photocathode) -> float:
-    """Return the luminous sensitivity that the table of quantum efficiencies has as it stands, uA/lm at 2856 K.
+    """Return the luminous sensitivity of the table of quantum efficiencies, uA/lm at 2856 K.
 
     Notes
     -----
@@ -63,7 +70,7 @@ def luminous_sensitivity_ua_per_lm(cathode: Photocathode) -> float:
 
 
 def lognormal_draws(parameter: Parameter, rng: np.random.Generator, count: int) -> Array:
-    """Return draws of a parameter: normal in its logarithm, with its 95 % bounds; exact where it has none."""
+    """Return lognormal draws of a parameter with its 95 % bounds; constant without bounds."""
     if parameter.low is None or parameter.high is None or parameter.low <= 0:
         return np.full(count, float(parameter))
     side = rng.standard_normal(count)

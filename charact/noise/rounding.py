@@ -1,20 +1,17 @@
-"""What the digitiser's steps do to mean and variance where the noise is too small to hide them.
-
-Rounding noise of standard deviation s to whole numbers shifts its mean by up to exp(-2 pi^2 s^2) / pi steps and its
-variance by up to (4 s^2 + 1 / pi^2) exp(-2 pi^2 s^2), as the level lies between two codes (the first terms of the
-Fourier series of the characteristic function; Widrow & Kollar, Quantization Noise, 2008). Where it lies nobody knows.
-"""
+"""Bias of mean and variance by rounding if the noise is smaller than the quantisation step."""
 
 import numpy as np
 
-# Variance of a digitiser's rounding, DN^2.
+# Variance of rounding, DN^2.
 QUANTISATION_DN2 = 1.0 / 12.0
-# Above this variance rounding adds the same to any noise, within a thousandth of a squared step.
+
+
+# Above this variance rounding adds 1/12 DN^2 within 0.001 DN^2.
 EVEN_DN2 = 0.45
 
 
 def rounding_sd(variance_dn2: float) -> tuple[float, float]:
-    """Return the standard deviations of the shifts of mean, DN, and variance, DN^2, for any place between two codes.
+    """Return the standard deviations of the rounding bias of mean, DN, and variance, DN^2.
 
     Parameters
     ----------
@@ -27,7 +24,7 @@ def rounding_sd(variance_dn2: float) -> tuple[float, float]:
 
 
 def unrounded_variance_range(variance_dn2: float) -> tuple[float, float]:
-    """Return the least and the largest variance of normal noise that rounding may leave with this variance, DN^2.
+    """Return the smallest and largest variance of normal noise that has this variance after rounding, DN^2.
 
     Parameters
     ----------
@@ -36,7 +33,7 @@ def unrounded_variance_range(variance_dn2: float) -> tuple[float, float]:
 
     Notes
     -----
-    At the middle of a code rounding hides the most, between two codes the least: there no noise at all has 1/4.
+    Rounding hides most noise about a grey value, and least midway between two, where zero noise has variance 1/4.
     """
     if variance_dn2 > EVEN_DN2:
         return variance_dn2 - QUANTISATION_DN2, variance_dn2 - QUANTISATION_DN2
@@ -44,7 +41,7 @@ def unrounded_variance_range(variance_dn2: float) -> tuple[float, float]:
 
 
 def _noise_of(variance_dn2: float, place: float) -> float:
-    """Variance of normal noise about a place between two codes whose rounded values vary so much."""
+    """Return the variance of normal noise about a position between two grey values, given that after rounding."""
     from scipy.optimize import root_scalar
 
     least, most = 1e-4, 1.0
@@ -54,7 +51,7 @@ def _noise_of(variance_dn2: float, place: float) -> float:
 
 
 def _rounded_variance(sd: float, place: float) -> float:
-    """Variance of normal noise of a standard deviation about a place, rounded to whole numbers."""
+    """Return the variance after rounding of normal noise about a position."""
     from scipy.stats import norm
 
     codes = np.arange(-8.0, 9.0)

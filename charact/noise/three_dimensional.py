@@ -1,4 +1,4 @@
-"""3-D noise of every dark and flat: what differs from frame to frame, row to row, column to column, and jointly."""
+"""3-D noise (NVESD model) of every dark and flat."""
 
 from typing import Any
 from zlib import crc32
@@ -9,28 +9,21 @@ from numpy.typing import NDArray
 from charact.method import Context
 from charact.method.stopwatch import Stopwatch
 from charact.noise.checks import QUANTISED_DN2
-from charact.noise.cube.components import OWN, Component
-from charact.noise.cube.cube import LEAST_FRAMES, LEAST_PIXELS, Cube
-from charact.noise.cube.mean_squares import TIME
 from charact.noise.findings import Finding, flags_of, notes_of
 from charact.noise.provenance import provenance
-from charact.noise.quantities import CUT_SHARE
-from charact.noise.stack.frame_means import FrameMeans
+from charact.noise.stack.components import OWN, TIME, Component
+from charact.noise.stack.cube import Cube, FrameMeans
 from charact.noise.stack.stack_statistics import StackStatistics
+from charact.noise.thresholds import CHECKS, CUBE
 from labdata.measurement import Measurement, Result, intervals_of, make_measurement, make_refusal
 
 Array = NDArray[np.float64]
 
+
 METHOD = "three-dimensional"
+
+
 NAMES = (*OWN, "tvh")
-DRAWS = 4000
-# A component counts as seen where chance would show it in so small a share of cubes without it; where it is not, its
-# lower bound is none, for the root of a variance that chance made positive lies far from zero.
-CHANCE = 1e-3
-# Noise that falls by more than this share from waves of one period to those of two cannot be extended to their mean,
-# which matters from this share of the interval's half width on.
-STEEP = 0.3
-MATTERS = 0.25
 
 
 def three_dimensional(levels: list[StackStatistics], *, context: Context) -> Result:
@@ -41,13 +34,13 @@ def three_dimensional(levels: list[StackStatistics], *, context: Context) -> Res
     levels
         Darks and flats, read with their cubes.
     context
-        Seed; fields of interlaced frames are taken apart, and the variances of both averaged.
+        Seed; interlaced fields are separated and their variances averaged.
 
     Returns
     -------
     Result
-        `noise_t` to `noise_tvh` of each stack, DN, the digitiser's steps included; as evidence the means of its
-        frames with their spectrum, and of rows and columns. Without any such stack, seven refusals.
+        `noise_t` to `noise_tvh` of each stack, DN, quantisation included; as figure data the means of frames with their
+        spectrum, of rows and of columns. Seven refusals if no stack is long enough.
     """
     fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
     result = Result()
@@ -60,7 +53,7 @@ def three_dimensional(levels: list[StackStatistics], *, context: Context) -> Res
 def _too_few(levels: list[StackStatistics]) -> str:
     most = max((level.frames for level in levels), default=1)
     return (
-        f"3-D noise needs a stack of at least {LEAST_FRAMES} frames, and {LEAST_PIXELS} rows and columns in each "
+        f"3-D noise needs a stack of at least {CUBE.min_frames} frames, and {CUBE.min_pixels} rows and columns in each "
         f"field; the longest stack has {most} {'frame' if most == 1 else 'frames'}"
     )
 
@@ -70,14 +63,14 @@ def _refusals(reason: str, fields: dict[str, Any]) -> tuple[Measurement, ...]:
 
 
 def _measure_stack(level: StackStatistics, cube: Cube, context: Context, fields: dict[str, Any]) -> Result:
-    """The seven components of one stack."""
+    """Return the seven components of one stack."""
     watch = Stopwatch()
     parts = cube.components
     if parts["tvh"].variance_dn2 <= 0:
-        reason = f"no pixel of {level.label} changes for itself from frame to frame"
+        reason = f"{level.label} has no temporal noise of single pixels"
         return Result(measurements=_refusals(reason, fields))
     rng = np.random.default_rng([context.seed, 7, crc32(level.label.encode())])
-    draws = {name: part.draws(rng, DRAWS) for name, part in parts.items()}
+    draws = {name: part.draws(rng, CUBE.draws) for name, part in parts.items()}
     findings = {
         name: [*_low_frequency_findings(name, parts[name], draws[name]), *cube.findings.get(name, ())] for name in NAMES
     }
@@ -93,65 +86,65 @@ def _measure_stack(level: StackStatistics, cube: Cube, context: Context, fields:
 
 def _measurement(name: str, part: Component, draws: Array, findings: list[Finding], fields: dict[str, Any]
                  ) -> Measurement:  # fmt: skip
-    """The standard deviation of a component; where none is seen, how much there may be."""
+    """Return the standard deviation of a component, or its upper limit."""
     value = float(np.sqrt(max(part.variance_dn2, 0.0)))
-    # An estimate below zero is chance: it must not lower the limit below that of an estimate of zero.
+    # A negative estimate is chance and must not lower the limit below that of a zero estimate.
     possible = draws - min(part.variance_dn2, 0.0)
     _, interval68, (low, high) = intervals_of(np.sqrt(np.maximum(possible, 0.0)))
     notes = notes_of(findings)
-    if np.quantile(draws, CHANCE) <= 0:
+    if np.quantile(draws, CUBE.false_alarm) <= 0:
         low = 0.0
-        seen = f"no {name} noise is seen (unbiased variance {part.variance_dn2:.2g} DN2)"
+        seen = f"no {name} noise detected (unbiased variance {part.variance_dn2:.2g} DN2)"
         notes = (*notes, f"{seen}: at most {high:.3g} DN")
     around = [(min(one, value), max(two, value)) for one, two in (interval68, (low, high))]
     return make_measurement(f"noise_{name}", "DN", value, *around, flags=flags_of(findings), notes=notes, **fields)
 
 
 def _common_findings(level: StackStatistics, cube: Cube, draws: Array) -> list[Finding]:
-    """What is wrong with every component of the stack."""
+    """Return the findings common to all components of the stack."""
     out: list[Finding] = []
     if cube.fields > 1:
-        out.append((None, "even and odd rows are cubes of their own; the variances of both are averaged"))
+        out.append((None, "even and odd rows form separate cubes; their variances are averaged"))
     variance, half = cube.components["tvh"].variance_dn2, _half(draws)
     for share, which in ((level.low_fraction, "0"), (level.high_fraction, "the highest")):
-        # Values cut off a normal law at a code take about twice their share of its variance away.
-        if share > CUT_SHARE or 2.0 * share * variance > 0.5 * half:
+        # Clipping a fraction of a normal distribution lowers its variance by about twice that fraction.
+        if share > CHECKS.max_clipped_fraction or 2.0 * share * variance > 0.5 * half:
             out.append(("clipped", f"{100 * share:.2g} % of the values are at code {which}"))
     if variance < QUANTISED_DN2:
-        out.append(("quantised", f"the random noise of {variance:.2g} DN2 is below the digitiser's steps"))
+        out.append(("quantised", f"the random noise of {variance:.2g} DN2 is smaller than the quantisation step"))
     return out
 
 
 def _low_frequency_findings(name: str, part: Component, draws: Array) -> list[Finding]:
-    """Correlation of the noise that is too long for the stack or the image to tell its mean."""
+    """Return findings of noise correlated over too large a part of the stack or image."""
     out: list[Finding] = []
     for axis, slope in part.slopes.items():
-        if slope.min_fraction > STEEP and abs(slope.estimate_dn2) > MATTERS * _half(draws):
+        if slope.min_fraction > CUBE.max_slope and abs(slope.estimate_dn2) > CUBE.slope_weight * _half(draws):
             flag, along = ("lag", "frames") if axis == TIME else ("correlated-noise", "pixels")
-            out.append((flag, f"noise is shared over so many {along} that little tells it from {name}"))
+            out.append((flag, f"noise is correlated over so many {along} that it is hardly separable from {name}"))
     return out
 
 
 def _half(draws: Array) -> float:
-    """Half of the 95 % interval."""
+    """Return half of the 95 % interval."""
     return 0.5 * float(np.ptp(np.quantile(draws, [0.025, 0.975])))
 
 
 def _frame_mean_findings(means: FrameMeans) -> list[Finding]:
-    """Drift, and a line in the spectrum of the frames' means."""
+    """Return findings of drift and flicker in the frame means."""
     out: list[Finding] = []
     if means.drift_seen:
         out.append(("drift", f"the mean drifts by {means.drift_dn:.3g} DN from first to last frame"))
     if means.line is not None:
         place = f"{means.frequency_cy_per_exposure[means.line]:.3g} cycles per exposure"
         if means.line_hz is not None:
-            place = f"{means.line_hz:.3g} Hz, or above half the exposures' rate and seen there"
+            place = f"{means.line_hz:.3g} Hz, or an alias of a higher frequency"
         out.append(("flicker", f"the mean flickers by {means.line_rms_dn:.3g} DN rms at {place}"))
     return out
 
 
 def _figure_data(level: StackStatistics, cube: Cube) -> dict[str, Any]:
-    """What the report draws: frames, rows and columns, each by its mean."""
+    """Return the figure data: means of frames, rows and columns."""
     means = cube.means
     return {
         "figure": "three-dimensional-noise",

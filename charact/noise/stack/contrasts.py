@@ -1,4 +1,4 @@
-"""One pass over a stack of frames: its means along rows, columns and time, and the slowest waves beside each mean."""
+"""Orthonormal contrasts of a stack in one pass: means and slowest waves along rows, columns and time."""
 
 from dataclasses import dataclass
 
@@ -7,22 +7,16 @@ from numba import njit
 from numpy.typing import NDArray
 
 from charact.noise.stack.pixels import dot
+from charact.noise.thresholds import CUBE
 from labdata.frames import FrameStack
 from labdata.lazy_stack import LazyStack
 
 Array = NDArray[np.float64]
 
-# Frames taken into the pass at a time (an even number, so that no pair is torn), and pairs of successive frames kept
-# for the scatter of the noise's power.
-CHUNK_FRAMES = 8
-PAIRS = 8
-# Waves kept beside a mean: one and two periods over the axis, sine and cosine of each.
-SLOW = 4
-
 
 @dataclass(frozen=True, kw_only=True)
 class Contrasts:
-    """Orthonormal combinations of the pixels of a stack, of each field of interlaced frames for itself.
+    """Orthonormal combinations of the pixels of a stack, separate for each interlaced field.
 
     Index 0 of an axis of combinations is the sum over it divided by the root of its length; the others are the
     slowest waves along it, see `waves`. White noise of variance v gives every combination the variance v. DN.
@@ -36,7 +30,7 @@ class Contrasts:
     by_pixel
         Combinations along frames, shape (field, wave, row, col).
     power_dn2
-        Sum over frames and pixels of the squared departure from each pixel's mean in time, shape (field,), DN^2.
+        Sum over frames and pixels of the squared deviation from the temporal mean of each pixel, shape (field,), DN^2.
     pairs
         Differences of some successive frames, disjoint, over the root of two, shape (field, pair, row, col).
     """
@@ -61,33 +55,33 @@ class Contrasts:
 def waves(length: int) -> Array:
     """Return the mean and the slowest waves along an axis as orthonormal rows, shape (1 + wave, length)."""
     phase = 2.0 * np.pi * np.arange(length) / length
-    periods = range(1, min(SLOW // 2, length // 2) + 1)
+    periods = range(1, min(CUBE.slow_waves // 2, length // 2) + 1)
     pairs = [wave(period * phase) for period in periods for wave in (np.cos, np.sin)]
-    # At half a wave a pixel the sine is nothing.
-    rows = np.array([np.ones(length), *pairs])[: min(1 + SLOW, length)]
+    # At half a wave per pixel the sine vanishes.
+    rows = np.array([np.ones(length), *pairs])[: min(1 + CUBE.slow_waves, length)]
     return rows / np.linalg.norm(rows, axis=1, keepdims=True)
 
 
 def contrasts(stack: LazyStack | FrameStack, *, interlaced: bool) -> Contrasts:
-    """Read a stack once, some frames at a time, and return its contrasts.
+    """Read a stack once, in groups of frames, and return its contrasts.
 
     Parameters
     ----------
     stack
         At least two frames.
     interlaced
-        Whether even and odd rows were exposed one after the other: each field is then a cube of its own.
+        Whether frames are interlaced: each field is then a separate cube.
 
     Notes
     -----
-    The first frame is taken from all of them before anything is summed: what does not change in time then drops out
-    of the squares, and single precision is enough for them.
+    The first frame is subtracted from all frames, which removes the fixed pattern, so that single precision suffices
+    for the squares.
     """
     step = 2 if interlaced else 1
     rows = step * (stack.shape[1] // step)
     parts = [_Pass(stack, parity, rows, step) for parity in range(step)]
-    for first in range(0, len(stack), CHUNK_FRAMES):
-        frames = stack.frames(first, min(first + CHUNK_FRAMES, len(stack)))
+    for first in range(0, len(stack), CUBE.chunk_frames):
+        frames = stack.frames(first, min(first + CUBE.chunk_frames, len(stack)))
         for part in parts:
             part.take(frames, first)
     found = [part.contrasts() for part in parts]
@@ -96,7 +90,7 @@ def contrasts(stack: LazyStack | FrameStack, *, interlaced: bool) -> Contrasts:
 
 
 class _Pass:
-    """The running sums of one field."""
+    """Running sums of one field."""
 
     def __init__(self, stack: LazyStack | FrameStack, parity: int, rows: int, step: int) -> None:
         self.field = np.s_[parity:rows:step]
@@ -108,11 +102,11 @@ class _Pass:
         self.by_pixel = np.zeros((len(self.along[0]), height, width), np.float32)
         self.power = 0.0
         pairs = frames // 2
-        self.starts = 2 * np.unique(np.linspace(0, pairs - 1, min(PAIRS, pairs)).round().astype(int))
+        self.starts = 2 * np.unique(np.linspace(0, pairs - 1, min(CUBE.pairs, pairs)).round().astype(int))
         self.pairs: list[NDArray[np.float32]] = []
 
     def take(self, frames: NDArray, first: int) -> None:
-        """Add the frames that follow."""
+        """Add the next frames."""
         change = self._from_first(frames[:, self.field])
         here = slice(first, first + len(change))
         in_time = np.ascontiguousarray(self.along[0][:, here].T)
@@ -122,13 +116,13 @@ class _Pass:
             self.pairs.append((change[start + 1] - change[start]) / np.float32(np.sqrt(2.0)))
 
     def _from_first(self, frames: NDArray) -> NDArray[np.float32]:
-        """Departure from the first frame; codes of up to 16 bits are whole numbers in single precision."""
+        """Return the deviation from the first frame; values of up to 16 bits are exact in single precision."""
         if frames.dtype.itemsize <= 2:
             return np.subtract(frames, self.first.astype(np.float32), dtype=np.float32)
         return (frames - self.first).astype(np.float32)
 
     def contrasts(self):
-        """The contrasts of the field, the first frame added to those along time, and the power about the mean."""
+        """Return the contrasts of the field including the first frame, the power about the mean, and the pairs."""
         frames = len(self.by_row)
         power = self.power - float(np.sum(self.by_pixel[0].astype(np.float64) ** 2))
         fixed_row, fixed_col = self.first @ self.along[2].T, self.along[1] @ self.first
@@ -139,7 +133,7 @@ class _Pass:
 
 @njit(cache=True, fastmath=True)
 def _add(change, in_time, along_rows, along_cols, by_row, by_col, by_pixel):
-    """Add the combinations of some frames, waves along time, rows and columns; return the sum of their squares."""
+    """Add the contrasts of some frames along time, rows and columns; return the sum of squares."""
     power = 0.0
     for t in range(change.shape[0]):
         for row in range(change.shape[1]):
