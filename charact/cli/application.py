@@ -8,23 +8,7 @@ from typing import Annotated
 import typer
 
 from charact import __version__
-from charact.cli import (
-    acquire,
-    conform,
-    demo,
-    doctor,
-    import_session,
-    live,
-    mtf,
-    plan,
-    reference,
-    securing,
-    sessions,
-    simulate,
-    studies,
-    temperatures,
-    watch,
-)
+from charact.cli import acquire, doctor, import_session, live, mtf, plan, reference, sessions, simulate, temperatures
 
 app = typer.Typer(
     name="charact",
@@ -56,22 +40,30 @@ def charact(
 
 app.add_typer(mtf.app, name="mtf")
 app.add_typer(import_session.app, name="import")
-for verbs in (
-    demo,
-    simulate,
-    temperatures,
-    plan,
-    acquire,
-    securing,
-    live,
-    watch,
-    doctor,
-    conform,
-    sessions,
-    studies,
-    reference,
+for verb in (
+    acquire.demo,
+    simulate.simulate,
+    temperatures.temperatures,
+    plan.plan,
+    acquire.acquire,
+    acquire.safe,
+    live.live,
+    live.focus,
+    live.watch,
+    doctor.doctor,
+    doctor.conform,
+    sessions.noise,
+    sessions.bloom,
+    sessions.measure,
+    sessions.fit,
+    sessions.validate,
+    sessions.report,
+    reference.chart,
+    reference.stability,
+    reference.methods,
+    reference.schema,
 ):
-    verbs.add_to(app)
+    app.command()(verb)
 
 
 def run() -> None:

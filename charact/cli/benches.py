@@ -1,19 +1,25 @@
 """Wires a plan to its bench: the virtual one with its own processes, or real ports, camera and a person at the lamp."""
 
+import math
+import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import replace
+from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from charact.cli.cameras import camera_named
-from charact.cli.output import print_message
-from charact.cli.progress import Progress
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.cli.output import Progress, print_message
 from labdata.dose_ledger import DoseLedger, ledger_of
 from labdata.errors import BadInput
 from labdata.instrument_config import InstrumentConfig, Role
 from labdata.limits import limits_in_force
-from labdata.plan import Plan
+from labdata.plan import Plan, Step
 from labdata.sensor import Sensor
+from labdata.serialiser import from_mapping, from_toml, read_toml
 from labdata.session import Session
 from labdata.tube_dose import warnings
 
@@ -24,6 +30,43 @@ if TYPE_CHECKING:
     from drivers.serial_lines.line import InstrumentLine
     from simulate.virtual_bench.bench import VirtualBench
     from simulate.virtual_bench.fault_script import FaultScript
+
+
+def camera_named(name: str | None, *, tell: Callable[[str], None] = print_message) -> "AbstractContextManager[Camera]":
+    """Return the camera of a name, not yet open.
+
+    Parameters
+    ----------
+    name
+        "v4l2:/dev/video0", "v4l2:/dev/video0#1" (input 1 of a capture card); "replay:FOLDER" (each capture plays the
+        session's next stack), "replay:FOLDER#LABEL" (every capture plays that stack); anything else is an Aravis
+        identifier or an IP address. None: the only camera that Aravis finds.
+    tell
+        Told, in a sentence, what takes long or is lacking.
+
+    Raises
+    ------
+    BadInput
+        If the name lacks its file or folder, or its input is no number.
+    """
+    kind, colon, rest = (name or "").partition(":")
+    if not colon or kind not in ("v4l2", "replay"):
+        from drivers.cameras.aravis.camera import AravisCamera
+
+        return AravisCamera(name, say=tell)
+    place, _, part = rest.partition("#")
+    if not place:
+        raise BadInput(f"a camera {kind}: must name its {'file' if kind == 'v4l2' else 'folder'}, got {name!r}")
+    if kind == "replay":
+        from drivers.cameras.replay import ReplayCamera
+
+        return ReplayCamera(place, label=part or None, say=tell)
+    from drivers.cameras.v4l2 import V4l2Camera
+
+    if part and not part.isdigit():
+        raise BadInput(f"the input of a capture card must be a whole number, got {part!r} in {name!r}")
+    return V4l2Camera(place, input_number=int(part) if part else None)
+
 
 SAFETY_LOG = "safety.jsonl"
 DOSE = "dose.jsonl"
@@ -189,7 +232,6 @@ def _acquire_session(
     progress: Progress,
     tell: Callable[[str], None],
 ) -> Session:
-    from charact.cli.judge import SaturationJudge
     from drivers.acquisition.acquire import acquire
     from drivers.acquisition.run_control import RunControl
 
@@ -208,3 +250,125 @@ def _acquire_session(
     finally:
         if bench.last_words:
             tell(f"The tube: {bench.last_words}.")
+
+
+def builtin_plan_names() -> tuple[str, ...]:
+    """Names of the plans that come with the package."""
+    files = (resources.files("charact.cli") / "plans").iterdir()
+    return tuple(sorted(file.name.removesuffix(".toml") for file in files if file.name.endswith(".toml")))
+
+
+def load_plan(path: Path) -> Plan:
+    """Read a plan from a file, or a shipped one by its name; sensor and calibrations are found beside it.
+
+    Raises
+    ------
+    BadInput
+        If there is no such plan or it breaks a rule.
+    """
+    if str(path) in builtin_plan_names():
+        with resources.as_file(resources.files("charact.cli") / "plans" / f"{path}.toml") as shipped:
+            return from_toml(shipped, Plan)
+    if not os.path.exists(path):
+        raise BadInput(f"a plan must be a file or one of {', '.join(builtin_plan_names())}, got {path}")
+    plan = from_mapping(_with_calibration_paths(path), Plan, where=path.name)
+    beside = path.parent / (plan.sensor or "")
+    return replace(plan, sensor=str(beside.resolve())) if plan.sensor is not None and os.path.isfile(beside) else plan
+
+
+def _with_calibration_paths(path: Path) -> dict[str, Any]:
+    """Read a plan's file; the files of its calibrations, where it names any, are meant relative to the plan."""
+    written = read_toml(path)
+    named = {key: name for key in ("gain_table", "lamp") if isinstance(name := written.get(key), str)}
+    return {**written, **{key: str(path.parent / name) for key, name in named.items()}}
+
+
+# A point source is meant to saturate; anything else with more than this share at the highest code was exposed too long.
+SHARE_ALLOWED = 1e-3
+# A level is saturated when more than a few pixels are.
+SHARE_SATURATED = 0.01
+# Looking after every frame would find a small interval by luck; after a quarter more of them each time it does not.
+LOOK_AFTER = 1.25
+
+
+class SaturationJudge:
+    """Watches stacks: complains of saturated pixels that defects do not explain, and ends adaptive steps."""
+
+    def watch(self, step: Step, full_scale_dn: float) -> "StackWatcher":
+        """Begin to watch one stack."""
+        return StackWatcher(step, full_scale_dn)
+
+
+class StackWatcher:
+    """Running numbers of one stack, over every pixel.
+
+    Parameters
+    ----------
+    step
+        What is being taken.
+    full_scale_dn
+        Highest code of the digitiser, DN.
+    """
+
+    def __init__(self, step: Step, full_scale_dn: float) -> None:
+        self._step, self._full_scale_dn = step, full_scale_dn
+        self._highest_code = math.ceil(full_scale_dn)  # whole as the pixels are: else all of them turn into fractions
+        self._full, self._pixels = 0, 0
+        self._means_dn: list[float] = []
+        self._look_at = step.until.least_frames if step.until else 0
+
+    def see(self, pixels: NDArray) -> None:
+        """Look at the next frame, shape (row, col), DN."""
+        self._full += int(np.count_nonzero(pixels >= self._highest_code))
+        self._pixels += pixels.size
+        if self._step.until:
+            self._means_dn.append(float(pixels.mean(dtype=np.float64)))
+
+    def enough(self) -> str | None:
+        """Return why the mean is known well enough, in a sentence, or None."""
+        until, taken = self._step.until, len(self._means_dn)
+        if until is None or taken < self._look_at:
+            return None
+        self._look_at = int(np.ceil(LOOK_AFTER * taken))
+        half_dn = half_interval_dn(np.array(self._means_dn))
+        if half_dn > until.mean_within_dn:
+            return None
+        return (
+            f"stopped after {taken} of at most {self._step.frames} frames: the mean of {np.mean(self._means_dn):.6g} "
+            f"DN is known within {half_dn:.2g} DN, asked were {until.mean_within_dn:g}"
+        )
+
+    def saturated(self) -> bool:
+        """Whether more than a hundredth of the pixels are at the highest code."""
+        return self._share > SHARE_SATURATED
+
+    def complaint(self) -> str | None:
+        """Return one sentence on what is wrong with the stack, or None."""
+        if self._step.kind == "point" or self._share <= SHARE_ALLOWED:
+            return None
+        return f"{100 * self._share:.2g} % of all pixels are at the highest code {self._full_scale_dn:g} DN"
+
+    @property
+    def _share(self) -> float:
+        return self._full / self._pixels if self._pixels else 0.0
+
+
+def half_interval_dn(means_dn: NDArray) -> float:
+    """Return half of the 95 % interval of a level's mean from the means of its frames, shape (frame,), DN.
+
+    Notes
+    -----
+    Student's interval, widened by the autocorrelation time tau = 1 + 2 sum rho of the means, summed while rho stays
+    positive (Geyer, Stat. Sci. 7, 473 (1992)): lag and drift make frames know less than their number.
+    """
+    from scipy.special import stdtrit
+
+    frames = len(means_dn)
+    rest = means_dn - means_dn.mean()
+    if not rest.any():
+        return 0.0
+    rho = np.correlate(rest, rest, "full")[frames - 1 :] / (rest @ rest)
+    first_negative = int(np.argmax(rho <= 0.0)) or frames
+    tau = 1.0 + 2.0 * float(rho[1:first_negative].sum())
+    independent = max(2.0, frames / tau)
+    return float(stdtrit(independent - 1.0, 0.975) * rest.std(ddof=1) / np.sqrt(independent))

@@ -3,19 +3,24 @@
 import math
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from importlib import resources
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from charact.cli.benches import acquire_session, bench_folder
-from charact.cli.output import print_message
-from charact.cli.progress import progress_bar
+from charact.cli.output import print_message, progress_bar
 from charact.cli.sessions import FITTED, measure_and_save
 from labdata.errors import BadInput
 from labdata.plan import Plan
 from labdata.serialiser import from_toml
+from labdata.session import Session
+
+if TYPE_CHECKING:
+    from charact.report.truth import Truth, TruthComparison
 
 # Chance of a session whose numbers are all told right to have one so far off that it counts as wrong.
 CHANCE = 1e-3
@@ -39,12 +44,11 @@ def demonstrate(out: Path, *, quick: bool, seed: int | None, events: bool) -> bo
     with _step("fit", events):
         fitted = _fit_and_save(session, result, seed, events)
     with _step("simulate and validate", events):
-        from charact.cli.validate import validate_and_save
+        from charact.cli.sessions import validate_and_save
 
         validation = validate_and_save(session, fitted, seed=seed, events=events)
     with _step("report", events):
         report, rows = _report(session, out, result, validation)
-    from charact.cli.truth_comparison import lines
 
     print("\n".join(lines(rows)))
     told = [row for row in rows if row.measurement.status == "ok"]
@@ -107,10 +111,61 @@ def _fit_and_save(session: Path, result, seed: int, events: bool) -> Path:
 
 def _report(session: Path, out: Path, result, validation):
     """Write the report with the bench's truth in it: opened only now, when nothing is measured any more."""
-    from charact.cli.truth_comparison import of_bench
     from charact.report import compare_with_truth, write
     from labdata.session import open_session
 
     truth = of_bench(bench_folder(session), open_session(session))
     path = write(open_session(session), result, out / "report.html", validation=validation, truth=truth)
     return path, compare_with_truth(result, truth)
+
+
+# Not the read noise: a dark frame of an intensifier scintillates, and its noise is more than that of reading.
+COMPARED_QUANTITIES = ("covariance_gain", "blur_factor", "photoelectron_gain", "excess_noise_factor", "halo_diameter")
+# A bar target or an edge without a direction has vertical bars.
+HORIZONTAL_DEG = 0.0
+
+
+def of_bench(folder: Path, session: Session) -> "Truth":
+    """Return the truth of a virtual bench for the quantities of its session, by the contract's names.
+
+    The MTF is a function of frequency and direction; gains are those at the session's plate voltage, which must be one.
+    """
+    from labdata.errors import BadInput
+    from simulate.iiccd import true_quantities
+    from simulate.virtual_bench.truth_folder import TRUTH, read_truth
+
+    sensor = read_truth(folder / TRUTH).sensor
+    voltages = {stack.conditions.mcp_v for stack in session.of_kind("flat")}
+    if len(voltages) != 1:
+        raise BadInput(f"truth is stated for one plate voltage, got flats at {sorted(map(str, voltages))} V")
+    conditions = session.of_kind("flat")[0].conditions
+    at_level = partial(_at_level, sensor)
+    found = true_quantities.true_quantities(sensor, conditions)
+    return {
+        **{name: found[name] for name in COMPARED_QUANTITIES},
+        "mtf": lambda frequency, angle: true_quantities.true_mtf(
+            sensor, frequency, HORIZONTAL_DEG if angle is None else angle
+        ),
+        "mtf50": at_level(0.5),
+        "mtf10": at_level(0.1),
+    }
+
+
+def _at_level(sensor, level: float):
+    from simulate.iiccd import true_quantities
+
+    return lambda _, angle: true_quantities.true_crossing_frequency(
+        sensor, level, HORIZONTAL_DEG if angle is None else angle
+    )
+
+
+def lines(rows: Sequence["TruthComparison"]) -> Iterator[str]:
+    """The table for a terminal."""
+    yield f"\n{'quantity':44} {'stack, or method':18} {'truth':>10} {'measured':>26} {'z':>6}  status"
+    for row in rows:
+        m = row.measurement
+        name = m.quantity if m.frequency_cy_per_px is None else f"{m.quantity} at {m.frequency_cy_per_px:.3g} cy/px"
+        name += "" if m.orientation_deg is None else f" along {m.orientation_deg:.3g} deg"
+        unit = "" if m.unit == "1" else f" {m.unit}"
+        measured = f"{row.value_text}{unit}"
+        yield f"{name:44} {m.stack or m.method:18} {row.truth_text:>10} {measured:>26} {row.z:6.2f}  {m.status}"

@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from charact.cli import options
-from charact.cli.output import exit_on_bad_input, print_result
-from charact.cli.progress import Progress, progress_bar
+from charact.cli.output import Progress, exit_on_bad_input, print_result, progress_bar
 from labdata.errors import BadInput
 
 if TYPE_CHECKING:
-    from charact.cli.units import FrequencyUnit
+    from charact.cli.output import FrequencyUnit
     from charact.mtf.region import Region
     from labdata.frames import FrameStack
     from labdata.measurement import Result
@@ -285,7 +284,7 @@ def _unit(
     rows: int,
 ) -> "FrequencyUnit":
     """Return the unit asked for; what is not given comes from the sensor."""
-    from charact.cli.units import FrequencyUnit
+    from charact.cli.output import FrequencyUnit
 
     pitch_y_um = pitch_um
     if sensor is not None:

@@ -1,11 +1,13 @@
 """What a verb says: one JSON object, or lines for people; and the exit code that goes with it."""
 
 import json
+import math
 import os
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from itertools import groupby
 from typing import TYPE_CHECKING, NoReturn
 
@@ -214,3 +216,130 @@ def _where(note: str, by_region: dict[object, list["Measurement"]]) -> str:
     """Return the numbers of the regions that a note speaks of, where it is not all of them."""
     having = [k for k, members in enumerate(by_region.values(), 1) if any(note in m.notes for m in members)]
     return "" if len(having) == len(by_region) else " of " + ", ".join(str(number) for number in having)
+
+
+Progress = Callable[[str, float], None]
+
+
+@contextmanager
+def progress_bar(*, events: bool = False) -> Iterator[Progress]:
+    """Yield a function that takes a sentence and the share done (0..1); compiling is announced on stderr."""
+    from charact.method.stopwatch import announce_compilation
+
+    with (
+        _bar(events=events) as progress,
+        announce_compilation(
+            lambda sentence: print_message(sentence if events else f"charact: {sentence}", events=events)
+        ),
+    ):
+        yield progress
+
+
+@contextmanager
+def _bar(*, events: bool = False) -> Iterator[Progress]:
+    if events:
+        yield lambda sentence, share: print(
+            json.dumps({"progress": round(share, 4), "message": sentence}), file=sys.stderr
+        )
+        return
+    if not sys.stderr.isatty():
+        yield lambda sentence, share: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("", total=1.0)
+        yield lambda sentence, share: bar.update(task, description=sentence, completed=share)
+
+
+# What must be given for a length that a unit needs.
+REMEDY = {
+    "pitch_um": "--pitch-um or --sensor",
+    "demagnification": "--demagnification or --sensor",
+    "focal_length_mm": "--focal-length-mm or --sensor",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrequencyUnit:
+    """A unit of spatial frequency with the lengths that it needs.
+
+    Parameters
+    ----------
+    unit
+        One of `labdata.quantity.FREQUENCY_UNITS`.
+    pitch_x_um, pitch_y_um
+        Pitch of columns and of rows, um; rows without a pitch of their own have that of the columns.
+    rows
+        Rows of a frame.
+    focal_length_mm
+        Focal length of the lens, mm.
+    demagnification
+        Length at the photocathode over its image's at the detector, dimensionless.
+
+    Raises
+    ------
+    BadInput
+        If the unit is unknown, a length is not positive, or one that the unit needs is missing.
+    """
+
+    unit: str = "cy/px"
+    pitch_x_um: float | None = None
+    pitch_y_um: float | None = None
+    rows: int | None = None
+    focal_length_mm: float | None = None
+    demagnification: float | None = None
+
+    def __post_init__(self) -> None:
+        given = {
+            "--pitch-um": self.pitch_x_um,
+            "--focal-length-mm": self.focal_length_mm,
+            "--demagnification": self.demagnification,
+        }
+        for name, length in given.items():
+            if length is not None and not (math.isfinite(length) and length > 0):
+                raise BadInput(f"{name} must be positive, got {length:g}")
+        needs = {
+            "lp/mm": ("pitch_um",),
+            "lp/mm-cathode": ("pitch_um", "demagnification"),
+            "cy/mrad": ("pitch_um", "focal_length_mm"),
+        }
+        held = {
+            "pitch_um": self.pitch_x_um,
+            "demagnification": self.demagnification,
+            "focal_length_mm": self.focal_length_mm,
+        }
+        missing = [name for name in needs.get(self.unit, ()) if held[name] is None]
+        if missing:
+            remedies = " and ".join(REMEDY[name] for name in missing)
+            raise BadInput(f"--units {self.unit} needs a positive {' and '.join(missing)}: give {remedies}")
+        from labdata.quantity import FREQUENCY_UNITS
+
+        if self.unit not in FREQUENCY_UNITS:
+            raise BadInput(f"a frequency unit must be one of {', '.join(FREQUENCY_UNITS)}, got {self.unit!r}")
+
+    def __call__(self, frequency_cy_per_px: float, measurement: "Measurement | None" = None) -> tuple[float, str]:
+        """Return a frequency of a measurement in the unit, and the unit."""
+        from labdata.quantity import convert_frequency
+
+        by_rows = measurement is not None and counts_rows(measurement)
+        pitch_y_um = self.pitch_y_um or self.pitch_x_um
+        ratio = 1.0 if not self.pitch_x_um or not pitch_y_um else pitch_y_um / self.pitch_x_um
+        height = None if self.rows is None else self.rows * (1.0 if by_rows else ratio)
+        value = convert_frequency(
+            frequency_cy_per_px, self.unit, pitch_um=pitch_y_um if by_rows else self.pitch_x_um,
+            picture_height_px=height, focal_length_mm=self.focal_length_mm, demagnification=self.demagnification,
+        )  # fmt: skip
+        return value, self.unit
+
+
+def counts_rows(measurement: "Measurement") -> bool:
+    """Return whether a measurement's cycles per pixel are cycles per row pitch.
+
+    Edge methods count the pixels of the axis that the edge's normal is nearer to; all others count column pitches,
+    rows scaled by the pitch ratio.
+    """
+    normal = measurement.orientation_deg
+    return measurement.method.startswith("edge") and normal is not None and 45.0 < normal % 180.0 < 135.0

@@ -22,11 +22,6 @@ if TYPE_CHECKING:
 MOST_LINES = 40
 
 
-def add_to(app: typer.Typer) -> None:
-    """Add the verb to the command."""
-    app.command()(plan)
-
-
 def plan(
     plan: Annotated[Path, typer.Argument(help="Acquisition plan, TOML, or the name of a shipped one.")],
     as_json: options.Json = False,
@@ -50,7 +45,7 @@ def plan(
       dark_every = 3
     """
     with exit_on_bad_input(str(plan), as_json=as_json):
-        from charact.cli.plan_files import load_plan
+        from charact.cli.benches import load_plan
         from drivers.acquisition.forecast import forecast
         from drivers.acquisition.plan_check import check_plan
         from labdata.calibrated_gain import in_volts

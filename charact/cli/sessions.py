@@ -1,30 +1,28 @@
 """The verbs that take a session: noise, bloom, measure, fit, validate, report."""
 
-from collections.abc import Callable
+import json
+import sys
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from charact import __version__
 from charact.cli import options
-from charact.cli.output import exit_on_bad_input, print_message, print_result
-from charact.cli.progress import progress_bar
+from charact.cli.output import exit_on_bad_input, print_message, print_result, progress_bar
 from charact.cli.single_image import bloom_of_picture, is_picture, open_session_only
+from labdata.errors import BadInput
 
 if TYPE_CHECKING:
     from charact.method import Context
+    from charact.validation import Statistic, Validation
     from labdata.measurement import Result
     from labdata.session import Session
 
 SessionFolder = Annotated[Path, typer.Argument(help="Folder of a session.")]
 SessionFolders = Annotated[list[Path], typer.Argument(help="Folders of sessions.")]
 FITTED = "fitted.toml"
-
-
-def add_to(app: typer.Typer) -> None:
-    """Add the verbs to the command."""
-    for verb in (noise, bloom, measure, fit, validate, report):
-        app.command()(verb)
 
 
 def noise(
@@ -44,7 +42,6 @@ def noise(
 
     Example: charact noise ccd12 --json
     """
-    from charact.cli.several_sessions import each
 
     def one(session: Path) -> None:
         _analyse("noise", session, method, within, quick, seed, as_json, events, scheduler)
@@ -83,7 +80,7 @@ def bloom(
     if map_to is not None:
         from functools import partial
 
-        from charact.cli.bloom_map import write_bloom_map
+        from charact.report.bloom_images import write_bloom_map
 
         drawn = partial(write_bloom_map, label=map_of, path=map_to)
     _analyse("bloom", session, method, within, quick, seed, as_json, events, drawn=drawn)
@@ -217,8 +214,6 @@ def validate(
     Example: charact validate day1 --sensor day1/fitted.toml
     """
     with exit_on_bad_input(str(session), as_json=as_json, events=events):
-        from charact.cli.validate import print_validation, validate_and_save
-
         print_validation(
             validate_and_save(session, sensor or session / FITTED, seed=seed, events=events), session, as_json=as_json
         )
@@ -236,10 +231,93 @@ def report(
     Example: charact report day1 --pdf
     """
     with exit_on_bad_input(str(session), events=events):
-        from charact.cli.validate import load_validation
         from charact.report import write
 
         given = open_session_only(session)
         result = load_or_measure(session, seed=seed, events=events)
         path = write(given, result, out or session / "report.html", validation=load_validation(given), pdf=pdf)
         print(path)
+
+
+def each(folders: Sequence[Path], one: Callable[[Path], None], *, as_json: bool, events: bool) -> None:
+    """Do one thing with every session; those that gave no number are named last, with exit code 1.
+
+    Parameters
+    ----------
+    folders
+        The sessions; a single one is treated as if nobody had asked for many.
+    one
+        Measures and prints one session; ends by `typer.Exit` with code 1 where there is no number.
+    as_json, events
+        As the verb was asked: without JSON each session's folder stands above its lines.
+    """
+    if len(folders) == 1:
+        one(folders[0])
+        return
+    failed = []
+    for folder in folders:
+        if not as_json:
+            print(f"{folder}:")
+        try:
+            one(folder)
+        except typer.Exit as end:
+            if end.exit_code != 1:
+                raise
+            failed.append(str(folder))
+        sys.stdout.flush()
+    if failed:
+        print_message(f"{len(failed)} of {len(folders)} sessions gave no number: {', '.join(failed)}", events=events)
+        raise typer.Exit(1)
+
+
+def validate_and_save(folder: Path, sensor: str | Path, *, seed: int, events: bool) -> "Validation":
+    """Validate a session against a fitted sensor and keep the outcome in the session's folder."""
+    from charact import validation
+    from labdata.sensors import load_sensor
+
+    session = open_session_only(folder)
+    if isinstance(sensor, Path) and not sensor.is_file():
+        raise BadInput(
+            f"validate needs a fitted sensor: run charact fit {folder} --sensor-out {sensor}, which is missing"
+        )
+    fitted = load_sensor(sensor)
+    if not fitted.draws.values:
+        print_message(
+            f"{fitted.name} carries no posterior draws: it is simulated as it stands, without its uncertainty",
+            events=events,
+        )
+    with progress_bar(events=events) as progress:
+        done = validation.validate(session, fitted, seed=seed, progress=progress)
+    validation.save(done, session.folder)
+    return done
+
+
+def load_validation(session: "Session") -> "Validation | None":
+    """The validation kept in a session's folder, or None."""
+    from charact.validation import load
+
+    return load(session.folder)
+
+
+def print_validation(validation: "Validation", given: Path, *, as_json: bool) -> None:
+    """Print a validation: one line a statistic, both controls, and the verdict."""
+    if as_json:
+        from charact.validation import as_json as document
+
+        print(json.dumps({"charact": __version__, "input": str(given), "validation": document(validation)}))
+        return
+    print("\n".join(_lines(validation)))
+    print(f"Next: charact report {given}")
+
+
+def _lines(validation: "Validation") -> Iterator[str]:
+    yield from map(_line, validation.statistics)
+    for control in validation.controls:
+        yield f"{control.name} control ({control.title}): {'held' if control.held else 'DID NOT HOLD'}"
+        yield from (f"    {_line(statistic)}" for statistic in control.statistics)
+    yield f"validation: {'passed' if validation.passed else 'FAILED'}"
+
+
+def _line(statistic: "Statistic") -> str:
+    verdict = "agrees" if statistic.passed else "differs"
+    return f"{statistic.title}: p {statistic.p_value:.3g} at level {statistic.level:.3g}, {verdict}"

@@ -6,8 +6,7 @@ from typing import Annotated
 import typer
 
 from charact.cli import options
-from charact.cli.output import exit_on_bad_input, print_message
-from charact.cli.progress import progress_bar
+from charact.cli.output import exit_on_bad_input, print_message, progress_bar
 
 Source = Annotated[
     Path, typer.Argument(help="Scene (.toml, or a name), picture (.tif .png .npy .fits ...) or radiance cube (.npz).")
@@ -19,11 +18,6 @@ Lux = Annotated[float | None, typer.Option(help="Bench: illuminance on the photo
 PerDn = Annotated[
     float | None, typer.Option(help="Picture: mean photoelectrons per pixel and exposure for each DN above black.")
 ]
-
-
-def add_to(app: typer.Typer) -> None:
-    """Add the verb to the command."""
-    app.command()(simulate)
 
 
 def simulate(
@@ -86,9 +80,14 @@ def simulate(
         exit_on_bad_input(str(source), events=events, interrupted=interrupted),
         progress_bar(events=events) as progress,
     ):
-        from charact.cli.simulated_conditions import beyond_limit, conditions_of
         from charact.cli.simulated_session import preview_into, save_frames, save_stage_images
-        from charact.cli.simulation_sources import SimulationRequest, load_described_camera, shot_of
+        from charact.cli.simulation_sources import (
+            SimulationRequest,
+            beyond_limit,
+            conditions_of,
+            load_described_camera,
+            shot_of,
+        )
         from labdata.errors import BadInput
         from labdata.target import Target
 

@@ -1,10 +1,15 @@
 """What simulated light leaves on disk: frames as a session, the scene behind them, and the image after each stage."""
 
 import json
-from collections.abc import Callable, Iterator
+import math
+import textwrap
+from collections.abc import Callable, Iterable, Iterator
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from charact import __version__
 from charact.cli.simulation_sources import Shot, SimulationRequest, night_of
@@ -12,8 +17,8 @@ from labdata.conditions import Conditions
 
 if TYPE_CHECKING:
     from charact.cli.simulation_sources import Description
-    from charact.cli.stage_image_files import Stage
     from simulate.outdoor_rendering import RenderedView
+    from simulate.radiance.cube import RadianceCube
 
 
 def preview_into(
@@ -65,7 +70,6 @@ def save_frames(
 
 def _save_view(view: "RenderedView", out: Path) -> None:
     """Keep what a scene out of doors shows: its radiance as a picture, the truth of each pixel, and the plan."""
-    from charact.cli.radiance_image import save_radiance
     from labdata.atomic_write import write_atomically
 
     out.mkdir(parents=True, exist_ok=True)
@@ -85,7 +89,6 @@ def _economy(shot: Shot) -> tuple[str, ...]:
 
 def save_stage_images(shot: Shot, description: "Description", folder: Path, *, seed: int) -> int:
     """Keep the image after each stage, as files for teaching and for finding faults; return how many."""
-    from charact.cli.stage_image_files import save_stages
 
     title = f"{description.name}, one frame through the chain, seed {seed}"
     return save_stages(_stages(shot, seed), folder, title)
@@ -111,3 +114,140 @@ def _inside(light: Any) -> Any:
     grid = light.grid
     top, left = grid.margin_rows * grid.per_row, grid.margin_columns * grid.per_column
     return light.values[..., top : top + grid.rows * grid.per_row, left : left + grid.columns * grid.per_column]
+
+
+# Per cent of the pixels between which the grey scale runs, in decades of at least so many.
+RADIANCE_PERCENT, LEAST_DECADES = (1.0, 99.8), 1.0
+WIDTH_INCHES, DPI = 9.0, 120
+
+
+def save_radiance(cube: "RadianceCube", title: str, path: Path) -> None:
+    """Draw the radiance summed over bands, on a logarithmic scale.
+
+    Parameters
+    ----------
+    cube
+        Spectral radiance, W m-2 sr-1 nm-1.
+    title
+        What it shows.
+    path
+        The .png.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.colors import LogNorm
+    from matplotlib.figure import Figure
+
+    from simulate.radiance.cube import band_widths
+
+    image = cube.sum_bands(band_widths(cube.wavelength_nm))
+    low, high = _ends(image)
+    rows, columns = image.shape
+    figure = Figure(figsize=(WIDTH_INCHES, WIDTH_INCHES * rows / columns * 0.87 + 0.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    drawn: Any = axes.imshow(np.maximum(image, low), cmap="gray", norm=LogNorm(low, high), interpolation="nearest")
+    extend = (
+        ("both" if image.max() > high else "min") if image.min() < low else ("max" if image.max() > high else "neither")
+    )
+    bar = figure.colorbar(drawn, ax=axes, extend=extend, shrink=0.9, pad=0.02)
+    first, last = cube.wavelength_nm[0], cube.wavelength_nm[-1]
+    bar.set_label(f"radiance from {first:.0f} to {last:.0f} nm, W m$^{{-2}}$ sr$^{{-1}}$")
+    axes.set_title(title, fontsize=10, loc="left")
+    axes.set_xlabel("column, px")
+    axes.set_ylabel("row, px")
+    figure.savefig(path, dpi=DPI)
+
+
+def _ends(image: np.ndarray) -> tuple[float, float]:
+    """Ends of the grey scale; a picture of nothing gets one all the same."""
+    lit = image[image > 0.0]
+    if not lit.size:
+        return 1e-12, 1e-11
+    low, high = (float(end) for end in np.percentile(lit, RADIANCE_PERCENT))
+    return low, max(high, low * 10.0**LEAST_DECADES)
+
+
+Stage = tuple[str, str, NDArray[Any]]  # name, quantity with unit, image (row, col)
+
+SHEET = "stages.png"
+PANEL_INCHES = 3.4
+LABEL_LETTERS = 36
+# A panel has about so many dots along its longer side; finer images are averaged, for a skipped cell is a lost pulse.
+PANEL_DOTS = 420
+# The brightest few in a thousand may be single pulses: the scale ends below them and says so.
+SHOWN_PERCENT = (0.1, 99.7)
+
+
+def save_stages(stages: Iterable[Stage], folder: Path, title: str) -> int:
+    """Write every stage's image, numbered in the order of the light, and the contact sheet; return how many.
+
+    Parameters
+    ----------
+    stages
+        Name, quantity with unit, and image (row, col) of each stage; taken one at a time.
+    folder
+        Where the files go; made where it is missing.
+    title
+        What the sheet shows.
+    """
+    import tifffile
+
+    folder.mkdir(parents=True, exist_ok=True)
+    shown = []
+    for number, (name, quantity, image) in enumerate(stages, 1):
+        values = np.asarray(image, np.float32)
+        file = folder / f"{number:02d}-{name.replace(' ', '-')}.tif"
+        tifffile.imwrite(file, values, description=f"{name}: {quantity}", software="charact", metadata=None)
+        shown.append((f"{number} {name}", quantity, values))
+    sheet(shown, title).savefig(folder / SHEET, dpi=110)
+    return len(shown)
+
+
+def sheet(stages: list[Stage], title: str) -> Any:
+    """Return the contact sheet as a figure: a panel per stage, each with a bar of its own scale and unit."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    columns = min(4, math.ceil(len(stages) ** 0.5))
+    rows = -(-len(stages) // columns)
+    aspect = max(image.shape[0] / image.shape[1] for _, _, image in stages)
+    figure = Figure(
+        figsize=(columns * PANEL_INCHES * 1.25, rows * (PANEL_INCHES * aspect + 0.65) + 0.4), layout="constrained"
+    )
+    FigureCanvasAgg(figure)
+    figure.suptitle(title, fontsize=11)
+    for axes, stage in zip(figure.subplots(rows, columns, squeeze=False).flat, stages, strict=False):
+        _panel(figure, axes, *stage)
+    for axes in figure.axes:
+        axes.set_visible(bool(axes.images) or axes.get_label() == "<colorbar>")
+    return figure
+
+
+def _panel(figure: Any, axes: Any, name: str, quantity: str, image: NDArray[np.float32]) -> None:
+    block = max(1, math.ceil(max(image.shape) / PANEL_DOTS))
+    size, image = image.shape, block_means(image, block)
+    low, high = (float(end) for end in np.percentile(image, SHOWN_PERCENT))
+    if not high > low:
+        low, high = float(image.min()), float(max(image.max(), image.min() + 1e-6))
+    drawn = axes.imshow(image, cmap="gray", vmin=low, vmax=high, interpolation="nearest")
+    ends = {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}
+    beyond = ends[bool(image.min() < low), bool(image.max() > high)]
+    bar = figure.colorbar(drawn, ax=axes, extend=beyond, shrink=0.9, pad=0.02)
+    bar.set_label(textwrap.fill(quantity, LABEL_LETTERS), fontsize=8)
+    bar.ax.tick_params(labelsize=7)
+    bar.formatter.set_powerlimits((-3, 4))
+    bar.formatter.set_useMathText(True)
+    bar.ax.yaxis.offsetText.set_fontsize(7)
+    axes.set_title(name, fontsize=9.5, loc="left")
+    means = "" if block == 1 else f", shown as means of {block} x {block}"
+    axes.set_xlabel(f"{size[0]} rows x {size[1]} columns{means}", fontsize=7)
+    axes.set_xticks([])
+    axes.set_yticks([])
+
+
+def block_means(image: NDArray[np.float32], block: int) -> NDArray[np.float32]:
+    """Return means over square blocks, those that the last rows and columns do not fill left out."""
+    rows, cols = image.shape[0] // block, image.shape[1] // block
+    if block == 1 or not rows or not cols:
+        return image
+    return image[: rows * block, : cols * block].reshape(rows, block, cols, block).mean(axis=(1, 3), dtype=np.float32)

@@ -4,8 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from charact.cli.output import exit_on_bad_input, print_result
-from charact.cli.progress import progress_bar
+from charact.cli.output import exit_on_bad_input, print_result, progress_bar
 
 if TYPE_CHECKING:
     from charact.mtf.region import Region

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from charact.cli import options
-from charact.cli.output import exit_on_bad_input, print_message
-from charact.cli.progress import progress_bar
+from charact.cli.output import exit_on_bad_input, print_message, progress_bar
 
 if TYPE_CHECKING:
     import numpy as np
@@ -21,11 +20,6 @@ ZERO_C = 273.15
 # Per cent of the map's pixels between which its scale runs.
 SHOWN_PERCENT = (0.5, 99.5)
 WIDTH_INCHES, DPI = 9.0, 120
-
-
-def add_to(app: typer.Typer) -> None:
-    """Add the verb to the command."""
-    app.command()(temperatures)
 
 
 def temperatures(

@@ -2,23 +2,82 @@
 
 import threading
 import time
+from collections import deque
 from dataclasses import replace
 from types import TracebackType
 from typing import Self
 
 from numpy.typing import NDArray
 
-from charact.live.focus import BestFocus
-from charact.live.focus_reader import FocusReader
-from charact.live.frame_rate import FrameRate
+from charact.live.focus import BestFocus, FocusReader
 from charact.live.frame_source import FrameSource, SourceFrame
 from charact.live.frame_statistics import measure_frame
-from charact.live.latest_view import LatestView
-from charact.live.live_view import LiveView
-from charact.live.preview_image import render_preview
+from charact.live.live_view import LiveView, render_preview
 from charact.mtf.region import Region
 from drivers.errors import BenchError
+from labdata.capture import Frame
 from labdata.errors import BadInput
+
+
+class LatestView:
+    """The newest view: written by one thread, read by any. Nobody waits for a slow reader."""
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._view: LiveView | None = None
+        self._ended: str | None = None
+
+    @property
+    def view(self) -> LiveView | None:
+        """The newest view; None before the first."""
+        return self._view
+
+    @property
+    def end_reason(self) -> str | None:
+        """Why no further view will come; None while more may come."""
+        return self._ended
+
+    def put(self, view: LiveView) -> None:
+        """Put a newer view in place of the last one."""
+        with self._changed:
+            self._view = view
+            self._changed.notify_all()
+
+    def end(self, why: str) -> None:
+        """Say that no further view will come."""
+        with self._changed:
+            self._ended = why
+            self._changed.notify_all()
+
+    def after(self, number: int, *, timeout_s: float) -> LiveView | None:
+        """Return the newest view once its number is above `number`; None if none came in time, or the views ended."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._is_after(number) or self._ended is not None, timeout=timeout_s)
+            return self._view if self._is_after(number) else None
+
+    def _is_after(self, number: int) -> bool:
+        return self._view is not None and self._view.number > number
+
+
+OVER_S = 2.0
+
+
+class FrameRate:
+    """The rate over the last two seconds; frames that were not looked at count by their numbers."""
+
+    def __init__(self) -> None:
+        self._seen: deque[tuple[int, float]] = deque()
+
+    def after(self, frame: Frame) -> float | None:
+        """Return the rate after a further frame, Hz; None until two frames of one run were seen."""
+        if self._seen and (frame.number <= self._seen[-1][0] or frame.time_s <= self._seen[-1][1]):
+            self._seen.clear()
+        self._seen.append((frame.number, frame.time_s))
+        while len(self._seen) > 2 and frame.time_s - self._seen[0][1] > OVER_S:
+            self._seen.popleft()
+        (first, began_s), (last, ended_s) = self._seen[0], self._seen[-1]
+        return (last - first) / (ended_s - began_s) if last > first else None
+
 
 # More often nobody sees a difference; frames in between are taken off the camera and left unmeasured.
 LEAST_PERIOD_S = 1.0 / 30.0

@@ -3,11 +3,85 @@
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from charact.live.focus import BestFocus, Focus
 from charact.live.frame_source import SourceFrame
 from charact.live.frame_statistics import FrameStatistics
-from charact.live.preview_image import PreviewImage
 from charact.mtf.region import Region
+
+WIDEST_PX = 768
+QUALITY = 80
+SATURATED_BGR = (255, 200, 0)
+# Shares of the pixels that may be darker than black and brighter than white.
+BLACK, WHITE = 0.002, 0.998
+
+
+@dataclass(frozen=True, kw_only=True)
+class PreviewImage:
+    """A picture to look at, never to measure.
+
+    Parameters
+    ----------
+    jpeg
+        Its bytes.
+    step
+        Every how manieth pixel of the frame it shows.
+    black_dn, white_dn
+        Levels that are drawn black and white, DN.
+    """
+
+    jpeg: bytes
+    step: int
+    black_dn: float
+    white_dn: float
+
+
+def render_preview(frame: NDArray, meters: FrameStatistics, *, full_scale_dn: float) -> PreviewImage:
+    """Return the picture of a frame.
+
+    Parameters
+    ----------
+    frame
+        Pixels, shape (row, col), DN.
+    meters
+        The frame's meters, whose histogram sets black and white.
+    full_scale_dn
+        Pixels at or above it are marked; where pixels are left out, the marks of those left out stay.
+    """
+    import cv2
+
+    step = -(-frame.shape[1] // WIDEST_PX)
+    black, white = _levels(meters)
+    small = frame[::step, ::step].astype(np.float32)
+    grey = cv2.convertScaleAbs(np.maximum(small - black, 0.0), alpha=255.0 / (white - black))
+    picture = grey
+    if meters.saturated_px:
+        picture = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
+        picture[_any_in_blocks(frame >= full_scale_dn, step)] = SATURATED_BGR
+    # With colour as fine as light, or the mark of a single pixel would be washed out.
+    finest = [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
+    written, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY, *finest])
+    if not written:
+        raise RuntimeError(f"a picture of {picture.shape} must be encoded as JPEG, and was not")
+    return PreviewImage(jpeg=jpeg.tobytes(), step=step, black_dn=black, white_dn=white)
+
+
+def _levels(meters: FrameStatistics) -> tuple[float, float]:
+    """Return the levels drawn black and white, at least eight bins apart so that noise alone is not blown up."""
+    below = np.cumsum(meters.histogram) / max(meters.pixels, 1)
+    black, white = np.searchsorted(below, (BLACK, WHITE))
+    return float(black * meters.bin_dn), float(max(white + 1, black + 8) * meters.bin_dn)
+
+
+def _any_in_blocks(mask: NDArray[np.bool_], step: int) -> NDArray[np.bool_]:
+    """Return whether any pixel of each block of `step` x `step` is set."""
+    if step == 1:
+        return mask
+    rows, cols = mask.shape
+    padded = np.pad(mask, ((0, -rows % step), (0, -cols % step)))
+    return padded.reshape(padded.shape[0] // step, step, -1, step).max(axis=(1, 3))
 
 
 @dataclass(frozen=True, kw_only=True)

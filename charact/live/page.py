@@ -22,7 +22,7 @@ FILES = {
 
 
 def page(running: LiveLoop, *, title: str, focus_first: bool = False) -> Starlette:
-    """Return the application; put it behind a `charact.live.guard.PageAccess`.
+    """Return the application; put it behind a `charact.live.server.PageAccess`.
 
     Parameters
     ----------

@@ -5,8 +5,21 @@ from typing import Any
 
 import numpy as np
 
-from charact.report.plot_helpers import first_array, has_all, plot_line, plot_points
-from charact.report.style import COLOURS, DATA, FOURTH, INK, MODEL, THIRD, WARN, panels, write_note
+from charact.report.style import (
+    COLOURS,
+    DATA,
+    FOURTH,
+    INK,
+    MODEL,
+    THIRD,
+    WARN,
+    first_array,
+    has_all,
+    panels,
+    plot_line,
+    plot_points,
+    write_note,
+)
 
 Data = Mapping[str, Any]
 MOST_PROFILES = 6

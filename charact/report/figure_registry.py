@@ -4,21 +4,21 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from charact.report import bloom_images, blooms, edges, gains, joint, noise, pulses, snr, stages
+from charact.report import bloom_images, blooms, curves, noise
 from charact.report.number_format import short_text
 from charact.report.style import as_svg, report_style
 
 Data = Mapping[str, Any]
 # Kind of evidence: section of the report and the function that draws it (data -> matplotlib figure).
 FIGURES: dict[str, tuple[str, Callable[[Data], Any]]] = {
-    "edge-spread": ("mtf", edges.plot_edge_spread),
-    "bars": ("mtf", edges.plot_bars),
+    "edge-spread": ("mtf", curves.plot_edge_spread),
+    "bars": ("mtf", curves.plot_bars),
     "point-spread": ("mtf", blooms.plot_point_spread),
-    "agreement": ("mtf", edges.plot_mtf_differences),
-    "joint-mtf": ("mtf", joint.plot_joint_mtf),
-    "constancy": ("mtf", joint.plot_mtf_uniformity),
-    "stage-budget": ("mtf", stages.plot_mtf_budget),
-    "bar-groups": ("mtf", stages.plot_bar_groups),
+    "agreement": ("mtf", curves.plot_mtf_differences),
+    "joint-mtf": ("mtf", curves.plot_joint_mtf),
+    "constancy": ("mtf", curves.plot_mtf_uniformity),
+    "stage-budget": ("mtf", curves.plot_mtf_budget),
+    "bar-groups": ("mtf", curves.plot_bar_groups),
     "point-profile": ("bloom", blooms.plot_point_profile),
     "bloom-series": ("bloom", blooms.plot_bloom_series),
     "halo-constancy": ("bloom", blooms.plot_halo_uniformity),
@@ -31,13 +31,13 @@ FIGURES: dict[str, tuple[str, Callable[[Data], Any]]] = {
     "photon-transfer": ("noise", noise.plot_photon_transfer),
     "noise-spectrum": ("noise", noise.plot_noise_spectrum),
     "post-gain-noise": ("noise", noise.plot_post_gain_noise),
-    "noise-against-gain": ("noise", gains.plot_noise_against_gain),
-    "noise-by-gain": ("noise", gains.plot_noise_by_gain),
+    "noise-against-gain": ("noise", noise.plot_noise_against_gain),
+    "noise-by-gain": ("noise", noise.plot_noise_by_gain),
     "autocorrelation": ("noise", noise.plot_autocorrelation),
     "predictive-frames": ("noise", noise.plot_predictive_checks),
-    "snr-light": ("noise", snr.plot_snr),
+    "snr-light": ("noise", noise.plot_snr),
     "three-dimensional-noise": ("noise", noise.plot_three_dimensional_noise),
-    "pulse-heights": ("noise", pulses.plot_pulse_heights),
+    "pulse-heights": ("noise", noise.plot_pulse_heights),
 }
 
 

@@ -5,8 +5,19 @@ from typing import Any
 
 import numpy as np
 
-from charact.report.plot_helpers import first_array, has_all, plot_line, plot_points
-from charact.report.style import COLOURS, DATA, INK, MODEL, THIRD, panels
+from charact.report.style import (
+    COLOURS,
+    DATA,
+    INK,
+    MODEL,
+    THIRD,
+    WARN,
+    first_array,
+    has_all,
+    panels,
+    plot_line,
+    plot_points,
+)
 
 Data = Mapping[str, Any]
 
@@ -163,4 +174,178 @@ def plot_predictive_checks(data: Data) -> Any:
     axes.set(xlabel="measured less expected (standard deviations)", ylim=(len(signs) - 0.5, -0.5))
     axes.axvline(0, color=INK, linewidth=0.8)
     axes.legend(fontsize=7)
+    return figure
+
+
+def plot_noise_against_gain(data: Data) -> Any:
+    """Covariance gain with its law, noise of darks, and scintillation and read noise at a stated signal: the knee."""
+    figure, grid = panels(1, 2, size=(7.2, 3.8))
+    gains, noises = grid[0]
+    setting, gain = first_array(data, "setting"), first_array(data, "gain_dn")
+    law, middle = first_array(data, "law_setting"), first_array(data, "law_gain_dn")
+    low, high = np.asarray(data["law_interval95_dn"], float)
+    gains.fill_between(law, low, high, color=MODEL, alpha=0.25, linewidth=0)
+    plot_line(gains, law, middle, color=MODEL, label="law, 95 %")
+    plot_points(
+        gains,
+        setting,
+        gain,
+        gain * first_array(data, "gain_relative_sd"),
+        color=DATA,
+        markersize=4.5,
+        label="each, ± 1 sd",
+    )
+    joint = np.asarray(data["joint_interval95_dn"], float)
+    gains.vlines(setting, joint[0], joint[1], color=INK, linewidth=2.2, alpha=0.5, label="by all settings, 95 %")
+    gains.set(ylabel="covariance gain (DN)")
+    scintillation = np.asarray(data["stated_noise_dn"], float)
+    noises.fill_between(law, scintillation[0], scintillation[2], color=MODEL, alpha=0.25, linewidth=0)
+    pe = float(data["stated_signal_pe"])
+    plot_line(noises, law, scintillation[1], color=MODEL, label=f"light's noise at {pe:g} photoelectron/px")
+    dark = [(s, d) for s, d in zip(setting, data["dark_noise_dn"], strict=True) if d is not None]
+    if dark:
+        plot_points(noises, *np.array(dark).T, color=THIRD, marker="s", markersize=4.5, label="dark frames")
+    _knee(noises, data)
+    noises.set(ylabel="noise of a pixel (DN)")
+    unit = "" if data["knob_unit"] == "1" else data["knob_unit"]
+    for axes in (gains, noises):
+        axes.set(yscale="log", xlabel=f"{data['knob']} ({unit or '1'})")
+        if data["logarithmic"]:
+            axes.set_xscale("log")
+            _few_ticks(axes, setting)
+        axes.legend(fontsize=7)
+    return figure
+
+
+def _few_ticks(axes: Any, places: Any) -> None:
+    """Ticks at places of data, written as they are; a logarithmic axis of less than a decade has none to speak of."""
+    from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+
+    axes.xaxis.set_major_locator(FixedLocator(places[:: max(1, -(-len(places) // 5))]))
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.3g}"))
+
+
+def _knee(axes: Any, data: Data) -> None:
+    """Read noise without scintillation, and where the light's noise is as large."""
+    if data.get("read_noise_dn") is None:
+        return
+    read = float(data["read_noise_dn"])
+    axes.axhline(read, color=INK, linewidth=0.9, linestyle=":", label=f"read noise {read:.3g} DN")
+    low, middle, high = data["knee_setting"]
+    if not min(data["law_setting"]) <= middle <= max(data["law_setting"]):
+        return
+    axes.errorbar([middle], [read], xerr=[[middle - low], [high - middle]], color=WARN, marker="D", mfc="none",
+                  markersize=6, linestyle="", label="knee, 95 %")  # fmt: skip
+
+
+def plot_noise_by_gain(data: Data) -> Any:
+    """Noise of a pixel against the signal, and signal against light where it is known: one colour for each setting."""
+    lights = [light for light in data["light"] if light is not None]
+    figure, grid = panels(1, 2 if lights else 1, size=(7.2 if lights else 5.0, 3.8))
+    for number, name in enumerate(data["setting"]):
+        colour = COLOURS[number % len(COLOURS)]
+        signal, noise = np.asarray(data["signal_dn"][number], float), np.asarray(data["noise_dn"][number], float)
+        own = {"color": colour, "marker": "o", "markersize": 3.5, "linewidth": 0.9}
+        grid[0, 0].plot(signal, noise, label=name, **own)
+        if lights and data["light"][number] is not None:
+            grid[0, 1].plot(np.asarray(data["light"][number], float), signal, **own)
+    grid[0, 0].set(xscale="log", yscale="log", xlabel="signal above the dark (DN)", ylabel="noise of a pixel (DN)")
+    grid[0, 0].legend(fontsize=7)
+    if lights:
+        unit = {"photon": "photons/px"}.get(data["light_unit"], data["light_unit"])
+        grid[0, 1].set(xscale="log", yscale="log", xlabel=f"light ({unit})", ylabel="signal above the dark (DN)")
+        _few_ticks(grid[0, 1], np.unique(np.concatenate([np.asarray(light, float) for light in lights])))
+    return figure
+
+
+LIGHT_AXES = {"lux": "illuminance as recorded (lux)", "photons/px": "photons as recorded (1/px)", "DN": "signal (DN)"}
+
+
+def plot_snr(data: Data) -> Any:
+    """Ratio of a pixel and of an area against the light; dashed, a pixel with what does not change in time."""
+    names = [scope["name"] for scope in data["gains"][0]["scopes"]]
+    figure, grid = panels(1, len(names), size=(5.8, 3.9), sharex=True)
+    level, several = float(data["least_snr"]), len(data["gains"]) > 1
+    for axes, name in zip(grid[0], names, strict=True):
+        for number, gain in enumerate(data["gains"]):
+            colour = COLOURS[number % len(COLOURS)]
+            for scope in gain["scopes"]:
+                if scope["name"] == name:
+                    _plot_snr_law(axes, gain, scope, level, colour, named=several)
+        axes.axhline(level, color=INK, linewidth=0.8, linestyle=":")
+        unit = data["gains"][0]["unit"] if data["unit"] else "each in its unit"
+        axes.set(xscale="log", yscale="log", xlabel=LIGHT_AXES.get(unit, unit), ylabel=f"signal over noise, {name} (1)")
+    handles, labels = grid[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize=7)
+    return figure
+
+
+def _plot_snr_law(axes: Any, gain: Data, scope: Data, level: float, colour: str, *, named: bool) -> None:
+    """Levels with their errors, the law with its 95 % band, and the minimum with its interval."""
+    amount, fitted = first_array(gain, "amount"), np.asarray(gain["fitted"], bool)
+    snr, sd = first_array(scope, "snr"), first_array(scope, "snr_sd")
+    label = gain["gain"] if named else "levels, ± 1 sd"
+    plot_points(axes, amount[fitted], snr[fitted], sd[fitted], color=colour, label=label, markersize=3.5)
+    if not fitted.all():
+        plot_points(axes, amount[~fitted], snr[~fitted], sd[~fitted], color=colour, mfc="none", markersize=3.5)
+    light = first_array(scope, "law_amount")
+    axes.fill_between(
+        light, first_array(scope, "law_low"), first_array(scope, "law_high"), color=colour, alpha=0.25, linewidth=0
+    )
+    plot_line(axes, light, first_array(scope, "law_snr"), color=colour, label=None if named else "read and shot noise")
+    if scope["name"] == "pixel":
+        label = None if named else "with unequal pixels"
+        plot_line(
+            axes,
+            light,
+            first_array(scope, "law_with_pattern"),
+            color=colour,
+            linestyle="--",
+            linewidth=0.9,
+            label=label,
+        )
+    if scope.get("minimum") is not None:
+        _minimum(axes, scope, level, colour, named)
+
+
+def _minimum(axes: Any, scope: Data, level: float, colour: str, named: bool) -> None:
+    low, high = scope["minimum_interval95"]
+    middle = float(scope["minimum"])
+    label = None if named else "minimum illumination, 95 %"
+    axes.errorbar([middle], [level], xerr=[[middle - low], [high - middle]], color=colour, marker="D", markersize=5,
+                  mfc="none", linestyle="", label=label)  # fmt: skip
+
+
+def plot_pulse_heights(data: Data) -> Any:
+    """How often filtered pixels of darks come by their value, measured, by the fitted law and by the noise alone."""
+    figure, grid = panels(1, 1, size=(5.8, 3.8))
+    axes = grid[0, 0]
+    edge, measured = first_array(data, "edge_dn"), first_array(data, "density_per_dn")
+    seen = measured > 0
+    middle = 0.5 * (edge[1:] + edge[:-1])
+    axes.plot(middle[seen], measured[seen], ".", color=DATA, markersize=4, label="measured")
+    plot_line(
+        axes,
+        first_array(data, "value_dn"),
+        first_array(data, "law_per_dn"),
+        color=MODEL,
+        label="law of the pulses, fitted",
+    )
+    plot_line(
+        axes,
+        first_array(data, "value_dn"),
+        first_array(data, "noise_per_dn"),
+        color=INK,
+        linestyle="--",
+        label="noise alone",
+    )
+    response = float(data["response_to_mean_pulse_dn"])
+    axes.axvline(response, color=WARN, linewidth=0.9, linestyle=":", label="mean pulse, amid its pixel")
+    # Below one value in ten of all that were counted the law says nothing that could be seen.
+    least = 0.1 / float(data["values"]) / float(edge[1] - edge[0])
+    high, broad = (int(size) for size in np.asarray(data["filter_px"]))
+    axes.set(yscale="log", ylim=(least, 5.0 * float(measured.max())), ylabel="share of the values per DN (1/DN)",
+             xlabel=f"sum of {high} x {broad} px less the rows' own level (DN)")  # fmt: skip
+    axes.legend()
     return figure

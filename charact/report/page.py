@@ -5,13 +5,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from charact.report import figure_registry, tables
+from charact.report.bloom_images import add_extent_data
 from charact.report.corner import corner_svg, varying
 from charact.report.curves import mtf_svgs
-from charact.report.emva import emva_summary
-from charact.report.extent_figure_data import add_extent_data
 from charact.report.report_images import aspect_of, representative
+from charact.report.style import PAPER_INK
+from charact.report.tables import emva_summary
 from charact.report.truth import Truth, compare_with_truth
 from labdata.atomic_write import write_atomically
+from labdata.errors import BadInput
 from labdata.limits import OVERRIDDEN
 from labdata.measurement import Posterior, Result
 from labdata.session import Session
@@ -57,7 +59,6 @@ def write(
     BadInput
         If a PDF is asked for and the library that writes it is missing.
     """
-    from charact.report.pdf import write_pdf
 
     out = Path(out)
     html = page(session, result, validation=validation, truth=truth)
@@ -163,3 +164,30 @@ def _health(p: Posterior) -> str:
 def session_notes(session: Session) -> tuple[str, ...]:
     """What the session says of itself: wires left out, effects left out, what readers should know of the frames."""
     return tuple(dict.fromkeys(note for note in session.notes if not note.startswith(OVERRIDDEN)))
+
+
+def write_pdf(html: str, out: Path) -> Path:
+    """Write a report's HTML as PDF.
+
+    Parameters
+    ----------
+    html
+        The page.
+    out
+        The PDF file.
+
+    Raises
+    ------
+    BadInput
+        If WeasyPrint, or Pango that it needs, is not installed.
+    """
+    try:
+        from weasyprint import HTML
+    except (ImportError, OSError) as error:
+        raise BadInput(
+            f"--pdf needs WeasyPrint and Pango (pip install 'charact[pdf]'; apt install libpango-1.0-0 "
+            f"libpangoft2-1.0-0), got: {str(error).splitlines()[0]}"
+        ) from error
+    # Folds cannot be opened on paper.
+    HTML(string=html.replace("<details", "<details open").replace("currentColor", PAPER_INK)).write_pdf(str(out))
+    return out

@@ -8,9 +8,8 @@ import numpy as np
 
 from charact.report.figure_registry import Figure
 from charact.report.number_format import short_text
-from charact.report.plot_helpers import has_all
 from charact.report.report_images import ReportImage, as_jpeg
-from charact.report.style import DATA, INK, MODEL, WARN, as_svg, panels, report_style, subsample
+from charact.report.style import DATA, INK, MODEL, WARN, as_svg, has_all, panels, report_style, subsample
 from charact.validation import FramePair, Statistic, Validation, ValidationControl
 
 CONTROL_WORDS = {"null": "must pass", "negative": "must fail"}

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from charact.cli.benches import acquire_session
-from charact.cli.progress import Progress
+from charact.cli.output import Progress
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.event_log import read_events

@@ -3,8 +3,8 @@
 import pytest
 
 from charact.cli.annotate import _one_a_region
+from charact.cli.demo_loop import lines
 from charact.cli.output import print_result
-from charact.cli.truth_comparison import lines
 from charact.report.truth import compare_with_truth
 from labdata.measurement import Measurement, Result, measurement_from_sd
 

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-from charact.cli.annotate import COLOURS, render_annotations
+from charact.cli.annotate import COLOURS, place_captions, render_annotations
 from charact.cli.application import app
-from charact.cli.captions import place_captions
-from charact.cli.units import FrequencyUnit
+from charact.cli.output import FrequencyUnit
 from charact.study.edge.scene import EdgeScene, TrueBlur
 from labdata.errors import BadInput
 from labdata.frames import FrameStack

@@ -6,8 +6,8 @@ import tifffile
 from numpy.testing import assert_allclose, assert_array_equal
 
 from charact.cli.image_source import centre_on_frame, cube_of, photoelectrons_of
-from charact.cli.simulated_conditions import conditions_of
-from charact.cli.stage_image_files import SHEET, save_stages, sheet
+from charact.cli.simulated_session import SHEET, save_stages, sheet
+from charact.cli.simulation_sources import conditions_of
 from labdata import BadInput
 from labdata.sensors import load_camera, load_sensor
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from charact.live.frame_statistics import measure_frame
-from charact.live.preview_image import SATURATED_BGR, render_preview
+from charact.live.live_view import SATURATED_BGR, render_preview
 from labdata.errors import BadInput
 
 

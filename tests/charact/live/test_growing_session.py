@@ -5,8 +5,8 @@ import time
 import numpy as np
 import pytest
 
-from charact.live.focus_reader import FocusReader
-from charact.live.growing_session import SessionSource
+from charact.live.focus import FocusReader
+from charact.live.frame_source import SessionSource
 from charact.live.live_loop import LiveLoop
 from labdata.conditions import Conditions
 from labdata.errors import BadInput

@@ -9,9 +9,8 @@ from threading import Event
 import numpy as np
 import pytest
 
-from charact.live.frame_rate import FrameRate
 from charact.live.frame_source import CameraSource, highest_code
-from charact.live.live_loop import LiveLoop
+from charact.live.live_loop import FrameRate, LiveLoop
 from charact.live.terminal import lines, watch_on_terminal
 from charact.method import Context
 from labdata.capture import CameraSettings, Frame

@@ -9,9 +9,9 @@ import httpx
 import numpy as np
 import pytest
 
-from charact.live.guard import PageAccess, is_loopback, new_token
 from charact.live.live_loop import LiveLoop
 from charact.live.page import page
+from charact.live.server import PageAccess, is_loopback, new_token
 from labdata.errors import BadInput
 from tests.charact.live.sources import Told, noisy, seen
 

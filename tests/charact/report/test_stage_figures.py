@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from charact.report import stages
+from charact.report import curves
 from charact.report.figure_registry import figure_of
 from charact.report.style import report_style
 
@@ -43,7 +43,7 @@ def budget(after: bool = False) -> dict:
 
 def drawn(data: dict):
     with report_style():
-        figure = stages.plot_mtf_budget(data)
+        figure = curves.plot_mtf_budget(data)
         figure.canvas.draw()
     return figure
 
@@ -104,7 +104,7 @@ def groups() -> dict:
 
 def test_bar_groups_stand_on_their_curve_with_arms_of_1_96_standard_errors():
     with report_style():
-        axes = stages.plot_bar_groups(groups()).axes[0]
+        axes = curves.plot_bar_groups(groups()).axes[0]
     (bars,) = axes.containers
     assert bars[0].get_xydata() == pytest.approx(np.array([[0.1, 0.8], [0.2, 0.5]]))
     heights = [float(np.ptp(segment[:, 1])) for segment in bars[2][0].get_segments()]

@@ -1,0 +1,402 @@
+"""The doctor: what a bench needs of this machine, each thing ok or with the fix."""
+
+import grp
+import os
+import re
+import shutil
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import MappingProxyType
+
+import numpy as np
+
+from drivers.cameras.aravis.capture import SOCKET_BUFFER_BYTES
+from labdata.capture import Frame
+from labdata.conditions import Conditions
+from labdata.errors import BadInput
+from labdata.store import SessionWriter
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """One thing looked at.
+
+    Parameters
+    ----------
+    area
+        What it belongs to, such as "disk".
+    says
+        What was found, in a sentence.
+    fix
+        What to do about it; None where it is ok.
+    core
+        Whether not even measuring works without it.
+    """
+
+    area: str
+    says: str
+    fix: str | None = None
+    core: bool = False
+
+    @property
+    def ok(self) -> bool:
+        """Whether there is nothing to do."""
+        return self.fix is None
+
+
+LEAST_PYTHON = (3, 11)
+# Name, least version and extra, as in: starlette>=0.46; extra == "live"
+_REQUIREMENT = re.compile(r"^([\w.-]+)\s*(?:>=\s*([0-9.]+))?.*?(?:;.*extra\s*==\s*['\"]([\w-]+)['\"])?$")
+
+
+def software_findings() -> Iterator[Finding]:
+    """Yield Python's version, the needed packages, and each extra."""
+    yield python_finding(sys.version_info[:3])
+    try:
+        requires = metadata.requires("charact") or []
+    except metadata.PackageNotFoundError:
+        yield Finding(
+            area="packages", says="charact is not installed, its needs are unknown", fix="pip install charact"
+        )
+        return
+    yield from package_findings(requires, _installed_version)
+
+
+def python_finding(version: tuple[int, ...]) -> Finding:
+    """Return what is to be said of Python's version."""
+    told = ".".join(str(part) for part in version)
+    fix = None if version >= LEAST_PYTHON else "install Python 3.11 or later"
+    return Finding(area="python", says=f"Python {told}", fix=fix, core=True)
+
+
+def package_findings(requires: Iterable[str], installed: Callable[[str], str | None]) -> Iterator[Finding]:
+    """Yield one finding for the needed packages, and one for each extra.
+
+    Parameters
+    ----------
+    requires
+        Requirements as the metadata of a distribution names them.
+    installed
+        Returns the version of a package, None where it is not installed.
+    """
+    wanting: dict[str | None, list[str]] = {}
+    for requirement in requires:
+        if (parsed := _REQUIREMENT.match(requirement.strip())) is None:
+            continue
+        name, least, extra = parsed.groups()
+        wanting.setdefault(extra, [])
+        if lack := _lack(name, least, installed(name)):
+            wanting[extra].append(lack)
+    for extra, lacks in sorted(wanting.items(), key=lambda pair: pair[0] or ""):
+        of, suffix = ("packages", "") if extra is None else (f"extra {extra}", f"[{extra}]")
+        yield Finding(
+            area=of,
+            says=", ".join(lacks) or "all there",
+            fix=f"pip install --upgrade 'charact{suffix}'" if lacks else None,
+            core=extra is None,
+        )
+
+
+def _lack(name: str, least: str | None, version: str | None) -> str | None:
+    if version is None:
+        return f"{name} is not installed"
+    if least is not None and _numbers(version) < _numbers(least):
+        return f"{name} must be {least} or later, got {version}"
+    return None
+
+
+def _numbers(version: str) -> tuple[int, ...]:
+    """Return the release of a version as numbers: 1.10 is later than 1.9."""
+    parts = re.match(r"[0-9]+(?:\.[0-9]+)*", version)
+    return tuple(int(part) for part in parts.group().split(".")) if parts else ()
+
+
+def _installed_version(name: str) -> str | None:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+SHAPE, DTYPE = (493, 768), np.uint16
+VIDEO_HZ, SPARE = 30.0, 2.0
+TRIED_FRAMES, TOGETHER = 32, 8
+LEAST_MINUTES = 10.0
+
+
+def disk_findings(folder: Path) -> Iterator[Finding]:
+    """Yield the speed of the disk under a folder by writing frames to it as acquisition does, and its room."""
+    try:
+        rate_hz = write_rate_hz(folder)
+    except (OSError, BadInput) as error:
+        why = error.strerror if isinstance(error, OSError) else error
+        yield Finding(area="disk", says=f"{folder} takes no frames: {why}", fix="name another folder", core=True)
+        return
+    yield speed_finding(folder, rate_hz)
+    yield room_finding(folder, shutil.disk_usage(folder).free)
+
+
+def write_rate_hz(folder: Path) -> float:
+    """Return how many frames a second are written, forced to the disk together as those that wait are, Hz."""
+    frame = np.random.default_rng(0).integers(0, 4096, SHAPE).astype(DTYPE)
+    with TemporaryDirectory(dir=folder, prefix=".charact-doctor-") as made:
+        session = Path(made) / "session"
+        with (
+            SessionWriter.create(session, name="doctor") as writer,
+            writer.begin_stack("flat", "flat", SHAPE, DTYPE, Conditions()) as stack,
+        ):
+            stack.append(frame, 0.0, 0)
+            began = time.perf_counter()
+            for first in range(1, TRIED_FRAMES, TOGETHER):
+                numbers = range(first, first + TOGETHER)
+                stack.extend([Frame(pixels=frame, number=number, time_s=float(number)) for number in numbers])
+            return TRIED_FRAMES / (time.perf_counter() - began)
+
+
+def speed_finding(folder: Path, rate_hz: float) -> Finding:
+    """Return whether a rate of writing keeps up with video, Hz."""
+    told = f"{folder} takes {rate_hz:.1f} frames/s of {SHAPE[1]} x {SHAPE[0]} px, 16 bit, forced to the disk"
+    if rate_hz >= SPARE * VIDEO_HZ:
+        return Finding(area="disk", says=told)
+    return Finding(
+        area="disk", says=f"{told}; video needs {VIDEO_HZ:g}, and as many to spare", fix="name a faster disk"
+    )
+
+
+def room_finding(folder: Path, free_bytes: int) -> Finding:
+    """Return for how long the room left lasts."""
+    minutes = free_bytes / (np.prod(SHAPE) * np.dtype(DTYPE).itemsize * VIDEO_HZ) / 60.0
+    told = f"{folder} has {free_bytes / 1e9:.3g} GB left, {minutes:.0f} minutes of video"
+    fix = None if minutes >= LEAST_MINUTES else "make room, or name another disk"
+    return Finding(area="disk", says=told, fix=fix)
+
+
+def device_finding(area: str, path: Path, title: str) -> Finding:
+    """Return what is to be said of a device file.
+
+    Parameters
+    ----------
+    area
+        What it belongs to.
+    path
+        The file.
+    title
+        What it is.
+    """
+    if os.access(path, os.R_OK | os.W_OK):
+        return Finding(area=area, says=f"{path}: {title}")
+    group = group_of(path)
+    return Finding(
+        area=area,
+        says=f"{path}: {title}, and this user may not open it",
+        fix=f"sudo usermod -a -G {group} $USER, then log in again" if group else f"ask who owns {path}",
+    )
+
+
+def group_of(path: Path) -> str | None:
+    """Return the group that may open a file; None where there is none but root's."""
+    try:
+        group = path.stat().st_gid
+        return None if group == 0 else grp.getgrgid(group).gr_name
+    except (OSError, KeyError):
+        return None
+
+
+def is_member(group: str) -> bool | None:
+    """Whether this user is in a group, or is root; None where there is no such group."""
+    try:
+        known = grp.getgrnam(group)
+    except KeyError:
+        return None
+    return os.geteuid() == 0 or known.gr_gid in {os.getegid(), *os.getgroups()}
+
+
+DEVICES, KERNEL = Path("/dev"), Path("/sys/class/video4linux")
+
+
+def camera_findings() -> Iterator[Finding]:
+    """Yield Aravis and its cameras, then the video devices."""
+    yield from aravis_cameras()
+    yield from video_devices(offered=_capture_formats())
+
+
+def aravis_cameras() -> Iterator[Finding]:
+    """Yield the cameras that answer Aravis, or why there can be none."""
+    from drivers.cameras.aravis.connection import list_cameras
+    from drivers.errors import BenchError
+
+    try:
+        found = list_cameras()
+    except BenchError as error:
+        yield Finding(area="aravis", says=str(error), fix="apt-get install libaravis-0.8-0 (Debian)")
+        return
+    for camera in found:
+        yield Finding(area="aravis", says=f"{camera.identifier}: {camera.model}, {camera.serial}, at {camera.address}")
+    if not found:
+        yield Finding(
+            area="aravis",
+            says="the library is there; no GigE Vision or USB3 Vision camera answers",
+            fix="plug one in and switch it on; its address must lie in the subnet of the port that it hangs on",
+        )
+
+
+def video_devices(
+    devices: Path = DEVICES, kernel: Path = KERNEL, offered: Mapping[str, str] = MappingProxyType({})
+) -> Iterator[Finding]:
+    """Yield the kernel's video devices with their names.
+
+    Parameters
+    ----------
+    devices, kernel
+        Folders of the device files and of what the kernel says of them.
+    offered
+        What those that can capture offer, by device file.
+    """
+    paths = sorted(devices.glob("video[0-9]*"), key=lambda path: int(path.name.removeprefix("video")))
+    for path in paths:
+        told = offered.get(str(path), "captures nothing that can be read")
+        yield device_finding("video", path, f"{_name(kernel / path.name / 'name')}, {told}")
+    if not paths:
+        yield Finding(area="video", says="no video device", fix="plug a capture card in, for analog video")
+    if is_member("video") is False:
+        yield Finding(
+            area="video",
+            says="this user is not in the group video",
+            fix="sudo usermod -a -G video $USER, then log in again",
+        )
+
+
+def _capture_formats() -> dict[str, str]:
+    """Return inputs and readable pixel formats of each device that can capture."""
+    from drivers.cameras.v4l2.listing import list_devices
+
+    told = {}
+    for one in list_devices():
+        formats = (
+            ", ".join(dict.fromkeys(offer.name for offer in one.formats if offer.name)) or "no format that is read"
+        )
+        inputs = ", ".join(f"#{entry.number} {entry.name}" for entry in one.inputs)
+        told[one.path] = f"inputs {inputs or 'none'}; {formats or 'no format that can be read'}"
+    return told
+
+
+def _name(path: Path) -> str:
+    try:
+        return path.read_text(errors="replace").strip() or "nameless"
+    except OSError:
+        return "nameless"
+
+
+def port_findings() -> Iterator[Finding]:
+    """Yield the serial ports of this machine and whether this user may open them."""
+    from serial.tools.list_ports import comports
+
+    yield from serial_ports((Path(port.device), port.description or "nameless") for port in comports())
+
+
+def serial_ports(ports: Iterable[tuple[Path, str]]) -> Iterator[Finding]:
+    """Yield what is to be said of ports given with what they are.
+
+    Parameters
+    ----------
+    ports
+        Device file and description of each.
+    """
+    found = sorted(ports)
+    for path, title in found:
+        yield device_finding("serial", path, "serial port" if title == "n/a" else title)
+    if not found:
+        yield Finding(area="serial", says="no serial port", fix="plug an adapter in, if instruments are to be driven")
+    if is_member("dialout") is False:
+        yield Finding(
+            area="serial",
+            says="this user is not in the group dialout",
+            fix="sudo usermod -a -G dialout $USER, then log in again",
+        )
+
+
+LIMITS, INTERFACES = Path("/proc/sys/net/core"), Path("/sys/class/net")
+LEAST_PACKET_BYTES = 1500  # of plain Ethernet
+
+
+def network_findings() -> Iterator[Finding]:
+    """Yield the limit of the socket buffer, and the packet size of each interface that is up."""
+    yield socket_buffer(LIMITS)
+    yield from packet_sizes(INTERFACES)
+
+
+def socket_buffer(limits: Path) -> Finding:
+    """Return whether the kernel grants a receiver the buffer that a frame needs while nobody reads.
+
+    Parameters
+    ----------
+    limits
+        Folder of the kernel's limits.
+    """
+    try:
+        granted = int((limits / "rmem_max").read_text())
+    except (OSError, ValueError):
+        return Finding(area="network", says="the kernel does not tell the limit of a socket's buffer")
+    told = f"a socket may buffer {granted / 2**20:.3g} MiB of packets"
+    if granted >= SOCKET_BUFFER_BYTES:
+        return Finding(area="network", says=told)
+    return Finding(
+        area="network",
+        says=f"{told}; a camera at full rate needs {SOCKET_BUFFER_BYTES / 2**20:.3g} MiB, or frames lose their tails",
+        fix=f"sudo sysctl -w net.core.rmem_max={SOCKET_BUFFER_BYTES} (and keep it in /etc/sysctl.d/)",
+    )
+
+
+def packet_sizes(interfaces: Path) -> Iterator[Finding]:
+    """Yield the packet size of each interface that is up, the loopback left out.
+
+    Parameters
+    ----------
+    interfaces
+        Folder of what the kernel says of its interfaces.
+    """
+    for interface in sorted(interfaces.glob("*")):
+        if interface.name == "lo" or _read(interface / "operstate") != "up":
+            continue
+        bytes_ = int(_read(interface / "mtu") or 0)
+        told = f"{interface.name}: packets of {bytes_} bytes"
+        if bytes_ < LEAST_PACKET_BYTES:
+            yield Finding(area="network", says=told, fix=f"sudo ip link set dev {interface.name} mtu 1500")
+        else:
+            more = "" if bytes_ >= 9000 else "; cameras of many megapixels want 9000 (jumbo frames)"
+            yield Finding(area="network", says=told + more)
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_text().strip()
+    except OSError:
+        return ""
+
+
+__all__ = ["Finding", "can_work", "examine"]
+
+
+def examine(folder: Path) -> Iterator[Finding]:
+    """Yield what was found, one thing after the other; nothing is set, no instrument is spoken to.
+
+    Parameters
+    ----------
+    folder
+        Where sessions are to be written; a few frames are written there and removed.
+    """
+    yield from software_findings()
+    yield from disk_findings(folder)
+    yield from camera_findings()
+    yield from port_findings()
+    yield from network_findings()
+
+
+def can_work(found: tuple[Finding, ...]) -> bool:
+    """Whether nothing is amiss without which not even measuring works."""
+    return all(one.ok for one in found if one.core)
