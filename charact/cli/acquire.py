@@ -1,4 +1,4 @@
-"""The verb `acquire`: a plan becomes a session, on real or virtual instruments."""
+"""The verbs `acquire`, `demo` and `safe`, which run a real or virtual bench."""
 
 from pathlib import Path
 from typing import Annotated
@@ -11,31 +11,35 @@ from charact.cli.output import exit_on_bad_input, print_message, progress_bar
 
 def acquire(
     plan: Annotated[Path, typer.Argument(help="Acquisition plan, TOML, or the name of a shipped one.")],
-    out: Annotated[Path, typer.Argument(help="Folder of the session.")],
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with a broken run; finished steps stay.")] = False,
+    out: Annotated[Path, typer.Argument(help="Output session folder.")],
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Resume an interrupted run; completed steps are kept.")
+    ] = False,
     rehearse: Annotated[
-        Path | None, typer.Option(metavar="FAULTS.toml", help="Let faults strike the virtual bench meanwhile.")
+        Path | None,
+        typer.Option(metavar="FAULTS.toml", help="Inject the faults of FAULTS.toml into the virtual bench."),
     ] = None,
     events: options.Events = False,
 ) -> None:
-    """Run an acquisition plan on real or virtual instruments into a session.
+    """Run an acquisition plan on real or virtual instruments and store a session.
 
-    The first Ctrl-C finishes the step, shuts the gate and saves; the second shuts the gate now. SIGUSR1 pauses after
-    the step, with gate shut and light out, and the next one goes on. OUT/log.jsonl tells what happened.
+    The first Ctrl-C finishes the step, closes the gate and saves; the second closes the gate at once. SIGUSR1 pauses
+    after the current step with the gate closed and the light off; a second SIGUSR1 resumes. Events are logged to
+    OUT/log.jsonl.
 
     Example: charact acquire plan.toml day1; kill -USR1 PID; charact acquire plan.toml day1 --resume
 
     \b
-    Faults that rehearse a night; --resume goes on with those that have not struck yet:
+    Faults to inject; --resume continues with those not yet injected:
       [[fault]]
       instrument = "high_voltage"  # or delay_generator, light_source, filter_wheel, camera, ...
       kind = "garbage"             # half lines, silence, no answers, late answers, unplugged, power cycle, trip,
                                    # packet loss, stalled camera, clock jump
-      at_step = "flat-700V"        # without it at_s counts from the beginning of the run
+      at_step = "flat-700V"        # default: at_s counts from the start of the run
       at_s = 0.5
       for_s = 2.0
     """
-    interrupted = f"interrupted; the frames so far are kept: charact acquire {plan} {out} --resume"
+    interrupted = f"interrupted; frames acquired so far are kept. Resume with: charact acquire {plan} {out} --resume"
     with (
         exit_on_bad_input(str(plan), events=events, interrupted=interrupted),
         progress_bar(events=events) as progress,
@@ -59,13 +63,14 @@ def demo(
     out: Annotated[Path, typer.Argument(help="Folder for the session, the fitted sensor and the report.")] = Path(
         "demo"
     ),
-    quick: Annotated[bool, typer.Option("--quick", help="Fewer frames and no Markov chains.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Reduced run: fewer frames, no Markov chains.")] = False,
     seed: Annotated[
-        int | None, typer.Option(help="Seed of the specimen and of all noise; else from the clock.", min=0)
+        int | None,
+        typer.Option(help="Random seed of the device under test and of all noise (default: from the clock).", min=0),
     ] = None,
     events: options.Events = False,
 ) -> None:
-    """The whole loop on the virtual bench: acquire, characterize, fit, simulate, validate, report.
+    """Run the complete loop on the virtual bench: acquire, characterize, fit, simulate, validate, report.
 
     Example: charact demo
     """
@@ -78,13 +83,13 @@ def demo(
 
 def safe(
     plan: Annotated[
-        Path | None, typer.Argument(help="Plan whose bench is meant; without it, the last real bench of this machine.")
+        Path | None, typer.Argument(help="Plan of the bench (default: the last real bench of this machine).")
     ] = None,
     events: options.Events = False,
 ) -> None:
-    """Shut the gate, switch the high voltage off and put the lamp out, without camera or session.
+    """Close the gate and switch the high voltage and the lamp off, without camera or session.
 
-    It works while another program holds the ports, and waits 15 s for a port that is gone. Exit 0: all was verified.
+    Works while another program uses the ports; waits 15 s for a missing port. Exit 0: the safe state is verified.
 
     Example: charact safe plan.toml
     """
@@ -95,7 +100,7 @@ def safe(
 
         wires = last_bench() if plan is None else with_present_ports(load_plan(plan).wires)
         if not any(one.port for one in wires.instruments):
-            print("This bench has no serial ports: nothing of it is on between runs.")
+            print("This bench has no serial ports: no instrument is on between runs.")
             return
 
         report = make_bench_safe(wires, lambda step, **details: None)

@@ -1,4 +1,4 @@
-"""The annotated picture: the frame with every measured region, its MTF50 and its verdict drawn in."""
+"""Annotated image: the mean frame with every measured region, its MTF50 and its status."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -17,7 +17,7 @@ Box = tuple[int, int, int, int]
 """Top, left, bottom, right, px."""
 
 RING_STEP_PX, RINGS, DIRECTIONS = 14, 24, 16
-# Reach of the inner part of a small region, and what covering such parts with all of a caption costs in distance, px.
+# Half side of the inner part of a small region; cost of covering inner parts with the complete caption, px.
 LEAST_HEART_PX, COVERED_PX = 14, 250.0
 
 
@@ -31,14 +31,14 @@ def place_captions(
     boxes
         Regions.
     sizes
-        Height and width of each one's caption, px.
+        Height and width of each caption, px.
     frame
-        Height and width of the picture, px, that captions stay in as far as they fit.
+        Height and width of the image, px; captions stay inside it if they fit.
 
     Notes
     -----
-    One after the other, each to the nearest place around the middle of its box that covers no caption before it and,
-    if possible, no region's inner half: there is what was measured.
+    Greedy: each caption takes the position nearest to the centre of its box that covers no earlier caption and, if
+    possible, not the inner half of a region.
     """
     taken: list[Box] = []
     places = []
@@ -56,7 +56,7 @@ def _middle(box: Box) -> tuple[float, float]:
 
 
 def _around(box: Box, size: tuple[int, int], frame: tuple[int, ...]) -> Iterator[Box]:
-    """Places around the middle of a box, kept inside the frame."""
+    """Yield positions around the centre of a box, inside the frame."""
     row, col = _middle(box)
     for ring in range(RINGS):
         for turn in range(DIRECTIONS if ring else 1):
@@ -71,14 +71,14 @@ def _around(box: Box, size: tuple[int, int], frame: tuple[int, ...]) -> Iterator
 
 
 def _heart(box: Box) -> Box:
-    """Return the inner half of a box, and a little more of a small one: there is what was measured."""
+    """Return the inner half of a box, a larger part of a small one."""
     row, col = _middle(box)
     down, right = (max(0.25 * (box[k + 2] - box[k]), LEAST_HEART_PX) for k in (0, 1))
     return int(row - down), int(col - right), int(row + down), int(col + right)
 
 
 def _cost(option: Box, box: Box, taken: list[Box], hearts: list[Box]) -> float:
-    """Return how far a place is from its box's middle, more where it covers what others need."""
+    """Return the distance of a position from the centre of its box plus the cost of what it covers, px."""
     here, there = _middle(option), _middle(box)
     distance = float(np.hypot(here[0] - there[0], here[1] - there[1]))
     area = (option[2] - option[0]) * (option[3] - option[1])
@@ -88,7 +88,7 @@ def _cost(option: Box, box: Box, taken: list[Box], hearts: list[Box]) -> float:
 
 
 def _overlap(one: Box, other: Box) -> float:
-    """Return the covered area, px^2, gaps of 2 px counted as touching."""
+    """Return the overlap of two boxes, px^2; gaps of 2 px count as overlap."""
     height = min(one[2], other[2]) - max(one[0], other[0]) + 2
     width = min(one[3], other[3]) - max(one[1], other[1]) + 2
     return float(max(height, 0) * max(width, 0))
@@ -96,7 +96,7 @@ def _overlap(one: Box, other: Box) -> float:
 
 Picture = NDArray[np.uint8]
 
-# Blue, orange and vermilion keep apart for every kind of colour vision (Okabe and Ito); blue, green, red order.
+# Blue, orange and vermilion, distinct for all colour vision (Okabe and Ito); blue, green, red order.
 COLOURS = {"ok": (230, 170, 70), "suspect": (0, 160, 240), "refused": (60, 80, 235)}
 LOOKS = {"ok": "solid line", "suspect": "dashed line", "refused": "crossed out"}
 LEAST_WIDTH_PX = 1500
@@ -107,7 +107,7 @@ INK, PAPER = (255, 255, 255), (25, 25, 25)
 def write_annotated_image(
     stack: FrameStack, result: Result, path: Path, frequency: Frequency = in_cycles_per_pixel
 ) -> None:
-    """Write the mean frame as PNG with the regions of a result drawn in, whole or not at all.
+    """Write the mean frame with the regions of a result as PNG, atomically.
 
     Parameters
     ----------
@@ -117,27 +117,27 @@ def write_annotated_image(
     Raises
     ------
     BadInput
-        If the picture cannot be encoded.
+        If the image cannot be encoded.
     """
     import cv2
 
     ok, encoded = cv2.imencode(".png", render_annotations(stack, result, frequency))
     if not ok:
-        raise BadInput(f"the annotated picture could not be encoded for {path}")
+        raise BadInput(f"the annotated image must be encoded as PNG, and was not: {path}")
     write_atomically(path, encoded.tobytes())
 
 
 def require_png(path: Path) -> None:
-    """Refuse a file that is not named .png."""
+    """Raise BadInput unless the file is named .png."""
     if path.suffix.lower() != ".png":
         raise BadInput(f"--annotate must name a .png file, got {path.name!r}")
 
 
 def render_annotations(stack: FrameStack, result: Result, frequency: Frequency = in_cycles_per_pixel) -> Picture:
-    """Return the annotated picture, shape (row, col, 3), blue, green, red.
+    """Return the annotated image, shape (row, col, 3), blue, green, red.
 
-    Every region has a frame in the colour and the line of its verdict, and a caption with the number and its 95 %
-    interval; a leader leads from it to the region's middle. A strip below tells what is what.
+    Every region has an outline in the colour and line style of its status and a caption with the value and its 95 %
+    interval; a leader connects it to the region's centre. A legend is below the image.
     """
     import cv2
 
@@ -164,9 +164,9 @@ def _stretch_grey(stack: FrameStack) -> Picture:
 
 
 def _one_a_region(result: Result) -> list[Measurement]:
-    """The measurement that stands for each region: its MTF50, else the first one it has.
+    """Return one measurement for each region: its MTF50, else its first one.
 
-    What several regions tell together lies in none of them and has no place in the picture.
+    Measurements without a region, such as a joint MTF, are left out unless there are no others.
     """
     by_region: dict[object, Measurement] = {}
     placed_ones = [measurement for measurement in result.measurements if measurement.region is not None]
@@ -178,13 +178,13 @@ def _one_a_region(result: Result) -> list[Measurement]:
 
 
 def _box(measurement: Measurement, stack: FrameStack, scale: int) -> Box:
-    """Return top, left, bottom and right of a region in the enlarged picture."""
+    """Return top, left, bottom and right of a region in the enlarged image."""
     row, col, height, width = measurement.region or (0, 0, *stack.shape[1:])
     return scale * row, scale * col, scale * (row + height) - 1, scale * (col + width) - 1
 
 
 def _caption(m: Measurement, frequency: Frequency, *, alone: bool) -> list[str]:
-    """Return the lines of a caption: in full where there is but one, else the number and its interval."""
+    """Return the lines of a caption: complete for a single region, else value and interval."""
     name = f"{m.quantity} " if alone else ""
     if m.value is None:
         return [f"{name}refused", *([str(m.reason)[:90]] if alone else [])]
@@ -206,7 +206,7 @@ def _width(text: str) -> int:
 
 
 def _outline(picture: Picture, box: Box, status: str) -> None:
-    """Draw a region's frame: whole, dashed or crossed out, as its verdict is."""
+    """Outline a region: solid, dashed or crossed out by its status."""
     import cv2
 
     top, left, bottom, right = box
@@ -233,7 +233,7 @@ def _line(
 
 
 def _write(picture: Picture, lines: list[str], place: tuple[int, int], box: Box, status: str) -> None:
-    """Write a caption on its own ground, led to its region where it stands beside it."""
+    """Write a caption on a dark background, with a leader if it lies outside its region."""
     import cv2
 
     top, left = place
@@ -253,7 +253,7 @@ def _write(picture: Picture, lines: list[str], place: tuple[int, int], box: Box,
 
 
 def _legend(shown: list[Measurement], frequency: Frequency, width: int) -> Picture:
-    """Return the strip below the picture: what is written, how verdicts look, and what the flags mean."""
+    """Return the legend below the image: quantities, line styles of the status, and flags."""
     import cv2
 
     quantities = dict.fromkeys(f"{m.quantity}, {frequency(0.0, m)[1] if m.unit == 'cy/px' else m.unit}" for m in shown)

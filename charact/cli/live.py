@@ -1,9 +1,8 @@
-"""The verbs `live` and `focus`: the newest frames on a page of this machine, or their meters on the terminal."""
+"""The verbs `live`, `focus` and `watch`: frames and results during an acquisition."""
 
 import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated
@@ -28,17 +27,15 @@ Camera = Annotated[
     typer.Option("--camera", help="Aravis identifier, IP address, v4l2:/dev/video0 or replay:FOLDER#LABEL."),
 ]
 PlanFile = Annotated[
-    Path | None, typer.Option("--plan", help="Plan whose camera is shown; on a virtual bench, its first edge.")
+    Path | None, typer.Option("--plan", help="Plan whose camera is shown (virtual bench: its first edge).")
 ]
-Growing = Annotated[
-    Path | None, typer.Option("--session", help="Session that grows while a plan runs; the camera is left alone.")
-]
-Bits = Annotated[int | None, typer.Option("--bits", help="Bits of the digitiser, where the pixel format hides them.")]
+Growing = Annotated[Path | None, typer.Option("--session", help="Session being acquired; the camera is not accessed.")]
+Bits = Annotated[int | None, typer.Option("--bits", help="Bit depth, if the pixel format does not state it.")]
 Host = Annotated[
-    str, typer.Option("--host", help="Address to listen on. Any but the loopback needs the token that is printed.")
+    str, typer.Option("--host", help="Address to listen on; addresses other than loopback require the printed token.")
 ]
-Port = Annotated[int, typer.Option("--port", help="Port of the page; 0: any free one.")]
-Terminal = Annotated[bool, typer.Option("--terminal", help="Meters on the terminal instead of a page.")]
+Port = Annotated[int, typer.Option("--port", help="Port of the page; 0 selects a free port.")]
+Terminal = Annotated[bool, typer.Option("--terminal", help="Show statistics in the terminal instead of a web page.")]
 
 
 def live(
@@ -52,9 +49,9 @@ def live(
     terminal: Terminal = False,
     seed: options.Seed = 0,
 ) -> None:
-    """Picture, meters and histogram of the newest frames, on a page of this machine.
+    """Live view in a local web page: newest frame, statistics and histogram.
 
-    Only looks: no setting of camera or tube is touched. While a plan runs, look at what it stores: --session.
+    Read-only: no camera or tube setting is changed. While a plan runs, use --session to view the frames it stores.
 
     Example: charact live --camera Aravis-Fake-GV01
     """
@@ -72,7 +69,7 @@ def focus(
     terminal: Terminal = False,
     seed: options.Seed = 0,
 ) -> None:
-    """The same page with the focus as its large meter: MTF50 of an edge, the best so far held.
+    """Live view for focusing: MTF50 of an edge, with the best value held.
 
     Example: charact focus --camera Aravis-Fake-GV01 --roi 150,250,200,200
     """
@@ -105,7 +102,7 @@ def _show(
                     focus_first=title == "charact focus",
                     host=host,
                     port=port,
-                    tell=lambda address: print_message(f"{address}   (Ctrl-C closes it)"),
+                    tell=lambda address: print_message(f"{address}   (Ctrl-C to quit)"),
                 )
 
 
@@ -117,22 +114,22 @@ def live_source(
     *, camera: str | None, plan: Path | None, session: Path | None, bits: int | None, seed: int,
     tell: Callable[[str], None],
 ) -> "Iterator[FrameSource]":  # fmt: skip
-    """Yield where the frames come from.
+    """Yield the frame source.
 
     Parameters
     ----------
     camera
         A camera as a plan names it, see `labdata.plan.InstrumentConfig`.
     plan
-        A plan: its camera, or the virtual bench with what its first lit target asks for.
+        A plan: its camera, or the virtual bench with the conditions of its first illuminated target.
     session
         A growing session.
     bits
-        Bits of the digitiser where the camera's pixel format does not tell them.
+        Bit depth, if the pixel format does not state it.
     seed
-        Seed of the virtual bench, if that is what it comes to.
+        Seed of the virtual bench.
     tell
-        Told what is virtual.
+        Prints a message.
     """
     if sum(given is not None for given in (camera, plan, session)) > 1:
         raise BadInput("a live view must have one source, got several of --camera, --plan and --session")
@@ -145,21 +142,14 @@ def live_source(
         require_session(session)
         yield SessionSource(session)
         return
-    asked = None if plan is None else _plan(plan)
-    if camera is None and (asked is None or (asked.wires.bench != "real" and asked.wires.camera is None)):
-        with _virtual(asked, seed, full_scale_dn, tell) as source:
+    from charact.cli.benches import load_plan
+
+    loaded = None if plan is None else load_plan(plan)
+    if camera is None and (loaded is None or (loaded.wires.bench != "real" and loaded.wires.camera is None)):
+        with _virtual(loaded, seed, full_scale_dn, tell) as source:
             yield source
         return
-    yield _camera_source(camera or (asked.wires.camera if asked else None), asked, full_scale_dn, tell)
-
-
-def _plan(path: Path) -> "Plan":
-    from labdata.plan import Plan
-    from labdata.serialiser import from_toml
-
-    plan = from_toml(path, Plan)
-    beside = path.parent / (plan.sensor or "")
-    return replace(plan, sensor=str(beside.resolve())) if plan.sensor and beside.is_file() else plan
+    yield _camera_source(camera or (loaded.wires.camera if loaded else None), loaded, full_scale_dn, tell)
 
 
 def _camera_source(
@@ -171,13 +161,13 @@ def _camera_source(
     return CameraSource(
         camera_named(camera, tell=tell),
         frames_each=_frames_each(camera or ""),
-        name=f"camera {camera or 'that is there'}",
+        name=f"camera {camera or '(the only one)'}",
         context=_context(plan.sensor if plan else None, full_scale_dn),
     )
 
 
 def _frames_each(camera: str) -> int:
-    """Return how many frames one capture may ask for: a recording plays what it holds, again and again."""
+    """Return the number of frames of one capture: that of the shortest stack of a recording, else unlimited."""
     from charact.live.frame_source import ENDLESS
     from labdata.lazy_stack import open_lazy_stack
     from labdata.session import open_session
@@ -195,7 +185,7 @@ def _frames_each(camera: str) -> int:
 def _virtual(
     plan: "Plan | None", seed: int, full_scale_dn: float | None, tell: Callable[[str], None]
 ) -> "Iterator[FrameSource]":
-    """The virtual camera, its tube as somebody left it: gate and gain of the step shown, moved by nobody."""
+    """Yield the virtual camera with gate and gain fixed at those of the step shown."""
     from charact.live.frame_source import CameraSource
     from labdata.sensors import load_sensor
     from simulate.virtual_bench.in_process_camera import InProcessCamera
@@ -211,7 +201,7 @@ def _virtual(
     )
     tell(
         f"virtual bench: {sensor.name} at {left_at.mcp_v:g} V before the {step.kind} of step {step.label!r}; "
-        "the first frame is being drawn"
+        "simulating the first frame"
     )
     with TemporaryDirectory(prefix="charact-live-") as made:
         folder = Path(made)
@@ -227,7 +217,7 @@ def _virtual(
 
 
 def _step(plan: "Plan | None") -> "Step":
-    """Return the step to show: the first edge, else the first with light; without a plan, the demonstration's."""
+    """Return the step to show: the first edge, else the first with light; without a plan, from the demo's plan."""
     if plan is None:
         from charact.cli.demo_loop import demo_plan
 
@@ -250,22 +240,22 @@ def _context(sensor: str | None, full_scale_dn: float | None) -> "Context":
 
 
 def watch(
-    session: Annotated[Path, typer.Argument(help="Folder of a session that grows while a plan runs.")],
-    once: Annotated[bool, typer.Option("--once", help="End with the stacks that are there now.")] = False,
+    session: Annotated[Path, typer.Argument(help="Session folder of a running acquisition.")],
+    once: Annotated[bool, typer.Option("--once", help="Process the stacks present now, then exit.")] = False,
     patience_s: Annotated[
-        float, typer.Option("--patience-s", help="Longest wait for the next stack, s.", min=0.0)
+        float, typer.Option("--patience-s", help="Maximum wait for the next stack, s.", min=0.0)
     ] = 1800.0,
     seed: options.Seed = 0,
     as_json: options.Json = False,
     events: options.Events = False,
 ) -> None:
-    """Each stack measured as it lands, one line a stack; ends with the run.
+    """Measure each stack of a running acquisition as it is completed, one line per stack.
 
-    With --json each stack is one JSON object a line. What is distrusted is named: saturation, drift, automatic gain.
+    With --json each line is one JSON object. Ends with the run.
 
     Example: charact watch day1
     """
-    interrupted = f"watched no more; the run goes on: charact watch {session}"
+    interrupted = f"stopped watching; the acquisition continues. Resume with: charact watch {session}"
     with exit_on_bad_input(str(session), as_json=as_json, events=events, interrupted=interrupted):
         from charact.live.quick_look import look_at, watch_stacks
 
@@ -280,7 +270,7 @@ def watch(
 
 
 def _line(looked: "QuickLook") -> str:
-    """Return a stack's line: level, losses, saturation, numbers with intervals, and what to distrust."""
+    """Return the line of a stack: frames, mean, saturation, values with intervals, and flags."""
     entry = looked.entry
     level = (
         f"{entry.label} ({entry.kind}): {looked.frames} frames, {entry.lost_frames} lost, "
@@ -291,11 +281,11 @@ def _line(looked: "QuickLook") -> str:
         for m in looked.leading
     ]
     flags = dict.fromkeys(flag for m in looked.leading for flag in m.flags)
-    return "; ".join([level, *numbers, *([f"distrust: {', '.join(flags)}"] if flags else [])])
+    return "; ".join([level, *numbers, *([f"flags: {', '.join(flags)}"] if flags else [])])
 
 
 def _name(m: "Measurement", among: "tuple[Measurement, ...]") -> str:
-    """Return a quantity with its frequency, and with its direction where another has the same name."""
+    """Return a quantity with its frequency, and its direction if there are several of that name."""
     at = "" if m.frequency_cy_per_px is None else f" at {m.frequency_cy_per_px:.3g} cy/px"
     several = sum(other.quantity == m.quantity for other in among) > 1 and m.orientation_deg is not None
     return m.quantity + at + (f" along {m.orientation_deg:.3g} deg" if several else "")

@@ -1,4 +1,4 @@
-"""The verbs that take a session: noise, bloom, measure, fit, validate, report."""
+"""The verbs of a session: noise, bloom, measure, fit, validate, report."""
 
 import json
 import sys
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from labdata.measurement import Result
     from labdata.session import Session
 
-SessionFolder = Annotated[Path, typer.Argument(help="Folder of a session.")]
-SessionFolders = Annotated[list[Path], typer.Argument(help="Folders of sessions.")]
+SessionFolder = Annotated[Path, typer.Argument(help="Session folder.")]
+SessionFolders = Annotated[list[Path], typer.Argument(help="Session folders.")]
 FITTED = "fitted.toml"
 
 
@@ -35,10 +35,10 @@ def noise(
     as_json: options.Json = False,
     events: options.Events = False,
 ) -> None:
-    """Noise and gain from flats and darks, of one session or of many.
+    """Measure noise and gain from flat and dark stacks of one or more sessions.
 
-    Of many, each prints its own result (with --json one object a line); one that fails does not stop the others, and
-    the exit code is 1 if any gave no number.
+    Each session prints its own result (with --json one object per line). A failed session does not stop the others;
+    the exit code is 1 if any session gives no value.
 
     Example: charact noise ccd12 --json
     """
@@ -62,14 +62,14 @@ def bloom(
     plane: options.Plane = None,
     axis: options.Axis = None,
 ) -> None:
-    """Halo and blooming extent from point sources; a map of the share of each pixel that is blooming.
+    """Measure halo and bloom extent from point sources; optionally write a bloom map.
 
-    A bare picture instead of a session is read for what one frame can tell.
+    A single image may be given instead of a session; only single-frame quantities are measured.
 
     Example: charact bloom day1 --map bloom.png
     """
     if map_to is None and map_of is not None:
-        raise typer.BadParameter("names the stack of a map: give --map too", param_hint="'--map-of'")
+        raise typer.BadParameter("needs --map", param_hint="'--map-of'")
     if is_picture(session):
         bloom_of_picture(
             session, method=method, within=within, quick=quick, seed=seed, mapped=map_to is not None, plane=plane,
@@ -120,7 +120,7 @@ def measure(
     as_json: options.Json = False,
     events: options.Events = False,
 ) -> None:
-    """All that the session's stacks allow; the result is kept in the session for report and fit.
+    """Measure everything the stacks of a session support and store the result in the session.
 
     Example: charact measure day1 --quick
     """
@@ -139,7 +139,7 @@ def measure(
 
 
 def measure_and_save(folder: Path, *, quick: bool = False, seed: int = 0, events: bool = False) -> "Result":
-    """Measure a session and keep the result in it."""
+    """Measure a session and save the result in it."""
     from labdata import result_io
 
     result = measure_folder(folder, quick=quick, seed=seed, events=events)
@@ -169,7 +169,7 @@ def measure_folder(
 
 
 def load_or_measure(folder: Path, *, seed: int, events: bool):
-    """The result kept in a session; measured now if there is none."""
+    """Return the result saved in a session, measured first if there is none."""
     from labdata import result_io
 
     if (result := result_io.load(open_session_only(folder).folder)) is not None:
@@ -180,11 +180,11 @@ def load_or_measure(folder: Path, *, seed: int, events: bool):
 
 def fit(
     session: SessionFolder,
-    sensor_out: Annotated[Path, typer.Option("--sensor-out", help="TOML file for the fitted sensor.")],
+    sensor_out: Annotated[Path, typer.Option("--sensor-out", help="Output TOML file of the fitted sensor.")],
     seed: options.Seed = 0,
     events: options.Events = False,
 ) -> None:
-    """Fit the sensor: identified parameters with joint posterior draws, every other one at its prior and marked.
+    """Fit the sensor: identified parameters with joint posterior draws, the others at their priors and marked.
 
     Example: charact fit day1 --sensor-out day1/fitted.toml
     """
@@ -209,7 +209,7 @@ def validate(
     as_json: options.Json = False,
     events: options.Events = False,
 ) -> None:
-    """Simulated beside measured frames, from the fitted sensor alone, under statistics that can fail.
+    """Compare simulated with measured frames, using only the fitted sensor, by tests that can fail.
 
     Example: charact validate day1 --sensor day1/fitted.toml
     """
@@ -221,12 +221,12 @@ def validate(
 
 def report(
     session: SessionFolder,
-    out: Annotated[Path | None, typer.Option(help="HTML file; else report.html in the session.")] = None,
-    pdf: Annotated[bool, typer.Option("--pdf", help="Write a PDF beside it.")] = False,
+    out: Annotated[Path | None, typer.Option(help="Output HTML file (default: report.html in the session).")] = None,
+    pdf: Annotated[bool, typer.Option("--pdf", help="Also write a PDF.")] = False,
     seed: options.Seed = 0,
     events: options.Events = False,
 ) -> None:
-    """One self-contained HTML file: figures, quantities with intervals and verdicts, validation, provenance.
+    """Write a self-contained HTML report: figures, quantities with intervals, validation, provenance.
 
     Example: charact report day1 --pdf
     """
@@ -240,16 +240,16 @@ def report(
 
 
 def each(folders: Sequence[Path], one: Callable[[Path], None], *, as_json: bool, events: bool) -> None:
-    """Do one thing with every session; those that gave no number are named last, with exit code 1.
+    """Process every session; sessions without a value are listed last, with exit code 1.
 
     Parameters
     ----------
     folders
-        The sessions; a single one is treated as if nobody had asked for many.
+        Session folders.
     one
-        Measures and prints one session; ends by `typer.Exit` with code 1 where there is no number.
+        Measures and prints one session; raises `typer.Exit` with code 1 if there is no value.
     as_json, events
-        As the verb was asked: without JSON each session's folder stands above its lines.
+        Output format; without JSON the folder is printed above the lines of each session.
     """
     if len(folders) == 1:
         one(folders[0])
@@ -266,24 +266,24 @@ def each(folders: Sequence[Path], one: Callable[[Path], None], *, as_json: bool,
             failed.append(str(folder))
         sys.stdout.flush()
     if failed:
-        print_message(f"{len(failed)} of {len(folders)} sessions gave no number: {', '.join(failed)}", events=events)
+        print_message(f"{len(failed)} of {len(folders)} sessions gave no value: {', '.join(failed)}", events=events)
         raise typer.Exit(1)
 
 
 def validate_and_save(folder: Path, sensor: str | Path, *, seed: int, events: bool) -> "Validation":
-    """Validate a session against a fitted sensor and keep the outcome in the session's folder."""
+    """Validate a session against a fitted sensor and save the result in the session folder."""
     from charact import validation
     from labdata.sensors import load_sensor
 
     session = open_session_only(folder)
     if isinstance(sensor, Path) and not sensor.is_file():
         raise BadInput(
-            f"validate needs a fitted sensor: run charact fit {folder} --sensor-out {sensor}, which is missing"
+            f"validate needs a fitted sensor, got no file {sensor}; run charact fit {folder} --sensor-out {sensor}"
         )
     fitted = load_sensor(sensor)
     if not fitted.draws.values:
         print_message(
-            f"{fitted.name} carries no posterior draws: it is simulated as it stands, without its uncertainty",
+            f"{fitted.name} has no posterior draws: it is simulated without parameter uncertainty",
             events=events,
         )
     with progress_bar(events=events) as progress:
@@ -293,14 +293,14 @@ def validate_and_save(folder: Path, sensor: str | Path, *, seed: int, events: bo
 
 
 def load_validation(session: "Session") -> "Validation | None":
-    """The validation kept in a session's folder, or None."""
+    """Return the validation saved in the session folder, or None."""
     from charact.validation import load
 
     return load(session.folder)
 
 
 def print_validation(validation: "Validation", given: Path, *, as_json: bool) -> None:
-    """Print a validation: one line a statistic, both controls, and the verdict."""
+    """Print a validation: one line per statistic, both controls, and the verdict."""
     if as_json:
         from charact.validation import as_json as document
 

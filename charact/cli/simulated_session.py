@@ -1,4 +1,4 @@
-"""What simulated light leaves on disk: frames as a session, the scene behind them, and the image after each stage."""
+"""Files of a simulation: session of frames, scene radiance, and the image after each stage."""
 
 import json
 import math
@@ -22,10 +22,10 @@ if TYPE_CHECKING:
 
 
 def preview_into(
-    out: Path, asked: SimulationRequest, description: "Description", conditions: Conditions, *, explain: bool
+    out: Path, request: SimulationRequest, description: "Description", conditions: Conditions, *, explain: bool
 ) -> tuple[str, ...]:
-    """Keep what a scene out of doors shows in seconds, print its plan if asked for, and return what it leaves out."""
-    view = night_of(asked, description, conditions).seen(tolerance=asked.tolerance, seed=asked.seed, preview=True)
+    """Save a fast rendering of an outdoor scene, with `explain` print its effects; return notes on neglected ones."""
+    view = night_of(request, description, conditions).seen(tolerance=request.tolerance, seed=request.seed, preview=True)
     if explain:
         print(view.plan.text())
     _save_view(view, out)
@@ -42,7 +42,7 @@ def save_frames(
     notes: tuple[str, ...] = (),
     progress: Callable[[str, float], None] = lambda sentence, share: None,
 ) -> None:
-    """Expose frames and keep them as a session, each written before the next is drawn."""
+    """Simulate frames and store them as a session, one frame at a time."""
     from labdata.atomic_write import write_atomically
     from labdata.sensors import save_sensor
     from labdata.store import SessionWriter
@@ -69,7 +69,7 @@ def save_frames(
 
 
 def _save_view(view: "RenderedView", out: Path) -> None:
-    """Keep what a scene out of doors shows: its radiance as a picture, the truth of each pixel, and the plan."""
+    """Save the rendering of an outdoor scene: radiance image, auxiliary layers and selected effects."""
     from labdata.atomic_write import write_atomically
 
     out.mkdir(parents=True, exist_ok=True)
@@ -79,7 +79,7 @@ def _save_view(view: "RenderedView", out: Path) -> None:
 
 
 def _economy(shot: Shot) -> tuple[str, ...]:
-    """What was left out, in a sentence for the session."""
+    """Return the note of a session on neglected effects."""
     if shot.plan is None or shot.exact:
         return ("nothing left out",)
     names = ", ".join(effect.name for effect in shot.plan.left_out) or "nothing"
@@ -88,14 +88,14 @@ def _economy(shot: Shot) -> tuple[str, ...]:
 
 
 def save_stage_images(shot: Shot, description: "Description", folder: Path, *, seed: int) -> int:
-    """Keep the image after each stage, as files for teaching and for finding faults; return how many."""
+    """Save the image after each stage; return the number of stages."""
 
     title = f"{description.name}, one frame through the chain, seed {seed}"
     return save_stages(_stages(shot, seed), folder, title)
 
 
 def _stages(shot: Shot, seed: int) -> "Iterator[Stage]":
-    """The picture and what the camera expects of it, or the radiance from the lens on; then every stage's image."""
+    """Yield the input and the expected photoelectrons (or the radiance behind the lens), then every stage's image."""
     from simulate.iiccd.stage_images import stage_images
     from simulate.radiance.cube import RadianceCube
 
@@ -110,19 +110,19 @@ def _stages(shot: Shot, seed: int) -> "Iterator[Stage]":
 
 
 def _inside(light: Any) -> Any:
-    """The cells of the picture, without those beyond its border."""
+    """Return the cells of the frame without its margin."""
     grid = light.grid
     top, left = grid.margin_rows * grid.per_row, grid.margin_columns * grid.per_column
     return light.values[..., top : top + grid.rows * grid.per_row, left : left + grid.columns * grid.per_column]
 
 
-# Per cent of the pixels between which the grey scale runs, in decades of at least so many.
+# Percentiles of the pixels at the ends of the grey scale, and its least length in decades.
 RADIANCE_PERCENT, LEAST_DECADES = (1.0, 99.8), 1.0
 WIDTH_INCHES, DPI = 9.0, 120
 
 
 def save_radiance(cube: "RadianceCube", title: str, path: Path) -> None:
-    """Draw the radiance summed over bands, on a logarithmic scale.
+    """Plot the radiance summed over bands, on a logarithmic scale.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ def save_radiance(cube: "RadianceCube", title: str, path: Path) -> None:
 
 
 def _ends(image: np.ndarray) -> tuple[float, float]:
-    """Ends of the grey scale; a picture of nothing gets one all the same."""
+    """Return the limits of the grey scale, also of an image without light."""
     lit = image[image > 0.0]
     if not lit.size:
         return 1e-12, 1e-11
@@ -172,23 +172,23 @@ Stage = tuple[str, str, NDArray[Any]]  # name, quantity with unit, image (row, c
 SHEET = "stages.png"
 PANEL_INCHES = 3.4
 LABEL_LETTERS = 36
-# A panel has about so many dots along its longer side; finer images are averaged, for a skipped cell is a lost pulse.
+# Pixels along the longer side of a panel; finer images are averaged, so that no pulse is lost.
 PANEL_DOTS = 420
-# The brightest few in a thousand may be single pulses: the scale ends below them and says so.
+# Percentiles at the ends of the grey scale; the brightest 0.3 % may be single pulses.
 SHOWN_PERCENT = (0.1, 99.7)
 
 
 def save_stages(stages: Iterable[Stage], folder: Path, title: str) -> int:
-    """Write every stage's image, numbered in the order of the light, and the contact sheet; return how many.
+    """Write every stage's image, numbered in order, and the contact sheet; return the number of stages.
 
     Parameters
     ----------
     stages
-        Name, quantity with unit, and image (row, col) of each stage; taken one at a time.
+        Name, quantity with unit, and image (row, col) of each stage.
     folder
-        Where the files go; made where it is missing.
+        Output folder; created if missing.
     title
-        What the sheet shows.
+        Title of the sheet.
     """
     import tifffile
 
@@ -204,7 +204,7 @@ def save_stages(stages: Iterable[Stage], folder: Path, title: str) -> int:
 
 
 def sheet(stages: list[Stage], title: str) -> Any:
-    """Return the contact sheet as a figure: a panel per stage, each with a bar of its own scale and unit."""
+    """Return the contact sheet: one panel per stage with its own scale and unit."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -246,7 +246,7 @@ def _panel(figure: Any, axes: Any, name: str, quantity: str, image: NDArray[np.f
 
 
 def block_means(image: NDArray[np.float32], block: int) -> NDArray[np.float32]:
-    """Return means over square blocks, those that the last rows and columns do not fill left out."""
+    """Return means over square blocks; incomplete blocks at the end are dropped."""
     rows, cols = image.shape[0] // block, image.shape[1] // block
     if block == 1 or not rows or not cols:
         return image

@@ -1,4 +1,4 @@
-"""A driver and its virtual instrument over a pseudo-terminal, as the rules of conformance try them."""
+"""A driver and its virtual instrument over a pseudo-terminal, for conformance tests."""
 
 import contextlib
 import json
@@ -19,7 +19,7 @@ from simulate.virtual_bench.process import VirtualInstruments
 ADDRESS = 14
 FASTER_THAN_LIFE = 20.0
 LATE_S = 0.6
-# A fault is in force at the instrument's next look at its file.
+# Time until a virtual instrument reads its fault file, s.
 SEEN_S = 0.06
 _WRONGS = {
     "silent": Faults(silent=True),
@@ -35,12 +35,12 @@ _WRONGS = {
 
 
 class VirtualPair:
-    """The pair of a model's driver and its virtual instrument, running within its `with` block.
+    """Driver and virtual instrument of a model, running within a `with` block.
 
     Parameters
     ----------
     name
-        Name of the model; driver and virtual instrument have the same.
+        Name of the model.
     folder
         Folder for the virtual instrument.
     """
@@ -68,20 +68,20 @@ class VirtualPair:
         self._instruments.stop()
 
     def driver(self) -> Any:
-        """Open the line anew and return a driver on it."""
+        """Reopen the line and return a driver on it."""
         self._close()
         self._line = self.model.open_line(self._instruments.port(self._virtual.place), ADDRESS)
         return self.model.driver(self._line)
 
     def outputs(self) -> Mapping[str, Any]:
-        """What the instrument puts out now."""
+        """Return the present outputs of the instrument."""
         found: dict[str, Any] = {}
         for path in self._folder.glob("*.output.json"):
             found |= json.loads(path.read_text())
         return found
 
     def suffer(self, wrong: str, setting: str = "") -> None:
-        """Begin one of the wrongs, all others ended; "panel" changes a setting once, at the instrument itself."""
+        """Start one fault and end all others; "panel" changes a setting at the instrument's front panel."""
         self._power_cycles += wrong == "power-cycle"
         self._tripped = wrong == "trip"
         if wrong == "panel":
@@ -89,7 +89,7 @@ class VirtualPair:
         self._now(_WRONGS[wrong])
 
     def heal(self) -> None:
-        """End what is wrong; a trip is cleared by switching the instrument off and on."""
+        """End all faults; a trip is cleared by a power cycle."""
         self._power_cycles += self._tripped
         self._now(Faults())
         self._tripped = False

@@ -1,4 +1,4 @@
-"""The doctor: what a bench needs of this machine, each thing ok or with the fix."""
+"""Checks of this machine: versions, disk, cameras, ports, permissions and network, each with its fix."""
 
 import grp
 import os
@@ -24,18 +24,18 @@ from labdata.store import SessionWriter
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """One thing looked at.
+    """Result of one check.
 
     Parameters
     ----------
     area
-        What it belongs to, such as "disk".
+        Subject, such as "disk".
     says
-        What was found, in a sentence.
+        The finding, in a sentence.
     fix
-        What to do about it; None where it is ok.
+        The remedy; None if ok.
     core
-        Whether not even measuring works without it.
+        Whether measuring needs it.
     """
 
     area: str
@@ -45,7 +45,7 @@ class Finding:
 
     @property
     def ok(self) -> bool:
-        """Whether there is nothing to do."""
+        """Whether there is nothing to fix."""
         return self.fix is None
 
 
@@ -55,34 +55,34 @@ _REQUIREMENT = re.compile(r"^([\w.-]+)\s*(?:>=\s*([0-9.]+))?.*?(?:;.*extra\s*==\
 
 
 def software_findings() -> Iterator[Finding]:
-    """Yield Python's version, the needed packages, and each extra."""
+    """Yield findings on Python, the required packages, and each extra."""
     yield python_finding(sys.version_info[:3])
     try:
         requires = metadata.requires("charact") or []
     except metadata.PackageNotFoundError:
         yield Finding(
-            area="packages", says="charact is not installed, its needs are unknown", fix="pip install charact"
+            area="packages", says="charact is not installed, its requirements are unknown", fix="pip install charact"
         )
         return
     yield from package_findings(requires, _installed_version)
 
 
 def python_finding(version: tuple[int, ...]) -> Finding:
-    """Return what is to be said of Python's version."""
-    told = ".".join(str(part) for part in version)
+    """Return whether the Python version is sufficient."""
+    text = ".".join(str(part) for part in version)
     fix = None if version >= LEAST_PYTHON else "install Python 3.11 or later"
-    return Finding(area="python", says=f"Python {told}", fix=fix, core=True)
+    return Finding(area="python", says=f"Python {text}", fix=fix, core=True)
 
 
 def package_findings(requires: Iterable[str], installed: Callable[[str], str | None]) -> Iterator[Finding]:
-    """Yield one finding for the needed packages, and one for each extra.
+    """Yield one finding for the required packages, and one for each extra.
 
     Parameters
     ----------
     requires
-        Requirements as the metadata of a distribution names them.
+        Requirements in the format of package metadata.
     installed
-        Returns the version of a package, None where it is not installed.
+        Returns the version of a package, None if it is not installed.
     """
     wanting: dict[str | None, list[str]] = {}
     for requirement in requires:
@@ -96,7 +96,7 @@ def package_findings(requires: Iterable[str], installed: Callable[[str], str | N
         of, suffix = ("packages", "") if extra is None else (f"extra {extra}", f"[{extra}]")
         yield Finding(
             area=of,
-            says=", ".join(lacks) or "all there",
+            says=", ".join(lacks) or "all installed",
             fix=f"pip install --upgrade 'charact{suffix}'" if lacks else None,
             core=extra is None,
         )
@@ -111,7 +111,7 @@ def _lack(name: str, least: str | None, version: str | None) -> str | None:
 
 
 def _numbers(version: str) -> tuple[int, ...]:
-    """Return the release of a version as numbers: 1.10 is later than 1.9."""
+    """Return the release numbers of a version, so that 1.10 is later than 1.9."""
     parts = re.match(r"[0-9]+(?:\.[0-9]+)*", version)
     return tuple(int(part) for part in parts.group().split(".")) if parts else ()
 
@@ -130,19 +130,19 @@ LEAST_MINUTES = 10.0
 
 
 def disk_findings(folder: Path) -> Iterator[Finding]:
-    """Yield the speed of the disk under a folder by writing frames to it as acquisition does, and its room."""
+    """Yield the write rate of the disk, measured as in an acquisition, and its free space."""
     try:
         rate_hz = write_rate_hz(folder)
     except (OSError, BadInput) as error:
         why = error.strerror if isinstance(error, OSError) else error
-        yield Finding(area="disk", says=f"{folder} takes no frames: {why}", fix="name another folder", core=True)
+        yield Finding(area="disk", says=f"{folder} is not writable: {why}", fix="choose another folder", core=True)
         return
     yield speed_finding(folder, rate_hz)
     yield room_finding(folder, shutil.disk_usage(folder).free)
 
 
 def write_rate_hz(folder: Path) -> float:
-    """Return how many frames a second are written, forced to the disk together as those that wait are, Hz."""
+    """Return the rate of frames written and synchronised to disk in groups, Hz."""
     frame = np.random.default_rng(0).integers(0, 4096, SHAPE).astype(DTYPE)
     with TemporaryDirectory(dir=folder, prefix=".charact-doctor-") as made:
         session = Path(made) / "session"
@@ -159,47 +159,37 @@ def write_rate_hz(folder: Path) -> float:
 
 
 def speed_finding(folder: Path, rate_hz: float) -> Finding:
-    """Return whether a rate of writing keeps up with video, Hz."""
-    told = f"{folder} takes {rate_hz:.1f} frames/s of {SHAPE[1]} x {SHAPE[0]} px, 16 bit, forced to the disk"
+    """Return whether a write rate is sufficient for video, Hz."""
+    rate = f"{folder}: {rate_hz:.1f} frames/s of {SHAPE[1]} x {SHAPE[0]} px, 16 bit, synchronised to disk"
     if rate_hz >= SPARE * VIDEO_HZ:
-        return Finding(area="disk", says=told)
+        return Finding(area="disk", says=rate)
     return Finding(
-        area="disk", says=f"{told}; video needs {VIDEO_HZ:g}, and as many to spare", fix="name a faster disk"
+        area="disk", says=f"{rate}; video needs {VIDEO_HZ:g}, and a margin of as many", fix="choose a faster disk"
     )
 
 
 def room_finding(folder: Path, free_bytes: int) -> Finding:
-    """Return for how long the room left lasts."""
+    """Return whether the free space is sufficient."""
     minutes = free_bytes / (np.prod(SHAPE) * np.dtype(DTYPE).itemsize * VIDEO_HZ) / 60.0
-    told = f"{folder} has {free_bytes / 1e9:.3g} GB left, {minutes:.0f} minutes of video"
-    fix = None if minutes >= LEAST_MINUTES else "make room, or name another disk"
-    return Finding(area="disk", says=told, fix=fix)
+    space = f"{folder}: {free_bytes / 1e9:.3g} GB free, {minutes:.0f} minutes of video"
+    fix = None if minutes >= LEAST_MINUTES else "free disk space, or choose another disk"
+    return Finding(area="disk", says=space, fix=fix)
 
 
 def device_finding(area: str, path: Path, title: str) -> Finding:
-    """Return what is to be said of a device file.
-
-    Parameters
-    ----------
-    area
-        What it belongs to.
-    path
-        The file.
-    title
-        What it is.
-    """
+    """Return whether this user may open a device file."""
     if os.access(path, os.R_OK | os.W_OK):
         return Finding(area=area, says=f"{path}: {title}")
     group = group_of(path)
     return Finding(
         area=area,
-        says=f"{path}: {title}, and this user may not open it",
-        fix=f"sudo usermod -a -G {group} $USER, then log in again" if group else f"ask who owns {path}",
+        says=f"{path}: {title}; this user may not open it",
+        fix=f"sudo usermod -a -G {group} $USER, then log in again" if group else f"change the permissions of {path}",
     )
 
 
 def group_of(path: Path) -> str | None:
-    """Return the group that may open a file; None where there is none but root's."""
+    """Return the group of a file; None for root's."""
     try:
         group = path.stat().st_gid
         return None if group == 0 else grp.getgrgid(group).gr_name
@@ -208,7 +198,7 @@ def group_of(path: Path) -> str | None:
 
 
 def is_member(group: str) -> bool | None:
-    """Whether this user is in a group, or is root; None where there is no such group."""
+    """Whether this user is in a group, or is root; None if there is no such group."""
     try:
         known = grp.getgrnam(group)
     except KeyError:
@@ -220,13 +210,13 @@ DEVICES, KERNEL = Path("/dev"), Path("/sys/class/video4linux")
 
 
 def camera_findings() -> Iterator[Finding]:
-    """Yield Aravis and its cameras, then the video devices."""
+    """Yield the cameras of Aravis, then the V4L2 devices."""
     yield from aravis_cameras()
     yield from video_devices(offered=_capture_formats())
 
 
 def aravis_cameras() -> Iterator[Finding]:
-    """Yield the cameras that answer Aravis, or why there can be none."""
+    """Yield the cameras that Aravis lists, or a finding on the library."""
     from drivers.cameras.aravis.connection import list_cameras
     from drivers.errors import BenchError
 
@@ -240,29 +230,29 @@ def aravis_cameras() -> Iterator[Finding]:
     if not found:
         yield Finding(
             area="aravis",
-            says="the library is there; no GigE Vision or USB3 Vision camera answers",
-            fix="plug one in and switch it on; its address must lie in the subnet of the port that it hangs on",
+            says="the library is installed; no GigE Vision or USB3 Vision camera answers",
+            fix="connect a camera and switch it on; its address must be in the subnet of its network port",
         )
 
 
 def video_devices(
     devices: Path = DEVICES, kernel: Path = KERNEL, offered: Mapping[str, str] = MappingProxyType({})
 ) -> Iterator[Finding]:
-    """Yield the kernel's video devices with their names.
+    """Yield the V4L2 devices with their names.
 
     Parameters
     ----------
     devices, kernel
-        Folders of the device files and of what the kernel says of them.
+        Folders of the device files and of their kernel attributes.
     offered
-        What those that can capture offer, by device file.
+        Inputs and formats of capture devices, by device file.
     """
     paths = sorted(devices.glob("video[0-9]*"), key=lambda path: int(path.name.removeprefix("video")))
     for path in paths:
-        told = offered.get(str(path), "captures nothing that can be read")
-        yield device_finding("video", path, f"{_name(kernel / path.name / 'name')}, {told}")
+        formats = offered.get(str(path), "no readable capture format")
+        yield device_finding("video", path, f"{_name(kernel / path.name / 'name')}, {formats}")
     if not paths:
-        yield Finding(area="video", says="no video device", fix="plug a capture card in, for analog video")
+        yield Finding(area="video", says="no video device", fix="connect a capture card, for analog video")
     if is_member("video") is False:
         yield Finding(
             area="video",
@@ -275,14 +265,12 @@ def _capture_formats() -> dict[str, str]:
     """Return inputs and readable pixel formats of each device that can capture."""
     from drivers.cameras.v4l2.listing import list_devices
 
-    told = {}
+    offers = {}
     for one in list_devices():
-        formats = (
-            ", ".join(dict.fromkeys(offer.name for offer in one.formats if offer.name)) or "no format that is read"
-        )
+        formats = ", ".join(dict.fromkeys(offer.name for offer in one.formats if offer.name)) or "no readable format"
         inputs = ", ".join(f"#{entry.number} {entry.name}" for entry in one.inputs)
-        told[one.path] = f"inputs {inputs or 'none'}; {formats or 'no format that can be read'}"
-    return told
+        offers[one.path] = f"inputs {inputs or 'none'}; {formats}"
+    return offers
 
 
 def _name(path: Path) -> str:
@@ -293,25 +281,19 @@ def _name(path: Path) -> str:
 
 
 def port_findings() -> Iterator[Finding]:
-    """Yield the serial ports of this machine and whether this user may open them."""
+    """Yield the serial ports and whether this user may open them."""
     from serial.tools.list_ports import comports
 
     yield from serial_ports((Path(port.device), port.description or "nameless") for port in comports())
 
 
 def serial_ports(ports: Iterable[tuple[Path, str]]) -> Iterator[Finding]:
-    """Yield what is to be said of ports given with what they are.
-
-    Parameters
-    ----------
-    ports
-        Device file and description of each.
-    """
+    """Yield whether this user may open ports, given as (device file, description)."""
     found = sorted(ports)
     for path, title in found:
         yield device_finding("serial", path, "serial port" if title == "n/a" else title)
     if not found:
-        yield Finding(area="serial", says="no serial port", fix="plug an adapter in, if instruments are to be driven")
+        yield Finding(area="serial", says="no serial port", fix="connect an adapter, for instruments")
     if is_member("dialout") is False:
         yield Finding(
             area="serial",
@@ -325,51 +307,39 @@ LEAST_PACKET_BYTES = 1500  # of plain Ethernet
 
 
 def network_findings() -> Iterator[Finding]:
-    """Yield the limit of the socket buffer, and the packet size of each interface that is up."""
+    """Yield the limit of the socket buffer, and the packet size of each active interface."""
     yield socket_buffer(LIMITS)
     yield from packet_sizes(INTERFACES)
 
 
 def socket_buffer(limits: Path) -> Finding:
-    """Return whether the kernel grants a receiver the buffer that a frame needs while nobody reads.
-
-    Parameters
-    ----------
-    limits
-        Folder of the kernel's limits.
-    """
+    """Return whether the socket buffer of the kernel is sufficient for a frame; `limits`: folder of its limits."""
     try:
         granted = int((limits / "rmem_max").read_text())
     except (OSError, ValueError):
-        return Finding(area="network", says="the kernel does not tell the limit of a socket's buffer")
-    told = f"a socket may buffer {granted / 2**20:.3g} MiB of packets"
+        return Finding(area="network", says="the kernel does not state the limit of the socket buffer")
+    size = f"socket buffer of at most {granted / 2**20:.3g} MiB"
     if granted >= SOCKET_BUFFER_BYTES:
-        return Finding(area="network", says=told)
+        return Finding(area="network", says=size)
     return Finding(
         area="network",
-        says=f"{told}; a camera at full rate needs {SOCKET_BUFFER_BYTES / 2**20:.3g} MiB, or frames lose their tails",
+        says=f"{size}; a camera at full rate needs {SOCKET_BUFFER_BYTES / 2**20:.3g} MiB, or packets are lost",
         fix=f"sudo sysctl -w net.core.rmem_max={SOCKET_BUFFER_BYTES} (and keep it in /etc/sysctl.d/)",
     )
 
 
 def packet_sizes(interfaces: Path) -> Iterator[Finding]:
-    """Yield the packet size of each interface that is up, the loopback left out.
-
-    Parameters
-    ----------
-    interfaces
-        Folder of what the kernel says of its interfaces.
-    """
+    """Yield the packet size of each active interface but the loopback; `interfaces`: folder of their attributes."""
     for interface in sorted(interfaces.glob("*")):
         if interface.name == "lo" or _read(interface / "operstate") != "up":
             continue
         bytes_ = int(_read(interface / "mtu") or 0)
-        told = f"{interface.name}: packets of {bytes_} bytes"
+        size = f"{interface.name}: packets of {bytes_} bytes"
         if bytes_ < LEAST_PACKET_BYTES:
-            yield Finding(area="network", says=told, fix=f"sudo ip link set dev {interface.name} mtu 1500")
+            yield Finding(area="network", says=size, fix=f"sudo ip link set dev {interface.name} mtu 1500")
         else:
-            more = "" if bytes_ >= 9000 else "; cameras of many megapixels want 9000 (jumbo frames)"
-            yield Finding(area="network", says=told + more)
+            more = "" if bytes_ >= 9000 else "; use 9000 (jumbo frames) for cameras of many megapixels"
+            yield Finding(area="network", says=size + more)
 
 
 def _read(path: Path) -> str:
@@ -383,12 +353,12 @@ __all__ = ["Finding", "can_work", "examine"]
 
 
 def examine(folder: Path) -> Iterator[Finding]:
-    """Yield what was found, one thing after the other; nothing is set, no instrument is spoken to.
+    """Yield the findings one by one; nothing is changed and no instrument is contacted.
 
     Parameters
     ----------
     folder
-        Where sessions are to be written; a few frames are written there and removed.
+        Folder for sessions; test frames are written there and removed.
     """
     yield from software_findings()
     yield from disk_findings(folder)
@@ -398,5 +368,5 @@ def examine(folder: Path) -> Iterator[Finding]:
 
 
 def can_work(found: tuple[Finding, ...]) -> bool:
-    """Whether nothing is amiss without which not even measuring works."""
+    """Whether all core findings are ok."""
     return all(one.ok for one in found if one.core)

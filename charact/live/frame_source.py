@@ -1,4 +1,4 @@
-"""Where the bench's frames come from: a camera that is only read, or a session that grows while a plan runs."""
+"""Frame sources of the live view: a camera, or a session during its acquisition."""
 
 import re
 import time
@@ -27,18 +27,18 @@ ENDLESS = 2**40  # frames; at a thousand a second, 35 years
 
 @dataclass(frozen=True, kw_only=True)
 class SourceFrame:
-    """A frame with what is known of it.
+    """A frame with its metadata.
 
     Parameters
     ----------
     frame
         The frame.
     of
-        What it is of: the camera, or the stack of a session.
+        Origin: the camera, or the stack of a session.
     full_scale_dn
         Highest code of the digitiser, DN.
     lost_frames
-        Frames numbered by the camera and not whole since the capture or the stack began.
+        Frames lost since the start of the capture or stack.
     conditions
         Conditions as read back.
     """
@@ -51,47 +51,45 @@ class SourceFrame:
 
 
 def highest_code(dtype: np.dtype, pixel_format: str | None = None) -> float:
-    """Return the highest code of a pixel: of the depth that the format names ("Mono12"), else of the type."""
+    """Return the full scale of a pixel format ("Mono12"), else of the data type, DN."""
     named = re.search(r"\d+", pixel_format or "")
     own_bits = 8 * dtype.itemsize
     return float(2 ** min(int(named.group()) if named else own_bits, own_bits) - 1)
 
 
 class FrameSource(Protocol):
-    """Frames as they come."""
+    """Source of frames."""
 
     @property
     def name(self) -> str:
-        """What a person calls it."""
+        """Display name."""
         ...
 
     @property
     def context(self) -> Context:
-        """What is known of the camera: its fields and pitches."""
+        """Context of the camera."""
         ...
 
     def __iter__(self) -> Iterator[SourceFrame | None]:
-        """Frames as they come; None now and then while none comes."""
+        """Yield frames as they arrive, and None at intervals without frames."""
         ...
 
 
 class CameraSource:
-    """A camera as it is set, exposing without end.
-
-    Nothing is set: exposure and gain stay as they are, and no instrument of the tube is within reach.
+    """Endless capture of a camera with its present settings.
 
     Parameters
     ----------
     camera
-        The camera, not yet open.
+        The camera, not opened.
     name
-        What a person calls it.
+        Display name.
     context
-        What is known of it; a full scale in it goes before that of the camera's pixel format.
+        Context of the camera; its full scale overrides that of the pixel format.
     most_hz
-        Pace of a camera without a clock of its own, frames/s; None: the camera paces itself.
+        Frame rate limit of a camera without clock, Hz; None: no limit.
     frames_each
-        Frames of one capture, after which the next begins; fewer where a recording has no more.
+        Frames of one capture.
     """
 
     def __init__(
@@ -130,19 +128,19 @@ class CameraSource:
                 time.sleep(max(due_s - time.monotonic(), 0.0) if self._period_s else 0.0)
 
 
-LOOK_S = 0.04  # 25 looks a second
-FIRST_SHOWN = 4  # enough for noise and focus of a stack that is there already
+LOOK_S = 0.04
+FIRST_SHOWN = 4  # sufficient for noise and focus of an existing stack
 
 
 class SessionSource:
-    """The newest frame of a growing session, whenever there is one; frames in between are left out.
+    """Newest frames of a session during its acquisition, read from disk; intermediate frames are skipped.
 
     Parameters
     ----------
     folder
         Folder of the session.
     look_s
-        Time between two looks at the journal, s.
+        Interval between two reads of the journal, s.
 
     Raises
     ------
@@ -176,7 +174,7 @@ class SessionSource:
                 time.sleep(self._look_s)
 
     def _newest(self) -> StackRecord | None:
-        """Return the stack that is being taken, else the last one."""
+        """Return the stack being acquired, else the last one."""
         if (self.folder / MANIFEST).stat().st_mtime_ns != self._written_ns:
             self._form, self._written_ns = self._read()
         unfinished = [stack for stack in self._form.stack if stack.finished is False]
@@ -188,17 +186,17 @@ class SessionSource:
 
 
 class _Stack:
-    """One stack while it grows."""
+    """A stack during its acquisition."""
 
     def __init__(self, form: StackRecord, path: Path, context: Context) -> None:
         if not is_ours(path):
-            raise BadInput(f"only frames taken by charact acquire can be followed, got {path}")
+            raise BadInput(f"the session must be acquired by charact acquire, got {path}")
         self.form, self._full_scale_dn = form, context.full_scale_dn
         self._following = ArrayFollower(path)
         self._first_number: int | None = None
 
     def newest(self) -> tuple[SourceFrame, ...]:
-        """Return the newest frame, at the first look the newest few; none where none came since the last look."""
+        """Return the newest frame since the last read, at the first read up to `FIRST_SHOWN` frames."""
         news = self._following.news()
         shown = news[-1:]
         if news and self._first_number is None:
@@ -218,5 +216,5 @@ class _Stack:
 
 def _array_of(stack: StackRecord) -> str:
     if not isinstance(stack.frames, str):
-        raise BadInput(f"only frames taken by charact acquire can be followed, got {len(stack.frames)} files")
+        raise BadInput(f"the session must be acquired by charact acquire, got {len(stack.frames)} files")
     return stack.frames

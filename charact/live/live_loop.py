@@ -1,4 +1,4 @@
-"""The bench at work: frames are taken in as they come, measured, and put where onlookers find them."""
+"""Live loop: measures frames as they arrive and publishes the newest view."""
 
 import threading
 import time
@@ -20,7 +20,7 @@ from labdata.errors import BadInput
 
 
 class LatestView:
-    """The newest view: written by one thread, read by any. Nobody waits for a slow reader."""
+    """The newest view, written by one thread and read by any number without delaying it."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
@@ -34,23 +34,23 @@ class LatestView:
 
     @property
     def end_reason(self) -> str | None:
-        """Why no further view will come; None while more may come."""
+        """Why the views ended; None while more may come."""
         return self._ended
 
     def put(self, view: LiveView) -> None:
-        """Put a newer view in place of the last one."""
+        """Replace the view by a newer one."""
         with self._changed:
             self._view = view
             self._changed.notify_all()
 
     def end(self, why: str) -> None:
-        """Say that no further view will come."""
+        """End the views with a reason."""
         with self._changed:
             self._ended = why
             self._changed.notify_all()
 
     def after(self, number: int, *, timeout_s: float) -> LiveView | None:
-        """Return the newest view once its number is above `number`; None if none came in time, or the views ended."""
+        """Wait for a view with a number above `number`; None after the time-out or when the views ended."""
         with self._changed:
             self._changed.wait_for(lambda: self._is_after(number) or self._ended is not None, timeout=timeout_s)
             return self._view if self._is_after(number) else None
@@ -63,13 +63,13 @@ OVER_S = 2.0
 
 
 class FrameRate:
-    """The rate over the last two seconds; frames that were not looked at count by their numbers."""
+    """Frame rate over the last two seconds, from the camera's frame numbers and time stamps."""
 
     def __init__(self) -> None:
         self._seen: deque[tuple[int, float]] = deque()
 
     def after(self, frame: Frame) -> float | None:
-        """Return the rate after a further frame, Hz; None until two frames of one run were seen."""
+        """Return the rate after a further frame, Hz; None before two frames of one capture."""
         if self._seen and (frame.number <= self._seen[-1][0] or frame.time_s <= self._seen[-1][1]):
             self._seen.clear()
         self._seen.append((frame.number, frame.time_s))
@@ -79,22 +79,22 @@ class FrameRate:
         return (last - first) / (ended_s - began_s) if last > first else None
 
 
-# More often nobody sees a difference; frames in between are taken off the camera and left unmeasured.
+# Shortest interval between two views, s; frames in between are read but not measured.
 LEAST_PERIOD_S = 1.0 / 30.0
 LEAVE_S = 20.0
 
 
 class LiveLoop:
-    """A source's frames measured in a thread of their own, within a `with` block.
+    """Measures the frames of a source in a thread, within a `with` block.
 
     Parameters
     ----------
     source
-        Where frames come from.
+        Frame source.
     focus
-        Reads the focus; None: it is not read.
+        Focus reader, or None.
     region
-        ROW, COL, HEIGHT, WIDTH of mean and noise; None: the whole frame.
+        Region ROW, COL, HEIGHT, WIDTH of mean and noise; None: the whole frame.
     """
 
     def __init__(self, source: FrameSource, *, focus: FocusReader | None = None, region: Region | None = None) -> None:
@@ -118,11 +118,11 @@ class LiveLoop:
 
     @property
     def source(self) -> FrameSource:
-        """Where frames come from."""
+        """The frame source."""
         return self._source
 
     def forget_best(self) -> None:
-        """Forget the best focus held."""
+        """Forget the best focus."""
         if self._focus is not None:
             self._focus.forget_best()
 
@@ -130,7 +130,7 @@ class LiveLoop:
         try:
             for seen in self._source:
                 if self._stop.is_set():
-                    self.newest.end("it was closed")
+                    self.newest.end("the live view was closed")
                     return
                 if seen is not None:
                     self._take_in(seen)
@@ -169,7 +169,7 @@ class LiveLoop:
         )
 
     def _renew_focus(self) -> None:
-        """Show a reading of the focus that came after its frame."""
+        """Publish a focus reading that was completed after its frame."""
         view = self.newest.view
         if view is not None and self._focus is not None and self._focus.take_up():
             self._number += 1
@@ -177,13 +177,13 @@ class LiveLoop:
 
 
 class _PreviousFrame:
-    """The frame before, as long as it is of the same thing."""
+    """The previous frame of the same stack or camera."""
 
     def __init__(self) -> None:
         self._seen: SourceFrame | None = None
 
     def exchange(self, seen: SourceFrame) -> NDArray | None:
-        """Return the pixels of the frame before this one, None where they show something else."""
+        """Store a frame; return the pixels of the previous one, or None if it is of another stack or shape."""
         before, self._seen = self._seen, seen
         if before is None or before.of != seen.of or before.frame.pixels.shape != seen.frame.pixels.shape:
             return None

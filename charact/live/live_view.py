@@ -1,4 +1,4 @@
-"""What the bench shows at one moment, and how it is written for a page."""
+"""Live view: preview image and statistics of one frame."""
 
 from dataclasses import asdict, dataclass, field
 from typing import Any
@@ -14,22 +14,22 @@ from charact.mtf.region import Region
 WIDEST_PX = 768
 QUALITY = 80
 SATURATED_BGR = (255, 200, 0)
-# Shares of the pixels that may be darker than black and brighter than white.
+# Quantiles of the grey values shown as black and white.
 BLACK, WHITE = 0.002, 0.998
 
 
 @dataclass(frozen=True, kw_only=True)
 class PreviewImage:
-    """A picture to look at, never to measure.
+    """Preview of a frame as JPEG.
 
     Parameters
     ----------
     jpeg
-        Its bytes.
+        JPEG file content.
     step
-        Every how manieth pixel of the frame it shows.
+        Subsampling step (px); every step-th pixel is shown.
     black_dn, white_dn
-        Levels that are drawn black and white, DN.
+        Grey values shown as black and white, DN.
     """
 
     jpeg: bytes
@@ -39,16 +39,16 @@ class PreviewImage:
 
 
 def render_preview(frame: NDArray, meters: FrameStatistics, *, full_scale_dn: float) -> PreviewImage:
-    """Return the picture of a frame.
+    """Return the preview of a frame: subsampled, stretched, every saturated pixel marked.
 
     Parameters
     ----------
     frame
         Pixels, shape (row, col), DN.
     meters
-        The frame's meters, whose histogram sets black and white.
+        Statistics of the frame; the histogram sets black and white.
     full_scale_dn
-        Pixels at or above it are marked; where pixels are left out, the marks of those left out stay.
+        Pixels at or above it are marked, including those skipped by the subsampling.
     """
     import cv2
 
@@ -60,16 +60,16 @@ def render_preview(frame: NDArray, meters: FrameStatistics, *, full_scale_dn: fl
     if meters.saturated_px:
         picture = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
         picture[_any_in_blocks(frame >= full_scale_dn, step)] = SATURATED_BGR
-    # With colour as fine as light, or the mark of a single pixel would be washed out.
+    # Full colour resolution, so that the mark of a single pixel is visible.
     finest = [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
     written, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY, *finest])
     if not written:
-        raise RuntimeError(f"a picture of {picture.shape} must be encoded as JPEG, and was not")
+        raise RuntimeError(f"a preview of {picture.shape} must be encoded as JPEG, and was not")
     return PreviewImage(jpeg=jpeg.tobytes(), step=step, black_dn=black, white_dn=white)
 
 
 def _levels(meters: FrameStatistics) -> tuple[float, float]:
-    """Return the levels drawn black and white, at least eight bins apart so that noise alone is not blown up."""
+    """Return the grey values shown as black and white, at least eight bins apart so that noise is not stretched."""
     below = np.cumsum(meters.histogram) / max(meters.pixels, 1)
     black, white = np.searchsorted(below, (BLACK, WHITE))
     return float(black * meters.bin_dn), float(max(white + 1, black + 8) * meters.bin_dn)
@@ -86,22 +86,22 @@ def _any_in_blocks(mask: NDArray[np.bool_], step: int) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True, kw_only=True)
 class LiveView:
-    """One moment.
+    """One frame as shown.
 
     Parameters
     ----------
     number
-        Counts moments.
+        Number of the view.
     seen
         The frame.
     meters, picture
-        Its meters and its picture.
+        Its statistics and its preview.
     frame_rate_hz
-        Frames per second by the camera's own numbers and time stamps, Hz; None until there are two.
+        Frame rate from the camera's frame numbers and time stamps, Hz; None before two frames.
     focus, best
-        Newest reading of the focus, and the best held; None where the focus is not read.
+        Newest focus reading and the best one; None without focus reader.
     region
-        ROW, COL, HEIGHT, WIDTH of mean, noise and focus; None: the whole frame.
+        Region ROW, COL, HEIGHT, WIDTH of mean, noise and focus; None: the whole frame.
     """
 
     number: int
@@ -114,7 +114,7 @@ class LiveView:
     region: Region | None = None
 
     def as_json(self) -> dict[str, Any]:
-        """Return its numbers as the page reads them; units are in the names."""
+        """Return the statistics as JSON for the page; units are in the names."""
         meters, conditions = asdict(self.meters), vars(self.seen.conditions)
         return {
             "number": self.number,

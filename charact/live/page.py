@@ -1,4 +1,4 @@
-"""The page of the bench: three files of our own, and the views as a stream of events."""
+"""Web page of the live view: three static files and the views as server-sent events."""
 
 import asyncio
 import json
@@ -27,15 +27,15 @@ def page(running: LiveLoop, *, title: str, focus_first: bool = False) -> Starlet
     Parameters
     ----------
     running
-        The bench at work.
+        The live loop.
     title
-        What the page says it shows.
+        Title of the page.
     focus_first
-        Whether the focus is the large meter.
+        Whether the focus is the main value.
 
     Notes
     -----
-    No route reaches an instrument: the page can look, and forget the best focus held.
+    No route accesses an instrument; the only action is to forget the best focus.
     """
     about = {"title": title, "source": running.source.name, "focus_first": focus_first}
 
@@ -80,7 +80,7 @@ def _file(name: str, media_type: str):
 
 
 async def _events(running: LiveLoop, about: dict) -> AsyncIterator[str]:
-    """Send what the page is about, then the newest view whenever there is a newer one; a slow reader skips views."""
+    """Yield the title, then each newer view; a slow reader skips views."""
     yield _event("about", about)
     sent, silent_s = 0, 0.0
     while True:

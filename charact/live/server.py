@@ -1,4 +1,4 @@
-"""Serving the page: on the loopback unless told otherwise, behind its guard, until the frames or the person end it."""
+"""Server of the live page, with access control."""
 
 import hmac
 import ipaddress
@@ -26,7 +26,7 @@ HEADERS = (
 
 
 def is_loopback(host: str) -> bool:
-    """Whether an address or name to bind to can be reached from this machine alone."""
+    """Whether an address or name is of the loopback."""
     if host == "localhost":
         return True
     try:
@@ -36,19 +36,22 @@ def is_loopback(host: str) -> bool:
 
 
 class PageAccess:
-    """Middleware between the network and the page; what it refuses never reaches the page.
+    """ASGI middleware that passes only requests for this server, from its own page, with its token.
+
+    Another page in the same browser must not read the frames. It can send requests here, and can make its own name
+    resolve to this address, but cannot choose the headers Host, Origin and Sec-Fetch-Site
+    (https://fetch.spec.whatwg.org, https://www.w3.org/TR/fetch-metadata).
 
     Parameters
     ----------
     app
-        The application behind it, ASGI.
+        The ASGI application.
     hosts
-        Names by which this server may be called, without port.
+        Names of this server, without port.
     port
-        The port it listens on.
+        Port of the server.
     token
-        Secret that every request must show, in the address once and in a cookie from then on; None: none is needed,
-        because only this machine can reach the server.
+        Secret of every request, in the first address and then in a cookie; None: not needed on the loopback.
 
     Raises
     ------
@@ -58,29 +61,29 @@ class PageAccess:
 
     def __init__(self, app: Any, *, hosts: tuple[str, ...], port: int, token: str | None) -> None:
         if token is None and (open_ := [host for host in hosts if not is_loopback(host)]):
-            raise BadInput(f"a page that others can reach must have a token, got none for {open_[0]}")
+            raise BadInput(f"a page on an address other than loopback must have a token, got none for {open_[0]}")
         self._app, self._token, self._cookie = app, token, f"charact-{port}"
         self._hosts = {f"{host.lower()}:{port}" for host in hosts}
         if port == 80:
             self._hosts |= {host.lower() for host in hosts}
 
     async def __call__(self, scope: dict, receive: Any, send: Any) -> None:
-        """Answer one request, or refuse it in a sentence."""
+        """Pass one request to the application, or refuse it."""
         if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
         elif scope["type"] != "http":
-            return  # a web socket is never accepted
+            return  # no web sockets
         elif why := self._why_not(scope):
             await _answer(send, 403, why)
         elif self._token is not None and self._shows(_query_token(scope)):
             await self._give_cookie(send)
         elif self._token is not None and not self._shows(self._cookie_of(scope)):
-            await _answer(send, 401, "this page needs the token of the address that charact printed")
+            await _answer(send, 401, "this page needs the token in the address printed by charact")
         else:
             await self._app(scope, receive, _with_security_headers(send))
 
     def _why_not(self, scope: dict) -> str | None:
-        """Return why a request is not one of our own page, None where it is."""
+        """Return the reason to refuse a request, or None."""
         host = _only(scope, b"host")
         if host is None or host.lower() not in self._hosts | self._local_address(scope):
             return f"this page is not at {host!r}"
@@ -90,18 +93,18 @@ class PageAccess:
         if _only(scope, b"sec-fetch-site") not in (None, "same-origin", "none"):
             return "this page answers no other site"
         if scope["method"] not in ("GET", "HEAD") and origin is None:
-            return "what changes something must say where it comes from"
+            return "a request that changes state needs an Origin header"
         return None
 
     def _local_address(self, scope: dict) -> set[str]:
-        """Return the address of ours that a connection came in on, where others may come in."""
+        """Return the local address of a connection, if the server is not on the loopback."""
         if self._token is None or not scope.get("server"):
             return set()
         address, port = scope["server"][:2]
         return {f"[{address}]:{port}" if ":" in address else f"{address}:{port}"}
 
     def _shows(self, shown: str | None) -> bool:
-        # In constant time: how long a refusal takes must not tell how much of a guess was right.
+        # Constant time: the duration must not depend on the correct part of a guess.
         return shown is not None and hmac.compare_digest(shown.encode(), (self._token or "").encode())
 
     def _cookie_of(self, scope: dict) -> str | None:
@@ -112,13 +115,13 @@ class PageAccess:
         return morsel.value if morsel else None
 
     async def _give_cookie(self, send: Any) -> None:
-        """Move the token out of the address, where history and bookmarks would keep it."""
+        """Move the token from the address, which the browser history keeps, to a cookie."""
         cookie = f"{self._cookie}={self._token}; HttpOnly; SameSite=Strict; Path=/"
         await _answer(send, 303, "", ((b"location", b"/"), (b"set-cookie", cookie.encode())))
 
 
 def new_token() -> str:
-    """Return a token nobody can guess."""
+    """Return a random token."""
     return secrets.token_urlsafe(32)
 
 
@@ -128,7 +131,7 @@ def _query_token(scope: dict) -> str | None:
 
 
 def _only(scope: dict, name: bytes) -> str | None:
-    """Return a header's value; one that comes twice is none that we know."""
+    """Return the value of a header; "(twice)" if it is repeated."""
     values = [value for key, value in scope["headers"] if key == name]
     if not values:
         return None
@@ -166,7 +169,7 @@ def serve(
     port: int = 0,
     tell: Callable[[str], None],
 ) -> None:
-    """Serve the page of a bench until interrupted.
+    """Serve the live page until the frames end or the user interrupts.
 
     Parameters
     ----------
@@ -175,17 +178,17 @@ def serve(
     title, focus_first
         As `charact.live.page.page`.
     host
-        Address or name to listen on. Anything but the loopback can be reached by others: a token is then needed,
-        made anew for every start and printed within the address.
+        Address or name to listen on. Addresses other than loopback require a token, new for every start and printed
+        with the address.
     port
-        Port; 0: any free one.
+        Port; 0: a free port.
     tell
-        Told the page's address, once.
+        Prints the address of the page.
 
     Raises
     ------
     BadInput
-        If the packages are missing, the address cannot be listened on, or the frames ended.
+        If packages are missing, the address is not available, or the frames ended.
     """
     try:
         import uvicorn
@@ -225,20 +228,18 @@ def _listening(host: str, port: int) -> socket.socket:
         family, _, _, _, address = socket.getaddrinfo(host.strip("[]"), port, type=socket.SOCK_STREAM)[0]
         listener = socket.socket(family, socket.SOCK_STREAM)
     except OSError as error:
-        raise BadInput(f"the page must have an address of this machine, got {host!r} ({error.strerror})") from None
+        raise BadInput(f"--host must be an address of this machine, got {host!r} ({error.strerror})") from None
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind(address)
     except OSError as error:
         listener.close()
-        raise BadInput(
-            f"the page must have a free port of this machine, got {host}:{port} ({error.strerror})"
-        ) from None
+        raise BadInput(f"--port must be a free port of this machine, got {host}:{port} ({error.strerror})") from None
     return listener
 
 
 def _names(host: str, token: str | None) -> tuple[str, ...]:
-    """Return the names by which a browser may call the page."""
+    """Return the host names of the page."""
     if token is None:
         return tuple(dict.fromkeys((*LOOPBACK_NAMES, _with_brackets(host))))
     return (_with_brackets(host), socket.gethostname(), socket.getfqdn())
@@ -255,7 +256,7 @@ def _with_brackets(host: str) -> str:
 
 
 def _stop_at_end(running: LiveLoop, server) -> None:
-    """Let the server go once there are no more frames and every page was told why."""
+    """Stop the server after the end of the frames has been sent to the pages."""
     while running.newest.end_reason is None:
         running.newest.after(2**62, timeout_s=1.0)
     threading.Event().wait(LAST_WORDS_S)

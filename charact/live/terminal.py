@@ -1,4 +1,4 @@
-"""The meters on a terminal, where there is no browser."""
+"""Live view on a terminal."""
 
 import math
 from typing import TYPE_CHECKING
@@ -17,21 +17,21 @@ HISTOGRAM_WIDTH = 64
 
 
 def watch_on_terminal(running: LiveLoop, *, title: str, console: "Console | None" = None) -> None:
-    """Show the newest view until the frames end or the person interrupts.
+    """Show the newest view until the frames end or the user interrupts.
 
     Parameters
     ----------
     running
-        The bench at work.
+        The live loop.
     title
         Heading.
     console
-        Where to show it; the terminal where it is not given.
+        Output console; None: the terminal.
 
     Raises
     ------
     BadInput
-        When the frames end; the sentence says why.
+        When the frames end, with the reason.
     """
     from rich.live import Live
 
@@ -46,21 +46,21 @@ def watch_on_terminal(running: LiveLoop, *, title: str, console: "Console | None
 
 
 def table(view: LiveView, title: str) -> "Table":
-    """Return the meters of a view as a table; every number has its unit."""
+    """Return the statistics of a view as a table."""
     from rich.table import Table
 
     rows = Table(title=title, show_header=False)
-    for name, told in lines(view).items():
-        rows.add_row(name, told)
+    for name, text in lines(view).items():
+        rows.add_row(name, text)
     return rows
 
 
 def lines(view: LiveView) -> dict[str, str]:
-    """Return the meters of a view by name."""
+    """Return the statistics of a view as text, by name."""
     meters, focus, best = view.meters, view.focus, view.best.best
     share = 100.0 * meters.saturated_px / meters.pixels
     error = "" if meters.noise_se_dn is None else f" ± {meters.noise_se_dn:.2g}"
-    told = {
+    texts = {
         "frame": f"{view.seen.frame.number} of {view.seen.of}",
         "saturated": f"{meters.saturated_px} of {meters.pixels} px ({share:.3g} %) at or above "
         f"{view.seen.full_scale_dn:g} DN",
@@ -72,22 +72,22 @@ def lines(view: LiveView) -> dict[str, str]:
         f"histogram 0 to {view.seen.full_scale_dn:g} DN": sparkline(view),
     }
     if focus is None:
-        return told
+        return texts
     if focus.mtf50_cy_per_px is None or focus.interval95 is None:
-        return {**told, "edge MTF50": focus.reason or "none"}
+        return {**texts, "edge MTF50": focus.reason or "none"}
     low, high = focus.interval95
     reached = ", reached" if view.best.is_reached_by(focus) else ""
-    told["edge MTF50"] = f"{focus.mtf50_cy_per_px:.4f} cy/px [{low:.4f}, {high:.4f}] 95 %"
+    texts["edge MTF50"] = f"{focus.mtf50_cy_per_px:.4f} cy/px [{low:.4f}, {high:.4f}] 95 %"
     if focus.flags:
-        told["distrust"] = ", ".join(focus.flags)
+        texts["flags"] = ", ".join(focus.flags)
     if best is not None and best.mtf50_cy_per_px is not None:
-        told["best so far"] = f"{best.mtf50_cy_per_px:.4f} cy/px{reached}"
-        told["focus"] = _bar(focus.mtf50_cy_per_px / best.mtf50_cy_per_px)
-    return told
+        texts["best so far"] = f"{best.mtf50_cy_per_px:.4f} cy/px{reached}"
+        texts["focus"] = _bar(focus.mtf50_cy_per_px / best.mtf50_cy_per_px)
+    return texts
 
 
 def sparkline(view: LiveView) -> str:
-    """Return the histogram as one line of blocks, logarithmic, every pixel counted."""
+    """Return the histogram as one line of block characters, logarithmic."""
     counts = view.meters.histogram
     together = -(-len(counts) // HISTOGRAM_WIDTH)
     sums = [int(counts[first : first + together].sum()) for first in range(0, len(counts), together)]

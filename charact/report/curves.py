@@ -1,4 +1,4 @@
-"""The MTF of every target of a session in one picture: curves with their bands, bars as points, truth if known."""
+"""Figures of the MTF: curves of all targets, edge and bar profiles, joint MTF, and MTF budget."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -29,12 +29,12 @@ DEGREES = {HORIZONTAL: 0.0, VERTICAL: 90.0, SLANTED: 45.0}
 
 
 def mtf_svgs(session: Session | None, result: Result, truth: Truth | None = None) -> tuple[str, ...]:
-    """Draw all MTF curves and four-bar points of a result, one figure for each direction.
+    """Plot all MTF curves and bar-target points of a result, one figure for each direction.
 
     Parameters
     ----------
     session
-        The session, which knows the direction of each target; None where a single file was measured.
+        The session, for the direction of each target; None for a single file.
     result
         Curves whose name starts with "mtf" and measurements of the quantity "mtf".
     truth
@@ -43,7 +43,7 @@ def mtf_svgs(session: Session | None, result: Result, truth: Truth | None = None
     Returns
     -------
     tuple of str
-        SVG elements; none if there is no curve and no point.
+        SVG elements; empty if there is no curve and no point.
     """
     curves = [(name, curve) for name, curve in result.curves.items() if name.split(":")[0].startswith("mtf")]
     points = [m for m in result.find("mtf") if m.value is not None and m.frequency_cy_per_px is not None]
@@ -61,7 +61,7 @@ def mtf_svgs(session: Session | None, result: Result, truth: Truth | None = None
 
 
 def _way(angle_deg: float | None) -> str:
-    """Direction of a frequency in words."""
+    """Return the direction of a frequency as text."""
     if angle_deg is None:
         return HORIZONTAL
     off = abs((angle_deg + 90) % 180 - 90)
@@ -69,7 +69,7 @@ def _way(angle_deg: float | None) -> str:
 
 
 def _point_way(session: Session | None, m: Measurement) -> str:
-    """Direction of a single frequency: its own, else its target's."""
+    """Return the direction of a measurement, else that of its target."""
     return _target_way(session, m.stack) if m.orientation_deg is None else _way(m.orientation_deg)
 
 
@@ -79,7 +79,7 @@ def _target_way(session: Session | None, label: str | None) -> str:
 
 
 def _direction(session: Session | None, name: str, label: str | None) -> str:
-    """Direction of a curve, from its name or from the target of its stack."""
+    """Return the direction of a curve, from its name or from the target of its stack."""
     kind, _, suffix = name.partition(":")
     return VERTICAL if "vertical" in kind else _target_way(session, label or suffix)
 
@@ -87,12 +87,12 @@ def _direction(session: Session | None, name: str, label: str | None) -> str:
 def _plot_curves(
     axes: Any, way: str, curves: list[tuple[str, Curve]], points: list[Measurement], truth: Truth | None
 ) -> None:
-    """One direction: bands, curves, points, truth."""
+    """Plot one direction: bands, curves, points, truth."""
     top = max([0.5, *(float(curve.frequency_cy_per_px[-1]) for _, curve in curves)])
     for colour, (name, curve) in zip(COLOURS * 4, curves, strict=False):
         _plot_curve(axes, curve, colour, name.partition(":")[2] or curve.stack or name)
     drawn = {curve.stack or name.partition(":")[2] for name, curve in curves}
-    # A single frequency read off a curve that is here says nothing new; bars measured theirs.
+    # Values read from a curve that is shown are redundant; those of bars are measurements.
     own = [m for m in points if m.method.startswith("bars") or (m.stack or "") not in drawn]
     for m in own:
         axes.errorbar(m.frequency_cy_per_px, m.value, yerr=_arms(m), fmt="s", markersize=4.5, color=INK, linewidth=1)
@@ -109,14 +109,14 @@ def _plot_curves(
 
 
 def _arms(m: Measurement) -> Any:
-    """Distances to the ends of the 95 % interval, shape (2, 1)."""
+    """Return the distances to the limits of the 95 % interval, shape (2, 1)."""
     if m.interval95 is None or m.value is None:
         return None
     return np.maximum([[m.value - m.interval95[0]], [m.interval95[1] - m.value]], 0)
 
 
 def _plot_curve(axes: Any, curve: Curve, colour: str, label: str) -> None:
-    """One curve with its 95 % band."""
+    """Plot one curve with its 95 % band."""
     band = curve.interval95
     low, high = (curve.value, curve.value) if band is None else band
     frequency, value, low, high = subsample(curve.frequency_cy_per_px, curve.value, low, high, most=120)
@@ -130,20 +130,20 @@ Array = NDArray[np.float64]
 
 
 def plot_edge_spread(data: Data) -> Any:
-    """Edge spread near the edge with its model, and the residual over the whole width that was fitted."""
+    """Plot the edge spread function near the edge with its model, and the residual over the fitted width."""
     x, measured = first_array(data, "distance_px"), first_array(data, "value_dn")
     modelled = has_all(data, "model_dn")
     figure, grid = panels(2, 1, size=(5.6, 4.4), height_ratios=(3, 1.4)) if modelled else panels()
     near = np.abs(x - _middle(x, measured)) <= _reach(x, measured)
     _profile(grid[0, 0], data, x, measured, near)
-    grid[0, 0].set(xlabel="distance from the edge, near it (px)", ylabel="signal (DN)")
+    grid[0, 0].set(xlabel="distance from the edge (px)", ylabel="signal (DN)")
     if modelled:
-        _residual(grid[1, 0], data, x, measured, "distance from the edge, all that was fitted (px)")
+        _residual(grid[1, 0], data, x, measured, "distance from the edge, complete fit range (px)")
     return figure
 
 
 def plot_bars(data: Data) -> Any:
-    """Profile across the bars with its model, and the residual."""
+    """Plot the profile across the bars with its model, and the residual."""
     x, measured = first_array(data, "distance_px"), first_array(data, "value_dn")
     figure, grid = panels(2, 1, size=(5.6, 4.4), height_ratios=(3, 1.4), sharex=True)
     _profile(grid[0, 0], data, x, measured, np.ones(len(x), bool))
@@ -153,7 +153,7 @@ def plot_bars(data: Data) -> Any:
 
 
 def plot_mtf_differences(data: Data) -> Any:
-    """Differences between targets at the bars' frequencies with their joint 95 % intervals."""
+    """Plot MTF differences between targets at the bar frequencies with joint 95 % intervals."""
     figure, grid = panels(size=(5.6, 3.4))
     axes = grid[0, 0]
     frequency, pairs = first_array(data, "frequency_cy_per_px"), np.array(data["pair"])
@@ -161,7 +161,8 @@ def plot_mtf_differences(data: Data) -> Any:
         shown = pairs == pair
         axes.errorbar(
             frequency[shown] + 0.003 * (number - 1), first_array(data, "difference")[shown],
-            yerr=first_array(data, "half_width")[shown], color=colour, linestyle="", marker="o", markersize=4, label=pair,
+            yerr=first_array(data, "half_width")[shown], color=colour, linestyle="", marker="o", markersize=4,
+            label=pair,
         )  # fmt: skip
     axes.axhline(0, color=INK, linewidth=0.8)
     axes.set(xlabel="spatial frequency (cy/px)", ylabel="difference of MTFs, joint 95 % (1)")
@@ -172,7 +173,7 @@ def plot_mtf_differences(data: Data) -> Any:
 
 
 def _profile(axes: Any, data: Data, x: Array, measured: Array, shown: NDArray[np.bool_]) -> None:
-    """Measured points under their model."""
+    """Plot measured points and their model."""
     sd = first_array(data, "sd_dn")[shown] if has_all(data, "sd_dn") else None
     plot_points(
         axes,
@@ -189,7 +190,7 @@ def _profile(axes: Any, data: Data, x: Array, measured: Array, shown: NDArray[np
 
 
 def _residual(axes: Any, data: Data, x: Array, measured: Array, xlabel: str) -> None:
-    """Measured less model, in the same unit."""
+    """Plot the residual, data minus model."""
     axes.set(xlabel=xlabel, ylabel="residual (DN)")
     axes.axhline(0, color=INK, linewidth=0.8)
     if has_all(data, "model_dn"):
@@ -198,13 +199,13 @@ def _residual(axes: Any, data: Data, x: Array, measured: Array, xlabel: str) -> 
 
 
 def _middle(x: Array, measured: Array) -> float:
-    """Where the profile is half way up."""
+    """Return the position of half the step."""
     half = (measured.min() + measured.max()) / 2
     return float(x[np.argmin(np.abs(measured - half))])
 
 
 def _reach(x: Array, measured: Array) -> float:
-    """Four times the distance between a tenth and nine tenths of the step, at least 8 px."""
+    """Return four times the 10-90 % width of the step, at least 8 px."""
     low, high = np.percentile(measured, [1, 99])
     inside = x[(measured > low + 0.1 * (high - low)) & (measured < high - 0.1 * (high - low))]
     return max(8.0, 4.0 * float(np.ptp(inside)) if len(inside) else 8.0)
@@ -213,13 +214,13 @@ def _reach(x: Array, measured: Array) -> float:
 AXES = {
     "row_px": "row of the target (px)",
     "col_px": "column of the target (px)",
-    "mcp_v": "plate voltage (V)",
+    "mcp_v": "MCP voltage (V)",
     "ln_light": "ln of the light",
 }
 
 
 def plot_joint_mtf(data: Data) -> Any:
-    """Residuals of every number that a target told, in standard deviations, target by target."""
+    """Plot the residuals of the joint MTF for each target, in standard deviations."""
     figure, grid = panels(size=(5.6, 3.2))
     axes = grid[0, 0]
     kinds = list(dict.fromkeys(data["kind"]))
@@ -229,12 +230,12 @@ def plot_joint_mtf(data: Data) -> Any:
     axes.axhspan(-1.96, 1.96, color=INK, alpha=0.07, linewidth=0)
     axes.axhline(0, color=INK, linewidth=0.8)
     axes.set_xticks(range(len(data["target"])), data["target"], rotation=30, ha="right")
-    axes.set(ylabel="told less joint MTF\n(standard deviations)")
+    axes.set(ylabel="target minus joint MTF\n(standard deviations)")
     return figure
 
 
 def plot_mtf_uniformity(data: Data) -> Any:
-    """MTF50 of the targets against each setting that differs, with 95 % intervals and their mean."""
+    """Plot the MTF50 of the targets against each varied setting, with 95 % intervals and mean."""
     keys = list(data["slopes"])
     figure, grid = panels(1, len(keys), size=(max(3.4, 2.4 * len(keys)), 3.0), sharey=True)
     value, half = first_array(data, "mtf50_cy_per_px"), 1.96 * first_array(data, "sd_cy_per_px")
@@ -255,18 +256,18 @@ STAGES = dict(
     )
 )
 DIRECTIONS = {"horizontal": "Along rows", "vertical": "Along columns"}
-# A stage that never leaves less than this does nothing in a direction and is not drawn there.
+# A stage whose MTF stays above this is not shown.
 NOTHING_LOST = 0.9995
-# A band less wide than this is a line.
+# A narrower band is shown as a line.
 NARROWEST = 1e-3
-# Every so many points of a measured curve has a dot.
+# Points of a measured curve per marker.
 EACH = 8
 AXIS = "frequency (cycles per column pitch)"
-LINES = "solid: identified or known; dashed: as described, or only in a product; bands: 95 %"
+LINES = "solid: identified or known; dashed: from the description, or only as a product; bands: 95 %"
 
 
 def plot_mtf_budget(data: Data) -> Any:
-    """Draw every stage's MTF with its 95 % band, their product, and the measured curves as dots with arms."""
+    """Plot the MTF of every stage with 95 % bands, their product, and the measured curves with error bars."""
     figure, grid = panels(2, 1, size=(5.6, 7.4), sharex=True)
     solid = {*data["identified"], *data["known"]}
     handles = {}
@@ -289,7 +290,7 @@ def plot_mtf_budget(data: Data) -> Any:
 
 
 def _plot_direction(axes: Any, panel: Data, solid: set[str]) -> None:
-    """One direction: identified and known stages solid, those still at what the description says dashed."""
+    """Plot one direction: identified and known stages solid, those from the description dashed."""
     frequency = first_array(panel, "frequency_cy_per_column")
     for stage, band in panel["stages"].items():
         if np.min(first_array(band, "value")) < NOTHING_LOST:
@@ -310,21 +311,21 @@ def _plot_direction(axes: Any, panel: Data, solid: set[str]) -> None:
 
 
 def _at_the_cathode(axes: Any, panel: Data) -> None:
-    """Say above a panel what its frequencies are at the photocathode."""
+    """Add an axis with frequencies at the photocathode."""
     scale = float(first_array(panel, "cathode_lp_per_mm")[-1] / first_array(panel, "frequency_cy_per_column")[-1])
     above = axes.secondary_xaxis("top", functions=(lambda x: x * scale, lambda x: x / scale))
     above.set_xlabel("at the photocathode (lp/mm)")
 
 
 def _plot_band(axes: Any, frequency: Any, band: Data, colour: str) -> None:
-    """A faint band with fine borders, for bands lie on one another."""
+    """Plot a transparent band with thin borders; bands overlap."""
     low, high = first_array(band, "low95"), first_array(band, "high95")
     if np.max(high - low) > NARROWEST:
         axes.fill_between(frequency, low, high, facecolor=(colour, 0.1), edgecolor=(colour, 0.45), linewidth=0.5)
 
 
 def _plot_measured(axes: Any, frequency: Any, band: Data, marker: str, label: str) -> None:
-    """Dots of a measured curve with arms of its 95 % interval."""
+    """Plot a measured curve as points with 95 % error bars."""
     value, low, high = (first_array(band, name)[EACH::EACH] for name in ("value", "low95", "high95"))
     arms = np.maximum([value - low, high - value], 0.0)
     axes.errorbar(
@@ -334,7 +335,7 @@ def _plot_measured(axes: Any, frequency: Any, band: Data, marker: str, label: st
 
 
 def plot_bar_groups(data: Data) -> Any:
-    """Draw the curve through several groups of bars with its 95 % band, and what each group read."""
+    """Plot the MTF of several bar groups and the curve through them with its 95 % band."""
     figure, grid = panels(size=(5.6, 3.6))
     axes = grid[0, 0]
     frequency = first_array(data, "curve_cy_per_px")
@@ -346,10 +347,11 @@ def plot_bar_groups(data: Data) -> Any:
         alpha=0.22,
         linewidth=0,
     )
-    axes.plot(frequency, first_array(data, "curve"), color=COLOURS[0], label="one curve through the groups, 95 %")
+    axes.plot(frequency, first_array(data, "curve"), color=COLOURS[0], label="curve through the groups, 95 %")
     axes.errorbar(
-        first_array(data, "frequency_cy_per_px"), first_array(data, "mtf"), yerr=1.96 * first_array(data, "sd"), fmt="s", markersize=4,
-        elinewidth=1, capsize=2.5, color=INK, label="groups of bars, 95 %",
+        first_array(data, "frequency_cy_per_px"), first_array(data, "mtf"), yerr=1.96 * first_array(data, "sd"),
+        fmt="s", markersize=4,
+        elinewidth=1, capsize=2.5, color=INK, label="bar groups, 95 %",
     )  # fmt: skip
     axes.axhline(0.5, color=INK, linewidth=0.6, alpha=0.5)
     axes.set(xlim=(0, frequency[-1]), ylim=(-0.02, 1.05), xlabel="frequency (cycles per column pitch)")

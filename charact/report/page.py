@@ -1,4 +1,4 @@
-"""The report: one HTML file that holds every number, its evidence and its making, and asks nothing of the network."""
+"""The report page: one HTML file without network requests, also as PDF."""
 
 from datetime import UTC, datetime
 from pathlib import Path
@@ -38,16 +38,15 @@ def write(
     session
         The session: its frames, conditions and sensor.
     result
-        What was measured.
+        The measurements.
     out
         The HTML file.
     validation
-        A `charact.validation.Validation`, for simulated frames beside measured ones; None: the section says it is
-        missing.
+        A `charact.validation.Validation`, or None.
     truth
-        True values by quantity where they are known (a virtual bench); see `charact.report.compare_with_truth`.
+        True values by quantity (of a virtual bench), or None; see `charact.report.compare_with_truth`.
     pdf
-        Also write a PDF beside the HTML.
+        Also write a PDF.
 
     Returns
     -------
@@ -57,7 +56,7 @@ def write(
     Raises
     ------
     BadInput
-        If a PDF is asked for and the library that writes it is missing.
+        If a PDF is requested and WeasyPrint is missing.
     """
 
     out = Path(out)
@@ -80,7 +79,7 @@ def page(
         verdicts=tables.verdicts(result),
         headlines=tables.headlines(result),
         groups=tables.quantity_groups(result),
-        beside=compare_with_truth(result, truth or {}),
+        comparison=compare_with_truth(result, truth or {}),
         mtf_figures=mtf_svgs(session, result, truth),
         figures={part: [f for f in figures if f.section == part] for part in ("mtf", "noise", "bloom", "other")},
         emva=emva_summary(result),
@@ -98,7 +97,7 @@ def page(
 
 
 def _validation_part(validation: "Validation | None", session: Session) -> Any:
-    """The section on validation, or None where there was none."""
+    """Return the validation section, or None."""
     if validation is None:
         return None
     from charact.report.validation import validation_section
@@ -114,7 +113,7 @@ def fragment(result: Result) -> str:
 
 
 def _template(name: str) -> Any:
-    """A template of this package, everything escaped that does not say otherwise."""
+    """Return a template of this package, with escaping."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     loader = PackageLoader("charact.report", "templates")
@@ -125,7 +124,7 @@ def _template(name: str) -> Any:
 
 
 def posteriors(result: Result) -> list[dict[str, Any]]:
-    """Corner plot and health of every posterior behind the measurements, each once."""
+    """Return corner plot and sampling diagnostics of every distinct posterior of the measurements."""
     owners: dict[tuple[Any, ...], tuple[str, Posterior]] = {}
     for m in result.measurements:
         if m.posterior is not None and len(m.posterior.draws):
@@ -148,7 +147,7 @@ def _posterior(title: str, posterior: Posterior) -> dict[str, Any]:
 
 
 def _health(p: Posterior) -> str:
-    """One sentence on why the draws may be trusted."""
+    """Return the sampling diagnostics of a posterior."""
     parts = [f"{len(p.draws)} draws by {p.sampler}, seed {p.seed}"]
     if p.acceptance is not None:
         parts.append(f"acceptance {p.acceptance:.2f}")
@@ -162,12 +161,12 @@ def _health(p: Posterior) -> str:
 
 
 def session_notes(session: Session) -> tuple[str, ...]:
-    """What the session says of itself: wires left out, effects left out, what readers should know of the frames."""
+    """Return the notes of the session, without those on overridden limits."""
     return tuple(dict.fromkeys(note for note in session.notes if not note.startswith(OVERRIDDEN)))
 
 
 def write_pdf(html: str, out: Path) -> Path:
-    """Write a report's HTML as PDF.
+    """Write a report as PDF with WeasyPrint.
 
     Parameters
     ----------
@@ -179,7 +178,7 @@ def write_pdf(html: str, out: Path) -> Path:
     Raises
     ------
     BadInput
-        If WeasyPrint, or Pango that it needs, is not installed.
+        If WeasyPrint or Pango is not installed.
     """
     try:
         from weasyprint import HTML
@@ -188,6 +187,6 @@ def write_pdf(html: str, out: Path) -> Path:
             f"--pdf needs WeasyPrint and Pango (pip install 'charact[pdf]'; apt install libpango-1.0-0 "
             f"libpangoft2-1.0-0), got: {str(error).splitlines()[0]}"
         ) from error
-    # Folds cannot be opened on paper.
+    # Expand all folds.
     HTML(string=html.replace("<details", "<details open").replace("currentColor", PAPER_INK)).write_pdf(str(out))
     return out

@@ -93,7 +93,7 @@ def test_a_black_level_that_is_none_is_one_sentence(two_edges: Path, black: str)
     done = charact("mtf", "edge", two_edges, "--quick", "--black-dn", black)
     assert done.exit_code == 1
     assert done.stderr.count("\n") == 1
-    assert "--black-dn must lie below the highest code in the frames, " in done.stderr
+    assert "--black-dn must be below the largest grey value of the frames, " in done.stderr
     assert black in done.stderr
 
 

@@ -76,7 +76,7 @@ def test_what_is_no_session_of_ours_is_refused_in_a_sentence(tmp_path) -> None:
         SessionSource(tmp_path)
     np.save(tmp_path / "flat.npy", np.zeros((2, 4, 4), np.uint8))
     (tmp_path / "session.toml").write_text('name = "x"\n[[stack]]\nlabel = "f"\nkind = "flat"\nframes = "flat.npy"\n')
-    with pytest.raises(BadInput, match="only frames taken by charact acquire"):
+    with pytest.raises(BadInput, match="must be acquired by charact acquire"):
         next(iter(SessionSource(tmp_path)))
 
 

@@ -360,7 +360,7 @@ def test_the_evidence_of_every_drawn_kind_has_axes_with_units():
     assert examples.keys() == FIGURES.keys()
     for kind, data in examples.items():
         figure = figure_of(kind, {"figure": kind, **data})
-        assert figure.svg is not None, (kind, figure.why_not)
+        assert figure.svg is not None, (kind, figure.refusal_reason)
         texts = re.findall(r"<text[^>]*>([^<]*)</text>", figure.svg)
         unit = r"\((px|DN|DN²|1|.*px\)?|.*cycles.*|.*fitted.*|standard deviations\))"
         assert any(re.search(unit, text) for text in texts), kind

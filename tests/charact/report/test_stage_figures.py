@@ -88,7 +88,7 @@ def test_both_axes_have_their_units_and_the_cathode_s_scale():
 def test_the_budget_is_drawn_in_the_section_of_the_mtf_with_its_numbers_beside_it(after: bool):
     figure = figure_of("stage budget", budget(after))
     assert figure.section == "mtf"
-    assert figure.svg is not None, figure.why_not
+    assert figure.svg is not None, figure.refusal_reason
     assert ("measured after the gain, 95 %" in figure.svg) == after
     assert dict(figure.numbers)["the curves say"] == "identified by the curves: lens"
     assert len(figure.svg) < 150_000
@@ -109,5 +109,5 @@ def test_bar_groups_stand_on_their_curve_with_arms_of_1_96_standard_errors():
     assert bars[0].get_xydata() == pytest.approx(np.array([[0.1, 0.8], [0.2, 0.5]]))
     heights = [float(np.ptp(segment[:, 1])) for segment in bars[2][0].get_segments()]
     assert heights == pytest.approx([2 * 1.96 * 0.01, 2 * 1.96 * 0.02], rel=1e-3)
-    assert labelled(axes)["one curve through the groups, 95 %"][1] == pytest.approx(np.exp(-3.0 * FREQUENCY))
+    assert labelled(axes)["curve through the groups, 95 %"][1] == pytest.approx(np.exp(-3.0 * FREQUENCY))
     assert figure_of("bar groups, rows", groups()).svg is not None
