@@ -11,11 +11,7 @@ Array = NDArray[np.float64]
 
 # Bandwidths at which the transfer function is computed, in standard deviations of ln(bandwidth). A polynomial of its
 # logarithm interpolates within 3e-4 for a bandwidth known to 4 %.
-NODES_SD, LEAST_SD = np.array([-4.0, -2.75, -1.25, 1.25, 2.75, 4.0]), 1e-3
-# Bounds of ln(bandwidth) about the described value, standard deviations.
-MOST_SD = 6.0
-# Width of a 95 % range in standard deviations.
-SD_OF_RANGE = 2.0 * 1.959964
+NODES_SD = np.array([-4.0, -2.75, -1.25, 1.25, 2.75, 4.0])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,13 +41,14 @@ class VideoFilter:
         bandwidth, clock, order = sensor.video.low_pass
         known = sensor.video.bandwidth_mhz
         assert known is not None
-        sd = 0.0 if known.low is None or known.high is None else (known.high - known.low) / SD_OF_RANGE / bandwidth
+        # A 95 % range is 2 x 1.96 standard deviations wide.
+        sd = 0.0 if known.low is None or known.high is None else (known.high - known.low) / (2.0 * 1.959964) / bandwidth
         return cls(bandwidth_mhz=bandwidth, clock_mhz=clock, order=order, ln_bandwidth_sd=sd)
 
     @property
     def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]:
-        """Unit and bounds of the free parameters by name; empty if the bandwidth is exact."""
-        most = MOST_SD * self.ln_bandwidth_sd
+        """Unit and bounds (6 standard deviations) of the free parameters by name; empty if the bandwidth is exact."""
+        most = 6.0 * self.ln_bandwidth_sd
         return {"ln_video_bandwidth": ("1", (-most, most))} if most > 0.0 else {}
 
     def __call__(self, frequency: Array) -> NDArray[np.complex128]:
@@ -63,7 +60,7 @@ class VideoFilter:
 
         The transfer of another bandwidth is `self(frequency) * exp(powers(x) @ bend)`, shape of bend (power, f).
         """
-        nodes = NODES_SD * max(self.ln_bandwidth_sd, LEAST_SD)
+        nodes = NODES_SD * max(self.ln_bandwidth_sd, 1e-3)
         described = int(np.searchsorted(nodes, 0.0))
         transfers = np.array([self._at(frequency, x) for x in np.insert(nodes, described, 0.0)])
         # Phase steps between neighbouring nodes stay below pi.

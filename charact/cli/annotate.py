@@ -16,9 +16,7 @@ from labdata.measurement import Measurement, Result
 Box = tuple[int, int, int, int]
 """Top, left, bottom, right, px."""
 
-RING_STEP_PX, RINGS, DIRECTIONS = 14, 24, 16
-# Half side of the inner part of a small region; cost of covering inner parts with the complete caption, px.
-LEAST_HEART_PX, COVERED_PX = 14, 250.0
+RING_STEP_PX, DIRECTIONS = 14, 16
 
 
 def place_captions(
@@ -58,7 +56,7 @@ def _middle(box: Box) -> tuple[float, float]:
 def _around(box: Box, size: tuple[int, int], frame: tuple[int, ...]) -> Iterator[Box]:
     """Yield positions around the centre of a box, inside the frame."""
     row, col = _middle(box)
-    for ring in range(RINGS):
+    for ring in range(24):
         for turn in range(DIRECTIONS if ring else 1):
             angle = 2.0 * np.pi * turn / DIRECTIONS
             top = row + ring * RING_STEP_PX * np.sin(angle) - 0.5 * size[0]
@@ -71,9 +69,9 @@ def _around(box: Box, size: tuple[int, int], frame: tuple[int, ...]) -> Iterator
 
 
 def _heart(box: Box) -> Box:
-    """Return the inner half of a box, a larger part of a small one."""
+    """Return the inner half of a box, at least 14 px to each side of the centre."""
     row, col = _middle(box)
-    down, right = (max(0.25 * (box[k + 2] - box[k]), LEAST_HEART_PX) for k in (0, 1))
+    down, right = (max(0.25 * (box[k + 2] - box[k]), 14) for k in (0, 1))
     return int(row - down), int(col - right), int(row + down), int(col + right)
 
 
@@ -84,7 +82,7 @@ def _cost(option: Box, box: Box, taken: list[Box], hearts: list[Box]) -> float:
     area = (option[2] - option[0]) * (option[3] - option[1])
     covered = sum(_overlap(option, heart) for heart in hearts) / area
     over = sum(_overlap(option, other) for other in taken)
-    return distance + COVERED_PX * covered + 100.0 * over
+    return distance + 250.0 * covered + 100.0 * over
 
 
 def _overlap(one: Box, other: Box) -> float:
@@ -99,7 +97,6 @@ Picture = NDArray[np.uint8]
 # Blue, orange and vermilion, distinct for all colour vision (Okabe and Ito); blue, green, red order.
 COLOURS = {"ok": (230, 170, 70), "suspect": (0, 160, 240), "refused": (60, 80, 235)}
 LOOKS = {"ok": "solid line", "suspect": "dashed line", "refused": "crossed out"}
-LEAST_WIDTH_PX = 1500
 LINE_PX, DASH_PX = 18, 12
 INK, PAPER = (255, 255, 255), (25, 25, 25)
 
@@ -141,7 +138,7 @@ def render_annotations(stack: FrameStack, result: Result, frequency: Frequency =
     """
     import cv2
 
-    scale = max(1, int(np.ceil(LEAST_WIDTH_PX / stack.shape[2])))
+    scale = max(1, int(np.ceil(1500 / stack.shape[2])))
     grey = cv2.resize(_stretch_grey(stack), None, fx=scale, fy=scale, interpolation=cv2.INTER_NEAREST)
     picture = np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), np.uint8)
     shown = _one_a_region(result)

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
 # Probability that a correct session has a z-score beyond the limit.
 CHANCE = 1e-3
-QUICK_FRAMES = 10
 MADE_HERE = "demo.txt"
 
 
@@ -71,7 +70,7 @@ def demo_plan(seed: int, *, quick: bool) -> Plan:
     plan = replace(load_plan(Path("demo")), seed=seed)
     if not quick:
         return plan
-    return replace(plan, steps=tuple(replace(step, frames=min(step.frames, QUICK_FRAMES)) for step in plan.steps))
+    return replace(plan, steps=tuple(replace(step, frames=min(step.frames, 10)) for step in plan.steps))
 
 
 def _make_room(out: Path, session: Path, seed: int) -> None:

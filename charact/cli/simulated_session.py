@@ -116,9 +116,7 @@ def _inside(light: Any) -> Any:
     return light.values[..., top : top + grid.rows * grid.per_row, left : left + grid.columns * grid.per_column]
 
 
-# Percentiles of the pixels at the ends of the grey scale, and its least length in decades.
-RADIANCE_PERCENT, LEAST_DECADES = (1.0, 99.8), 1.0
-WIDTH_INCHES, DPI = 9.0, 120
+WIDTH_INCHES = 9.0
 
 
 def save_radiance(cube: "RadianceCube", title: str, path: Path) -> None:
@@ -155,7 +153,7 @@ def save_radiance(cube: "RadianceCube", title: str, path: Path) -> None:
     axes.set_title(title, fontsize=10, loc="left")
     axes.set_xlabel("column, px")
     axes.set_ylabel("row, px")
-    figure.savefig(path, dpi=DPI)
+    figure.savefig(path, dpi=120)
 
 
 def _ends(image: np.ndarray) -> tuple[float, float]:
@@ -163,19 +161,14 @@ def _ends(image: np.ndarray) -> tuple[float, float]:
     lit = image[image > 0.0]
     if not lit.size:
         return 1e-12, 1e-11
-    low, high = (float(end) for end in np.percentile(lit, RADIANCE_PERCENT))
-    return low, max(high, low * 10.0**LEAST_DECADES)
+    low, high = (float(end) for end in np.percentile(lit, (1.0, 99.8)))
+    return low, max(high, 10.0 * low)
 
 
 Stage = tuple[str, str, NDArray[Any]]  # name, quantity with unit, image (row, col)
 
 SHEET = "stages.png"
 PANEL_INCHES = 3.4
-LABEL_LETTERS = 36
-# Pixels along the longer side of a panel; finer images are averaged, so that no pulse is lost.
-PANEL_DOTS = 420
-# Percentiles at the ends of the grey scale; the brightest 0.3 % may be single pulses.
-SHOWN_PERCENT = (0.1, 99.7)
 
 
 def save_stages(stages: Iterable[Stage], folder: Path, title: str) -> int:
@@ -224,16 +217,18 @@ def sheet(stages: list[Stage], title: str) -> Any:
 
 
 def _panel(figure: Any, axes: Any, name: str, quantity: str, image: NDArray[np.float32]) -> None:
-    block = max(1, math.ceil(max(image.shape) / PANEL_DOTS))
+    # Pixels along the longer side of a panel; finer images are averaged, so that no pulse is lost.
+    block = max(1, math.ceil(max(image.shape) / 420))
     size, image = image.shape, block_means(image, block)
-    low, high = (float(end) for end in np.percentile(image, SHOWN_PERCENT))
+    # Percentiles at the ends of the grey scale; the brightest 0.3 % may be single pulses.
+    low, high = (float(end) for end in np.percentile(image, (0.1, 99.7)))
     if not high > low:
         low, high = float(image.min()), float(max(image.max(), image.min() + 1e-6))
     drawn = axes.imshow(image, cmap="gray", vmin=low, vmax=high, interpolation="nearest")
     ends = {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}
     beyond = ends[bool(image.min() < low), bool(image.max() > high)]
     bar = figure.colorbar(drawn, ax=axes, extend=beyond, shrink=0.9, pad=0.02)
-    bar.set_label(textwrap.fill(quantity, LABEL_LETTERS), fontsize=8)
+    bar.set_label(textwrap.fill(quantity, 36), fontsize=8)
     bar.ax.tick_params(labelsize=7)
     bar.formatter.set_powerlimits((-3, 4))
     bar.formatter.set_useMathText(True)

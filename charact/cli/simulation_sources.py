@@ -29,15 +29,11 @@ if TYPE_CHECKING:
     Description = Sensor | SolidStateCamera
 
 Progress = Callable[[str, float], None]
-# A rendering that takes longer announces its time, s.
-LONG_S = 60.0
 # Field of a target: its option and its kind of target.
 OF_A_TARGET: dict[str, tuple[str, Kind]] = {
     "frequency_cy_per_px": ("--frequency", "bars"),
     "pinhole_px": ("--pinhole-px", "point"),
 }
-# Default illuminance of the bench, lux.
-BENCH_LUX = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -175,7 +171,8 @@ def _with_bench_light(conditions: Conditions, kind: Kind) -> Conditions:
     lux = conditions.illuminance_lux
     if kind == "dark" and lux:
         raise BadInput(f"a dark must have no light, got --illuminance-lux {lux:g}")
-    unasked = 0.0 if kind == "dark" else BENCH_LUX
+    # Default illuminance of the bench, lux.
+    unasked = 0.0 if kind == "dark" else 1e-4
     return replace(conditions, illuminance_lux=unasked if lux is None else lux)
 
 
@@ -241,7 +238,8 @@ def _of_night(
 
     def announce(seconds: float) -> None:
         nonlocal sentence
-        sentence = f"light, about {seconds / 60.0:.0f} min" if seconds > LONG_S else "light"
+        # A rendering that takes longer announces its time, s.
+        sentence = f"light, about {seconds / 60.0:.0f} min" if seconds > 60.0 else "light"
         progress(sentence, 0.0)
 
     view = OutdoorRendering(scene, camera, conditions).seen(

@@ -16,10 +16,7 @@ if TYPE_CHECKING:
 
     from simulate.thermal.temperatures import Temperatures
 
-ZERO_C = 273.15
-# Percentiles of the map's pixels at the ends of its scale.
-SHOWN_PERCENT = (0.5, 99.5)
-WIDTH_INCHES, DPI = 9.0, 120
+WIDTH_INCHES = 9.0
 
 
 def temperatures(
@@ -139,9 +136,10 @@ def _map(kelvin: "np.ndarray", title: str) -> "Figure":
     import numpy as np
     from matplotlib.figure import Figure
 
-    celsius = kelvin - ZERO_C
+    celsius = kelvin - 273.15
     seen = celsius[np.isfinite(celsius)]
-    low, high = np.percentile(seen, SHOWN_PERCENT) if seen.size else (0.0, 1.0)
+    # Percentiles of the map's pixels at the ends of its scale.
+    low, high = np.percentile(seen, (0.5, 99.5)) if seen.size else (0.0, 1.0)
     rows, columns = celsius.shape
     figure = Figure(figsize=(WIDTH_INCHES, WIDTH_INCHES * rows / columns * 0.87 + 0.5), layout="constrained")
     axes = figure.subplots()
@@ -161,7 +159,7 @@ def _save(figure: "Figure", path: Path) -> None:
 
     FigureCanvasAgg(figure)
     content = io.BytesIO()
-    figure.savefig(content, format="png", dpi=DPI)
+    figure.savefig(content, format="png", dpi=120)
     write_atomically(path, content.getbuffer())
 
 

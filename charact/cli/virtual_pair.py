@@ -17,16 +17,12 @@ from simulate.virtual_bench.models import virtual_model
 from simulate.virtual_bench.process import VirtualInstruments
 
 ADDRESS = 14
-FASTER_THAN_LIFE = 20.0
-LATE_S = 0.6
-# Time until a virtual instrument reads its fault file, s.
-SEEN_S = 0.06
 _WRONGS = {
     "silent": Faults(silent=True),
     "mute": Faults(mute=True),
     "garbage": Faults(garbage=True),
     "half-lines": Faults(half_lines=True),
-    "late": Faults(late_s=LATE_S),
+    "late": Faults(late_s=0.6),
     "unplugged": Faults(unplugged=True),
     "trip": Faults(tripped=True),
     "power-cycle": Faults(),
@@ -52,7 +48,7 @@ class VirtualPair:
         self.model: InstrumentModel = known[name]
         self._virtual, self._folder = virtual_model(name), Path(folder)
         self._instruments = VirtualInstruments(
-            self._folder, models=(name,), gate_address=ADDRESS, supply_address=ADDRESS, time_scale=FASTER_THAN_LIFE
+            self._folder, models=(name,), gate_address=ADDRESS, supply_address=ADDRESS, time_scale=20.0
         )
         self._line: InstrumentLine | None = None
         self._power_cycles, self._tripped = 0, False
@@ -96,7 +92,8 @@ class VirtualPair:
 
     def _now(self, faults: Faults) -> None:
         inject_faults(self._folder, self._virtual.place, replace(faults, power_cycles=self._power_cycles))
-        time.sleep(SEEN_S)
+        # Time until a virtual instrument reads its fault file, s.
+        time.sleep(0.06)
 
     def _close(self) -> None:
         line, self._line = self._line, None

@@ -49,7 +49,6 @@ class Finding:
         return self.fix is None
 
 
-LEAST_PYTHON = (3, 11)
 # Name, least version and extra, as in: starlette>=0.46; extra == "live"
 _REQUIREMENT = re.compile(r"^([\w.-]+)\s*(?:>=\s*([0-9.]+))?.*?(?:;.*extra\s*==\s*['\"]([\w-]+)['\"])?$")
 
@@ -70,7 +69,7 @@ def software_findings() -> Iterator[Finding]:
 def python_finding(version: tuple[int, ...]) -> Finding:
     """Return whether the Python version is sufficient."""
     text = ".".join(str(part) for part in version)
-    fix = None if version >= LEAST_PYTHON else "install Python 3.11 or later"
+    fix = None if version >= (3, 11) else "install Python 3.11 or later"
     return Finding(area="python", says=f"Python {text}", fix=fix, core=True)
 
 
@@ -124,9 +123,8 @@ def _installed_version(name: str) -> str | None:
 
 
 SHAPE, DTYPE = (493, 768), np.uint16
-VIDEO_HZ, SPARE = 30.0, 2.0
+VIDEO_HZ = 30.0
 TRIED_FRAMES, TOGETHER = 32, 8
-LEAST_MINUTES = 10.0
 
 
 def disk_findings(folder: Path) -> Iterator[Finding]:
@@ -161,7 +159,7 @@ def write_rate_hz(folder: Path) -> float:
 def speed_finding(folder: Path, rate_hz: float) -> Finding:
     """Return whether a write rate is sufficient for video, Hz."""
     rate = f"{folder}: {rate_hz:.1f} frames/s of {SHAPE[1]} x {SHAPE[0]} px, 16 bit, synchronised to disk"
-    if rate_hz >= SPARE * VIDEO_HZ:
+    if rate_hz >= 2.0 * VIDEO_HZ:
         return Finding(area="disk", says=rate)
     return Finding(
         area="disk", says=f"{rate}; video needs {VIDEO_HZ:g}, and a margin of as many", fix="choose a faster disk"
@@ -172,7 +170,7 @@ def room_finding(folder: Path, free_bytes: int) -> Finding:
     """Return whether the free space is sufficient."""
     minutes = free_bytes / (np.prod(SHAPE) * np.dtype(DTYPE).itemsize * VIDEO_HZ) / 60.0
     space = f"{folder}: {free_bytes / 1e9:.3g} GB free, {minutes:.0f} minutes of video"
-    fix = None if minutes >= LEAST_MINUTES else "free disk space, or choose another disk"
+    fix = None if minutes >= 10.0 else "free disk space, or choose another disk"
     return Finding(area="disk", says=space, fix=fix)
 
 
@@ -206,9 +204,6 @@ def is_member(group: str) -> bool | None:
     return os.geteuid() == 0 or known.gr_gid in {os.getegid(), *os.getgroups()}
 
 
-DEVICES, KERNEL = Path("/dev"), Path("/sys/class/video4linux")
-
-
 def camera_findings() -> Iterator[Finding]:
     """Yield the cameras of Aravis, then the V4L2 devices."""
     yield from aravis_cameras()
@@ -236,7 +231,9 @@ def aravis_cameras() -> Iterator[Finding]:
 
 
 def video_devices(
-    devices: Path = DEVICES, kernel: Path = KERNEL, offered: Mapping[str, str] = MappingProxyType({})
+    devices: Path = Path("/dev"),
+    kernel: Path = Path("/sys/class/video4linux"),
+    offered: Mapping[str, str] = MappingProxyType({}),
 ) -> Iterator[Finding]:
     """Yield the V4L2 devices with their names.
 
@@ -302,14 +299,10 @@ def serial_ports(ports: Iterable[tuple[Path, str]]) -> Iterator[Finding]:
         )
 
 
-LIMITS, INTERFACES = Path("/proc/sys/net/core"), Path("/sys/class/net")
-LEAST_PACKET_BYTES = 1500  # of plain Ethernet
-
-
 def network_findings() -> Iterator[Finding]:
     """Yield the limit of the socket buffer, and the packet size of each active interface."""
-    yield socket_buffer(LIMITS)
-    yield from packet_sizes(INTERFACES)
+    yield socket_buffer(Path("/proc/sys/net/core"))
+    yield from packet_sizes(Path("/sys/class/net"))
 
 
 def socket_buffer(limits: Path) -> Finding:
@@ -335,7 +328,7 @@ def packet_sizes(interfaces: Path) -> Iterator[Finding]:
             continue
         bytes_ = int(_read(interface / "mtu") or 0)
         size = f"{interface.name}: packets of {bytes_} bytes"
-        if bytes_ < LEAST_PACKET_BYTES:
+        if bytes_ < 1500:  # plain Ethernet
             yield Finding(area="network", says=size, fix=f"sudo ip link set dev {interface.name} mtu 1500")
         else:
             more = "" if bytes_ >= 9000 else "; use 9000 (jumbo frames) for cameras of many megapixels"

@@ -128,7 +128,6 @@ class CameraSource:
                 time.sleep(max(due_s - time.monotonic(), 0.0) if self._period_s else 0.0)
 
 
-LOOK_S = 0.04
 FIRST_SHOWN = 4  # sufficient for noise and focus of an existing stack
 
 
@@ -148,7 +147,7 @@ class SessionSource:
         If there is no session.
     """
 
-    def __init__(self, folder: str | Path, *, look_s: float = LOOK_S) -> None:
+    def __init__(self, folder: str | Path, *, look_s: float = 0.04) -> None:
         self.folder, self._look_s = Path(folder), look_s
         if not (self.folder / MANIFEST).is_file():
             raise BadInput(f"a session must be a folder with a {MANIFEST}, got {folder}")

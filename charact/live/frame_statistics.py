@@ -10,8 +10,6 @@ from labdata.errors import BadInput
 from labdata.frames import read_only
 
 BINS = 256
-# Tiles wider than the blur, so that their means are independent; smaller ones in a small region.
-TILE_PX, LEAST_TILE_PX, LEAST_TILES = 32, 8, 16
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,7 +109,7 @@ def temporal_noise(frame: NDArray, before: NDArray) -> tuple[float, float | None
     square = np.square(difference, out=difference)
     noise = float(np.sqrt(0.5 * square.mean(dtype=np.float64)))
     tiles = _tiles(square)
-    if tiles.size < LEAST_TILES or min(tiles.shape) < 2 or noise == 0.0:
+    if tiles.size < 16 or min(tiles.shape) < 2 or noise == 0.0:
         return noise, None
     # The axis with the smaller scatter: across an edge the tiles differ by more than noise.
     scatter = min(np.mean(np.diff(tiles, axis=axis) ** 2) for axis in (0, 1))
@@ -121,7 +119,8 @@ def temporal_noise(frame: NDArray, before: NDArray) -> tuple[float, float | None
 
 def _tiles(values: NDArray) -> NDArray[np.float64]:
     """Return the means of square tiles, shape (tile row, tile col); incomplete tiles are dropped."""
-    side = int(np.clip(min(values.shape) // 8, LEAST_TILE_PX, TILE_PX))
+    # Wider than the blur, so that the means are independent; smaller in a small region.
+    side = int(np.clip(min(values.shape) // 8, 8, 32))
     rows, cols = (length // side for length in values.shape)
     whole = values[: rows * side, : cols * side]
     return whole.reshape(rows, side, cols, side).mean(axis=(1, 3), dtype=np.float64)

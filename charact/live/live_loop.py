@@ -59,9 +59,6 @@ class LatestView:
         return self._view is not None and self._view.number > number
 
 
-OVER_S = 2.0
-
-
 class FrameRate:
     """Frame rate over the last two seconds, from the camera's frame numbers and time stamps."""
 
@@ -73,15 +70,10 @@ class FrameRate:
         if self._seen and (frame.number <= self._seen[-1][0] or frame.time_s <= self._seen[-1][1]):
             self._seen.clear()
         self._seen.append((frame.number, frame.time_s))
-        while len(self._seen) > 2 and frame.time_s - self._seen[0][1] > OVER_S:
+        while len(self._seen) > 2 and frame.time_s - self._seen[0][1] > 2.0:
             self._seen.popleft()
         (first, began_s), (last, ended_s) = self._seen[0], self._seen[-1]
         return (last - first) / (ended_s - began_s) if last > first else None
-
-
-# Shortest interval between two views, s; frames in between are read but not measured.
-LEAST_PERIOD_S = 1.0 / 30.0
-LEAVE_S = 20.0
 
 
 class LiveLoop:
@@ -114,7 +106,7 @@ class LiveLoop:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._stop.set()
-        self._thread.join(LEAVE_S)
+        self._thread.join(20.0)
 
     @property
     def source(self) -> FrameSource:
@@ -149,7 +141,8 @@ class LiveLoop:
         now_s = time.monotonic()
         if now_s < self._due_s:
             return
-        self._due_s = max(self._due_s + LEAST_PERIOD_S, now_s)
+        # Shortest interval between two views, s; frames in between are read but not measured.
+        self._due_s = max(self._due_s + 1.0 / 30.0, now_s)
         pixels = seen.frame.pixels
         if self._focus is not None:
             self._focus.look_at(pixels)

@@ -11,11 +11,7 @@ from charact.live.frame_source import SourceFrame
 from charact.live.frame_statistics import FrameStatistics
 from charact.mtf.region import Region
 
-WIDEST_PX = 768
-QUALITY = 80
 SATURATED_BGR = (255, 200, 0)
-# Quantiles of the grey values shown as black and white.
-BLACK, WHITE = 0.002, 0.998
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,7 +48,7 @@ def render_preview(frame: NDArray, meters: FrameStatistics, *, full_scale_dn: fl
     """
     import cv2
 
-    step = -(-frame.shape[1] // WIDEST_PX)
+    step = -(-frame.shape[1] // 768)
     black, white = _levels(meters)
     small = frame[::step, ::step].astype(np.float32)
     grey = cv2.convertScaleAbs(np.maximum(small - black, 0.0), alpha=255.0 / (white - black))
@@ -62,7 +58,7 @@ def render_preview(frame: NDArray, meters: FrameStatistics, *, full_scale_dn: fl
         picture[_any_in_blocks(frame >= full_scale_dn, step)] = SATURATED_BGR
     # Full colour resolution, so that the mark of a single pixel is visible.
     finest = [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
-    written, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY, *finest])
+    written, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 80, *finest])
     if not written:
         raise RuntimeError(f"a preview of {picture.shape} must be encoded as JPEG, and was not")
     return PreviewImage(jpeg=jpeg.tobytes(), step=step, black_dn=black, white_dn=white)
@@ -71,7 +67,8 @@ def render_preview(frame: NDArray, meters: FrameStatistics, *, full_scale_dn: fl
 def _levels(meters: FrameStatistics) -> tuple[float, float]:
     """Return the grey values shown as black and white, at least eight bins apart so that noise is not stretched."""
     below = np.cumsum(meters.histogram) / max(meters.pixels, 1)
-    black, white = np.searchsorted(below, (BLACK, WHITE))
+    # Quantiles of the grey values shown as black and white.
+    black, white = np.searchsorted(below, (0.002, 0.998))
     return float(black * meters.bin_dn), float(max(white + 1, black + 8) * meters.bin_dn)
 
 

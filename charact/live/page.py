@@ -13,7 +13,6 @@ from starlette.routing import Route
 from charact.live.live_loop import LiveLoop
 
 LOOK_S = 0.005
-ALIVE_S = 1.0
 FILES = {
     "/": ("live.html", "text/html"),
     "/live.js": ("live.js", "text/javascript"),
@@ -94,7 +93,7 @@ async def _events(running: LiveLoop, about: dict) -> AsyncIterator[str]:
         else:
             await asyncio.sleep(LOOK_S)
             silent_s += LOOK_S
-            if silent_s >= ALIVE_S:
+            if silent_s >= 1.0:
                 silent_s = 0.0
                 yield ": no frame yet\n\n"
 

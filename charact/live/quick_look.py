@@ -126,13 +126,8 @@ def _levels(entry: StackEntry) -> tuple[np.ndarray, int, float]:
     return np.concatenate(means), most, full_scale_dn
 
 
-LOG = "log.jsonl"
-LOOK_S = 0.5
-PATIENCE_S = 1800.0
-
-
 def watch_stacks(
-    folder: str | Path, *, once: bool = False, patience_s: float = PATIENCE_S, look_s: float = LOOK_S
+    folder: str | Path, *, once: bool = False, patience_s: float = 1800.0, look_s: float = 0.5
 ) -> Iterator[tuple[Session, StackEntry]]:
     """Yield each finished stack of a running acquisition, with the session up to it.
 
@@ -177,7 +172,9 @@ def watch_stacks(
 def run_outcome(folder: Path) -> str | None:
     """Return None while a plan runs, "" once it is completed (or has no log), else why it ended."""
     try:
-        runs = [event for event in read_events(folder / LOG) if event.get("event") in ("run begins", "run ends")]
+        runs = [
+            event for event in read_events(folder / "log.jsonl") if event.get("event") in ("run begins", "run ends")
+        ]
     except FileNotFoundError:
         return ""
     if not runs or runs[-1]["event"] == "run begins":

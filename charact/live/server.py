@@ -155,8 +155,6 @@ async def _answer(send: Any, status: int, sentence: str, headers: tuple = ()) ->
     await hardened({"type": "http.response.body", "body": body})
 
 
-LOOPBACK = "127.0.0.1"
-LAST_WORDS_S = 0.5
 NEEDS = "the live page needs packages that are not installed: pip install 'charact[live]'"
 
 
@@ -165,7 +163,7 @@ def serve(
     *,
     title: str,
     focus_first: bool = False,
-    host: str = LOOPBACK,
+    host: str = "127.0.0.1",
     port: int = 0,
     tell: Callable[[str], None],
 ) -> None:
@@ -259,5 +257,5 @@ def _stop_at_end(running: LiveLoop, server) -> None:
     """Stop the server after the end of the frames has been sent to the pages."""
     while running.newest.end_reason is None:
         running.newest.after(2**62, timeout_s=1.0)
-    threading.Event().wait(LAST_WORDS_S)
+    threading.Event().wait(0.5)
     server.should_exit = True

@@ -11,7 +11,6 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-LOOK_S = 0.5
 BLOCKS = " ▁▂▃▄▅▆▇█"
 HISTOGRAM_WIDTH = 64
 
@@ -38,7 +37,7 @@ def watch_on_terminal(running: LiveLoop, *, title: str, console: "Console | None
     number = 0
     with Live(console=console, refresh_per_second=10, transient=False) as shown:
         while (why := running.newest.end_reason) is None:
-            view = running.newest.after(number, timeout_s=LOOK_S)
+            view = running.newest.after(number, timeout_s=0.5)
             if view is not None:
                 number = view.number
                 shown.update(table(view, title))

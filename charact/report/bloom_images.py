@@ -19,11 +19,6 @@ from labdata.session import Session, StackEntry
 
 Data = Mapping[str, Any]
 
-MOST_FRAMES = 6
-# Side of the image over the diameter of the halo or of the largest bloom.
-ROOM = 1.5
-LEAST_SIDE_PX = 40
-
 
 def plot_bloom_frames(data: Data) -> Any:
     """Plot frames of up to six source levels with bloom, halo and streak; pixels at full scale are tinted.
@@ -33,7 +28,7 @@ def plot_bloom_frames(data: Data) -> Any:
     None; `aspect`, row pitch over column pitch.
     """
     count = len(data["label"])
-    shown = sorted({int(n) for n in np.linspace(0, count - 1, min(count, MOST_FRAMES)).round()})
+    shown = sorted({int(n) for n in np.linspace(0, count - 1, min(count, 6)).round()})
     cols = min(3, len(shown))
     rows = -(-len(shown) // cols)
     figure, grid = panels(rows, cols, size=(2.15 * cols + 0.3, 2.25 * rows + 0.5))
@@ -53,7 +48,8 @@ def plot_bloom_frames(data: Data) -> Any:
 def _half_side(data: Data) -> float:
     """Return half the side of the image, column pitches."""
     largest = [float(d) for d in (*data["bloom_diameter_px"], data.get("halo_diameter_px")) if d]
-    return 0.5 * max(LEAST_SIDE_PX, ROOM * max(largest, default=0.0))
+    # Side of the image over the diameter of the halo or of the largest bloom.
+    return 0.5 * max(40, 1.5 * max(largest, default=0.0))
 
 
 def _frame(axes: Any, data: Data, number: int, half: float) -> None:
@@ -150,11 +146,6 @@ def plot_bloom_map(data: Data) -> Any:
     return figure
 
 
-# Overloads at which diameters are predicted, and posterior draws of the spread.
-STEPS, DRAWS = 120, 40
-FARTHEST_PX = 140.0
-
-
 def add_extent_data(session: Session, result: Result) -> dict[str, dict[str, Any]]:
     """Return the figure data of a result; that of a point series with measured and predicted extents and frames."""
     out = dict(result.evidence)
@@ -182,15 +173,15 @@ def _predict_diameters(data: dict[str, Any], result: Result) -> dict[str, Any] |
         return None
     posteriors = [m.posterior for m in result.find("halo_diameter") if m.posterior is not None]
     try:
-        spread = spread_of(posteriors[0]).thinned(DRAWS) if posteriors else None
+        spread = spread_of(posteriors[0]).thinned(40) if posteriors else None
     except BadInput:
         return None
     if spread is None:
         return None
-    radius = np.arange(0.0, FARTHEST_PX, 0.25)
+    radius = np.arange(0.0, 140.0, 0.25)
     density = np.maximum.accumulate(spread.density(radius)[:, ::-1], axis=1)[:, ::-1]
     light = np.array(data["overload"], float)
-    overload = np.geomspace(light.min(), light.max(), STEPS)
+    overload = np.geomspace(light.min(), light.max(), 120)
     levels = _threshold_fractions(data, _background_share(data, result, overload))
     found = {quantity: _diameters(density, radius, overload, level) for quantity, level in levels.items()}
     return {"overload": overload.tolist(), **found}

@@ -22,7 +22,6 @@ from charact.report.style import (
 )
 
 Data = Mapping[str, Any]
-MOST_PROFILES = 6
 
 
 def plot_point_profile(data: Data) -> Any:
@@ -104,7 +103,7 @@ def plot_point_spread(data: Data) -> Any:
 
 def _pick_levels(count: int) -> list[int]:
     """Return at most six level indices at equal intervals."""
-    return sorted({int(n) for n in np.linspace(0, count - 1, min(count, MOST_PROFILES)).round()})
+    return sorted({int(n) for n in np.linspace(0, count - 1, min(count, 6)).round()})
 
 
 def exposure(data: Data) -> tuple[np.ndarray, str]:

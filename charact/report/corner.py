@@ -11,7 +11,6 @@ from charact.report.style import DATA, INK, MODEL, as_svg, panels, report_style,
 from labdata.measurement import QUANTILES, Posterior
 from labdata.quantity import QUANTITIES
 
-MOST_PARAMETERS = 5
 BINS = 22
 # Suffixes of parameter names that repeat the unit.
 UNIT_SUFFIXES = {"cy/px": "_cy_per_px", "DN": "_dn", "px": "_px", "deg": "_deg", "e-": "_e", "DN2": "_dn2", "pe": "_pe"}
@@ -46,7 +45,7 @@ def varying(posterior: Posterior) -> tuple[int, ...]:
         np.isfinite(draws).all(axis=0) & (np.ptp(draws, axis=0) > 0) if len(draws) else np.zeros(draws.shape[1], bool)
     )
     order = sorted(np.flatnonzero(good).tolist(), key=lambda index: posterior.names[index] not in QUANTITIES)
-    return tuple(sorted(order[:MOST_PARAMETERS]))
+    return tuple(sorted(order[:5]))
 
 
 def _cell(axes: Any, posterior: Posterior, shown: tuple[int, ...], line: int, column: int) -> None:

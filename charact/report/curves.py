@@ -256,13 +256,8 @@ STAGES = dict(
     )
 )
 DIRECTIONS = {"horizontal": "Along rows", "vertical": "Along columns"}
-# A stage whose MTF stays above this is not shown.
-NOTHING_LOST = 0.9995
-# A narrower band is shown as a line.
-NARROWEST = 1e-3
 # Points of a measured curve per marker.
 EACH = 8
-AXIS = "frequency (cycles per column pitch)"
 LINES = "solid: identified or known; dashed: from the description, or only as a product; bands: 95 %"
 
 
@@ -276,7 +271,7 @@ def plot_mtf_budget(data: Data) -> Any:
         axes.set_title(title, loc="left")
         handles.update(dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True)))
     _at_the_cathode(grid[0, 0], data["horizontal"])
-    grid[1, 0].set(xlabel=AXIS)
+    grid[1, 0].set(xlabel="frequency (cycles per column pitch)")
     figure.legend(
         handles.values(),
         handles.keys(),
@@ -293,7 +288,8 @@ def _plot_direction(axes: Any, panel: Data, solid: set[str]) -> None:
     """Plot one direction: identified and known stages solid, those from the description dashed."""
     frequency = first_array(panel, "frequency_cy_per_column")
     for stage, band in panel["stages"].items():
-        if np.min(first_array(band, "value")) < NOTHING_LOST:
+        # A stage whose MTF stays above this is not shown.
+        if np.min(first_array(band, "value")) < 0.9995:
             colour = STAGES.get(stage, COLOURS[7])
             _plot_band(axes, frequency, band, colour)
             style = "-" if stage in solid else (0, (4, 2))
@@ -320,7 +316,8 @@ def _at_the_cathode(axes: Any, panel: Data) -> None:
 def _plot_band(axes: Any, frequency: Any, band: Data, colour: str) -> None:
     """Plot a transparent band with thin borders; bands overlap."""
     low, high = first_array(band, "low95"), first_array(band, "high95")
-    if np.max(high - low) > NARROWEST:
+    # A narrower band is shown as a line.
+    if np.max(high - low) > 1e-3:
         axes.fill_between(frequency, low, high, facecolor=(colour, 0.1), edgecolor=(colour, 0.45), linewidth=0.5)
 
 

@@ -12,7 +12,6 @@ from labdata.conditions import Conditions
 from labdata.measurement import Measurement
 from labdata.session import Session, StackEntry
 
-MOST_PX = 720
 COLOURS = {"ok": "#35c46a", "suspect": "#f0a020", "refused": "#ff4d4d"}
 
 
@@ -75,7 +74,7 @@ def as_jpeg(frame: NDArray, limits: tuple[float, float], quality: int = 72) -> s
     """
     from PIL import Image
 
-    step = -(-max(frame.shape) // MOST_PX)
+    step = -(-max(frame.shape) // 720)
     rows, cols = (size // step * step for size in frame.shape)
     small = np.asarray(frame, float)[:rows, :cols].reshape(rows // step, step, cols // step, step).mean(axis=(1, 3))
     low, high = limits

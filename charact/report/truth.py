@@ -9,8 +9,6 @@ import numpy as np
 from charact.report.number_format import plus_minus, quantity_title, round_to_spread, spread_of
 from labdata.measurement import Measurement, Result
 
-# Half a 95 % interval in standard uncertainties.
-HALF_95 = 1.959964
 # True values, or functions of frequency (cy/px) and direction (degrees).
 Truth = Mapping[str, float | Callable[..., Any]]
 
@@ -74,7 +72,8 @@ def _at(known: float | Callable[..., Any], measurement: Measurement) -> float:
 def _comparison(measurement: Measurement, truth: float) -> TruthComparison:
     value, interval = float(measurement.value or 0.0), measurement.interval95
     low, high = interval if interval is not None else (value, value)
-    sd = ((high - value) if truth > value else (value - low)) / HALF_95
+    # Half a 95 % interval in standard uncertainties.
+    sd = ((high - value) if truth > value else (value - low)) / 1.959964
     off = value - truth
     z = off / sd if sd > 0 else float(np.copysign(np.inf, off)) if off else 0.0
     return TruthComparison(measurement=measurement, truth=truth, z=z)

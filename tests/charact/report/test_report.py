@@ -87,13 +87,13 @@ def test_labels_from_outside_are_escaped(made):
 
 def test_evidence_of_an_unknown_or_broken_kind_is_told_and_not_drawn(html):
     text = " ".join(_text(html).split())
-    assert "Not drawn: no figure of the kind 'of-tomorrow'" in text
+    assert "Not plotted: no figure of the kind 'of-tomorrow'" in text
     assert "strength 4.5 DN" in text
-    assert "Not drawn: its data cannot be drawn" in text
+    assert "Not plotted: its data cannot be plotted" in text
 
 
 def test_conditions_tell_what_was_asked_where_it_differs(html):
-    assert "780 (asked 781)" in _text(html)
+    assert "780 (requested 781)" in _text(html)
 
 
 def test_truth_stands_beside_the_measured_with_z(html):
