@@ -40,7 +40,7 @@ def place_captions(
     """
     taken: list[Box] = []
     places = []
-    hearts = [_heart(box) for box in boxes]
+    hearts = [_inner_part(box) for box in boxes]
     for box, size in zip(boxes, sizes, strict=True):
         options = [(_cost(option, box, taken, hearts), option) for option in _around(box, size, frame)]
         best = min(options, key=lambda option: option[0])[1]
@@ -68,7 +68,7 @@ def _around(box: Box, size: tuple[int, int], frame: tuple[int, ...]) -> Iterator
             yield top, left, top + size[0], left + size[1]
 
 
-def _heart(box: Box) -> Box:
+def _inner_part(box: Box) -> Box:
     """Return the inner half of a box, at least 14 px to each side of the centre."""
     row, col = _middle(box)
     down, right = (max(0.25 * (box[k + 2] - box[k]), 14) for k in (0, 1))
@@ -96,7 +96,7 @@ Picture = NDArray[np.uint8]
 
 # Blue, orange and vermilion, distinct for all colour vision (Okabe and Ito); blue, green, red order.
 COLOURS = {"ok": (230, 170, 70), "suspect": (0, 160, 240), "refused": (60, 80, 235)}
-LOOKS = {"ok": "solid line", "suspect": "dashed line", "refused": "crossed out"}
+LINE_STYLES = {"ok": "solid line", "suspect": "dashed line", "refused": "crossed out"}
 LINE_PX, DASH_PX = 18, 12
 INK, PAPER = (255, 255, 255), (25, 25, 25)
 
@@ -141,7 +141,7 @@ def render_annotations(stack: FrameStack, result: Result, frequency: Frequency =
     scale = max(1, int(np.ceil(1500 / stack.shape[2])))
     grey = cv2.resize(_stretch_grey(stack), None, fx=scale, fy=scale, interpolation=cv2.INTER_NEAREST)
     picture = np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), np.uint8)
-    shown = _one_a_region(result)
+    shown = _one_per_region(result)
     boxes = [_box(measurement, stack, scale) for measurement in shown]
     for measurement, box in zip(shown, boxes, strict=True):
         _outline(picture, box, measurement.status)
@@ -160,7 +160,7 @@ def _stretch_grey(stack: FrameStack) -> Picture:
     return (np.clip((mean - low) / max(high - low, 1e-12), 0, 1) * 255).astype(np.uint8)
 
 
-def _one_a_region(result: Result) -> list[Measurement]:
+def _one_per_region(result: Result) -> list[Measurement]:
     """Return one measurement for each region: its MTF50, else its first one.
 
     Measurements without a region, such as a joint MTF, are left out unless there are no others.
@@ -261,7 +261,7 @@ def _legend(shown: list[Measurement], frequency: Frequency, width: int) -> Pictu
     for status in (status for status in COLOURS if any(m.status == status for m in shown)):
         _outline(strip, (9, left, 9 + LINE_PX - 4, left + 40), status)
         count = sum(m.status == status for m in shown)
-        text = f"{status} ({LOOKS[status]}): {count}"
+        text = f"{status} ({LINE_STYLES[status]}): {count}"
         cv2.putText(strip, text, (left + 50, 8 + LINE_PX - 4), cv2.FONT_HERSHEY_SIMPLEX, 0.5, INK, 1, cv2.LINE_AA)
         left += 80 + _width(text)
     for number, line in enumerate(lines):

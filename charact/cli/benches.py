@@ -32,49 +32,12 @@ if TYPE_CHECKING:
     from simulate.virtual_bench.fault_script import FaultScript
 
 
-def camera_named(name: str | None, *, tell: Callable[[str], None] = print_message) -> "AbstractContextManager[Camera]":
-    """Return the camera of a name, not opened.
-
-    Parameters
-    ----------
-    name
-        "v4l2:/dev/video0", "v4l2:/dev/video0#1" (input 1 of a capture card); "replay:FOLDER" (each capture replays the
-        session's next stack), "replay:FOLDER#LABEL" (every capture replays that stack); anything else is an Aravis
-        identifier or an IP address. None: the only camera that Aravis lists.
-    tell
-        Prints a message.
-
-    Raises
-    ------
-    BadInput
-        If the name lacks its file or folder, or the input is not a number.
-    """
-    kind, colon, rest = (name or "").partition(":")
-    if not colon or kind not in ("v4l2", "replay"):
-        from drivers.cameras.aravis.camera import AravisCamera
-
-        return AravisCamera(name, say=tell)
-    place, _, part = rest.partition("#")
-    if not place:
-        raise BadInput(f"a camera {kind}: must name its {'file' if kind == 'v4l2' else 'folder'}, got {name!r}")
-    if kind == "replay":
-        from drivers.cameras.replay import ReplayCamera
-
-        return ReplayCamera(place, label=part or None, say=tell)
-    from drivers.cameras.v4l2 import V4l2Camera
-
-    if part and not part.isdigit():
-        raise BadInput(f"the input of a capture card must be a whole number, got {part!r} in {name!r}")
-    return V4l2Camera(place, input_number=int(part) if part else None)
-
-
 SAFETY_LOG = "safety.jsonl"
 DOSE = "dose.jsonl"
-REHEARSAL = "rehearsal.jsonl"
 
 
 @contextmanager
-def bench_failure_is_a_sentence() -> Iterator[None]:
+def bench_errors_as_bad_input() -> Iterator[None]:
     """Raise BenchError as BadInput."""
     from drivers.errors import BenchError
 
@@ -102,7 +65,7 @@ def acquire_session(
     real = plan.wires.bench == "real"
     if real and rehearse is not None:
         raise BadInput("fault injection needs a virtual bench, got a real one")
-    with bench_failure_is_a_sentence():
+    with bench_errors_as_bad_input():
         if real:
             taken = _on_real_bench(plan, session, resume=resume, progress=progress, tell=tell)
         else:
@@ -164,7 +127,7 @@ def _fault_rehearsal(
     from drivers.acquisition.acquire import LOG
     from simulate.virtual_bench.rehearsal import Rehearsal
 
-    log = bench_folder(session) / REHEARSAL
+    log = bench_folder(session) / "rehearsal.jsonl"
     return Rehearsal(script, provoke=virtual.provoke, steps=session / LOG, log=log, say=tell)
 
 
@@ -252,6 +215,42 @@ def _acquire_session(
             tell(f"The tube: {bench.last_words}.")
 
 
+def camera_named(name: str | None, *, tell: Callable[[str], None] = print_message) -> "AbstractContextManager[Camera]":
+    """Return the camera of a name, not opened.
+
+    Parameters
+    ----------
+    name
+        "v4l2:/dev/video0", "v4l2:/dev/video0#1" (input 1 of a capture card); "replay:FOLDER" (each capture replays the
+        session's next stack), "replay:FOLDER#LABEL" (every capture replays that stack); anything else is an Aravis
+        identifier or an IP address. None: the only camera that Aravis lists.
+    tell
+        Prints a message.
+
+    Raises
+    ------
+    BadInput
+        If the name lacks its file or folder, or the input is not a number.
+    """
+    kind, colon, rest = (name or "").partition(":")
+    if not colon or kind not in ("v4l2", "replay"):
+        from drivers.cameras.aravis.camera import AravisCamera
+
+        return AravisCamera(name, say=tell)
+    place, _, part = rest.partition("#")
+    if not place:
+        raise BadInput(f"a camera {kind}: must name its {'file' if kind == 'v4l2' else 'folder'}, got {name!r}")
+    if kind == "replay":
+        from drivers.cameras.replay import ReplayCamera
+
+        return ReplayCamera(place, label=part or None, say=tell)
+    from drivers.cameras.v4l2 import V4l2Camera
+
+    if part and not part.isdigit():
+        raise BadInput(f"the input of a capture card must be a whole number, got {part!r} in {name!r}")
+    return V4l2Camera(place, input_number=int(part) if part else None)
+
+
 def builtin_plan_names() -> tuple[str, ...]:
     """Names of the shipped plans."""
     files = (resources.files("charact.cli") / "plans").iterdir()
@@ -284,11 +283,11 @@ def _with_calibration_paths(path: Path) -> dict[str, Any]:
 
 
 # Allowed fraction of pixels at full scale; point sources are exempt, they saturate on purpose.
-SHARE_ALLOWED = 1e-3
+MAX_SATURATED_FRACTION = 1e-3
 # Fraction of pixels at full scale beyond which a stack is saturated.
-SHARE_SATURATED = 0.01
+SATURATED_FRACTION = 0.01
 # Frames between two checks grow by this factor: a check after every frame would find a small interval by chance.
-LOOK_AFTER = 1.25
+CHECK_GROWTH = 1.25
 
 
 class SaturationJudge:
@@ -312,14 +311,14 @@ class StackWatcher:
 
     def __init__(self, step: Step, full_scale_dn: float) -> None:
         self._step, self._full_scale_dn = step, full_scale_dn
-        self._highest_code = math.ceil(full_scale_dn)  # an integer: a float would convert every frame
+        self._full_scale = math.ceil(full_scale_dn)  # an integer: a float would convert every frame
         self._full, self._pixels = 0, 0
         self._means_dn: list[float] = []
         self._look_at = step.until.least_frames if step.until else 0
 
     def see(self, pixels: NDArray) -> None:
         """Add a frame, shape (row, col), DN."""
-        self._full += int(np.count_nonzero(pixels >= self._highest_code))
+        self._full += int(np.count_nonzero(pixels >= self._full_scale))
         self._pixels += pixels.size
         if self._step.until:
             self._means_dn.append(float(pixels.mean(dtype=np.float64)))
@@ -329,7 +328,7 @@ class StackWatcher:
         until, taken = self._step.until, len(self._means_dn)
         if until is None or taken < self._look_at:
             return None
-        self._look_at = int(np.ceil(LOOK_AFTER * taken))
+        self._look_at = int(np.ceil(CHECK_GROWTH * taken))
         half_dn = half_interval_dn(np.array(self._means_dn))
         if half_dn > until.mean_within_dn:
             return None
@@ -340,11 +339,11 @@ class StackWatcher:
 
     def saturated(self) -> bool:
         """Whether more than 1 % of the pixels are at full scale."""
-        return self._share > SHARE_SATURATED
+        return self._share > SATURATED_FRACTION
 
     def complaint(self) -> str | None:
         """Return a sentence on saturated pixels, or None."""
-        if self._step.kind == "point" or self._share <= SHARE_ALLOWED:
+        if self._step.kind == "point" or self._share <= MAX_SATURATED_FRACTION:
             return None
         return f"{100 * self._share:.2g} % of all pixels are at full scale, {self._full_scale_dn:g} DN"
 

@@ -22,14 +22,14 @@ if TYPE_CHECKING:
 
 # Probability that a correct session has a z-score beyond the limit.
 CHANCE = 1e-3
-MADE_HERE = "demo.txt"
+MARKER_FILE = "demo.txt"
 
 
 def demonstrate(out: Path, *, quick: bool, seed: int | None, events: bool) -> bool:
     """Run the loop into a folder; return whether all values agree with the truth and the validation passed."""
     seed = time.time_ns() % 2**31 if seed is None else seed
     session = out / "session"
-    _make_room(out, session, seed)
+    _delete_previous(out, session, seed)
     print_message(f"seed {seed} (repeat with --seed {seed}); output folder: {out}", events=events)
     left_out: list[str] = []
     with _step("acquire", events), progress_bar(events=events) as progress:
@@ -49,7 +49,7 @@ def demonstrate(out: Path, *, quick: bool, seed: int | None, events: bool) -> bo
 
     print("\n".join(lines(rows)))
     trusted = [row for row in rows if row.measurement.status == "ok"]
-    largest = largest_z(len(trusted))
+    largest = max_z(len(trusted))
     within = all(abs(row.z) <= largest for row in trusted)
     print(f"\nvalidation: {'passed' if validation.passed else 'FAILED'}")
     verdict = "yes" if within else "NO"
@@ -58,7 +58,7 @@ def demonstrate(out: Path, *, quick: bool, seed: int | None, events: bool) -> bo
     return within and validation.passed
 
 
-def largest_z(numbers: int) -> float:
+def max_z(numbers: int) -> float:
     """Return the |z| that the largest of so many correct values exceeds with probability `CHANCE`."""
     from scipy.special import ndtri
 
@@ -73,9 +73,9 @@ def demo_plan(seed: int, *, quick: bool) -> Plan:
     return replace(plan, steps=tuple(replace(step, frames=min(step.frames, 10)) for step in plan.steps))
 
 
-def _make_room(out: Path, session: Path, seed: int) -> None:
+def _delete_previous(out: Path, session: Path, seed: int) -> None:
     """Delete the session of an earlier demonstration."""
-    marker = out / MADE_HERE
+    marker = out / MARKER_FILE
     if session.exists() and not marker.is_file():
         raise BadInput(
             f"{session} must not exist or must be from an earlier demonstration, got a folder without {marker}"
@@ -110,7 +110,7 @@ def _report(session: Path, out: Path, result, validation):
     from charact.report import compare_with_truth, write
     from labdata.session import open_session
 
-    truth = of_bench(bench_folder(session), open_session(session))
+    truth = bench_truth(bench_folder(session), open_session(session))
     path = write(open_session(session), result, out / "report.html", validation=validation, truth=truth)
     return path, compare_with_truth(result, truth)
 
@@ -121,7 +121,7 @@ COMPARED_QUANTITIES = ("covariance_gain", "blur_factor", "photoelectron_gain", "
 HORIZONTAL_DEG = 0.0
 
 
-def of_bench(folder: Path, session: Session) -> "Truth":
+def bench_truth(folder: Path, session: Session) -> "Truth":
     """Return the truth of a virtual bench by quantity name.
 
     The MTF is a function of frequency and direction; gains are those at the MCP voltage of the flats.

@@ -12,7 +12,7 @@ app = typer.Typer(no_args_is_help=True, help="Create a session from existing fra
 
 Out = Annotated[Path, typer.Argument(help="Output session folder.")]
 
-UNSAID = "set the kind of the stacks in {}/session.toml, or import with --kind: scene stacks are not measured"
+NO_KIND_HINT = "set the kind of the stacks in {}/session.toml, or import with --kind: scene stacks are not measured"
 
 
 @app.command()
@@ -49,7 +49,7 @@ def frames(
         if not sources:
             raise BadInput(f"import frames needs at least one file and the folder of the session, got only {out}")
         session = import_frames(sources, out, kind=parse_kind(kind), name_pattern=name, axis=axis, plane=plane)
-        _summarise(session, out, UNSAID.format(out) if kind == "scene" else f"charact measure {out}")
+        _summarise(session, out, NO_KIND_HINT.format(out) if kind == "scene" else f"charact measure {out}")
 
 
 def _summarise(session, out: Path, next_verb: str) -> None:

@@ -254,7 +254,7 @@ def _bar(*, events: bool = False) -> Iterator[Progress]:
 
 
 # Options that give a length that a unit needs.
-REMEDY = {
+LENGTH_OPTIONS = {
     "pitch_um": "--pitch-um or --sensor",
     "demagnification": "--demagnification or --sensor",
     "focal_length_mm": "--focal-length-mm or --sensor",
@@ -312,7 +312,7 @@ class FrequencyUnit:
         }
         missing = [name for name in needs.get(self.unit, ()) if held[name] is None]
         if missing:
-            remedies = " and ".join(REMEDY[name] for name in missing)
+            remedies = " and ".join(LENGTH_OPTIONS[name] for name in missing)
             raise BadInput(f"--units {self.unit} needs a positive {' and '.join(missing)}: give {remedies}")
         from labdata.quantity import FREQUENCY_UNITS
 

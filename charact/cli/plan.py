@@ -19,13 +19,13 @@ if TYPE_CHECKING:
     from labdata.sensor import Sensor
     from labdata.tube_dose import Dose
 
-MOST_LINES = 40
+MAX_LINES = 40
 
 
 def plan(
     plan: Annotated[Path, typer.Argument(help="Acquisition plan, TOML, or the name of a shipped one.")],
     as_json: options.Json = False,
-    every: Annotated[bool, typer.Option("--all", help=f"Print every step instead of the first {MOST_LINES}.")] = False,
+    every: Annotated[bool, typer.Option("--all", help=f"Print every step instead of the first {MAX_LINES}.")] = False,
 ) -> None:
     """Forecast an acquisition plan: steps, time, disk space, tube dose, hottest step. Nothing is switched on.
 
@@ -130,7 +130,7 @@ def _dose_document(dose: "Dose") -> dict[str, float]:
 def _lines(plan: "Plan", prediction: "Forecast", sensor: "Sensor | None", *, every: bool) -> list[str]:
     from drivers.acquisition.run_progress import duration
 
-    shown = prediction.steps if every else prediction.steps[:MOST_LINES]
+    shown = prediction.steps if every else prediction.steps[:MAX_LINES]
     left = len(prediction.steps) - len(shown)
     hottest, before = prediction.hottest, _before(plan)
     limit = prediction.limits.largest_anode_na_per_cm2(point=hottest.step.kind == "point")

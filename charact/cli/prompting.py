@@ -29,7 +29,7 @@ class _Terminal:
         self._typed = b""
         self._lines: queue.SimpleQueue[str] | None = None
 
-    def _tell(self, text: str) -> None:
+    def _show(self, text: str) -> None:
         """Write a text if the terminal is ready."""
         descriptor = _descriptor(sys.stderr)
         if descriptor is None:
@@ -42,7 +42,7 @@ class _Terminal:
         descriptor = _descriptor(sys.stderr)
         while descriptor is not None and not select.select((), (descriptor,), (), POLL_S)[1]:
             self.while_waiting()
-        self._tell(question)
+        self._show(question)
         descriptor = _descriptor(sys.stdin)
         line = self._line() if descriptor is None else self._line_of(descriptor)
         if not line:
@@ -89,7 +89,7 @@ class PromptingOperator(_Terminal):
 
     def darken(self) -> None:
         """Ask for the light to be blocked, without waiting."""
-        self._tell("Block the light now.\n")
+        self._show("Block the light now.\n")
 
     def place(
         self, *, kind: Kind, target: Target, illuminance_lux: float, filter_density: float | None = None

@@ -11,7 +11,7 @@ import typer
 from charact import __version__
 from charact.cli import options
 from charact.cli.output import exit_on_bad_input, print_message, print_result, progress_bar
-from charact.cli.single_image import bloom_of_picture, is_picture, open_session_only
+from charact.cli.single_image import bloom_of_image, is_image, open_session_only
 from labdata.errors import BadInput
 
 if TYPE_CHECKING:
@@ -70,8 +70,8 @@ def bloom(
     """
     if map_to is None and map_of is not None:
         raise typer.BadParameter("needs --map", param_hint="'--map-of'")
-    if is_picture(session):
-        bloom_of_picture(
+    if is_image(session):
+        bloom_of_image(
             session, method=method, within=within, quick=quick, seed=seed, mapped=map_to is not None, plane=plane,
             axis=axis, as_json=as_json, events=events,
         )  # fmt: skip

@@ -85,7 +85,7 @@ def simulate(
         from charact.cli.simulated_session import preview_into, save_frames, save_stage_images
         from charact.cli.simulation_sources import (
             SimulationRequest,
-            beyond_limit,
+            voltage_limit_warnings,
             conditions_of,
             load_described_camera,
             shot_of,
@@ -114,7 +114,7 @@ def simulate(
             tolerance=None if exact else within / 100.0,
             seed=seed,
         )
-        beyond = beyond_limit(camera, conditions)
+        beyond = voltage_limit_warnings(camera, conditions)
         for sentence in beyond:
             print_message(sentence, events=events)
         if preview:

@@ -147,7 +147,7 @@ def shot_of(
     """Return camera and light of a request; rendering an outdoor scene reports its progress."""
     if is_scene(request.source):
         return _of_scene(request, description, conditions, progress)
-    _no_bench(request, conditions)
+    _require_no_bench_options(request, conditions)
     if request.source.suffix == ".npz":
         return _of_cube(request, description, conditions)
     return _of_picture(request, description, conditions)
@@ -158,7 +158,7 @@ def is_scene(source: Path) -> bool:
     return source.suffix == ".toml" or (not source.suffix and not source.is_file())
 
 
-def _no_bench(request: SimulationRequest, conditions: Conditions) -> None:
+def _require_no_bench_options(request: SimulationRequest, conditions: Conditions) -> None:
     if conditions.illuminance_lux is not None:
         raise BadInput("--illuminance-lux is only for bench scenes")
     for name, (option, kind) in OF_A_TARGET.items():
@@ -197,7 +197,7 @@ def _of_scene(
 ) -> Shot:
     from simulate.radiance.scene import LabScene, load_scene
 
-    _no_picture(request)
+    _require_no_image_options(request)
     scene = load_scene(request.source)
     if isinstance(scene, LabScene):
         return _of_bench(request, scene, description, conditions)
@@ -214,8 +214,8 @@ def night_of(request: SimulationRequest, description: "Description", conditions:
     scene = load_scene(request.source) if is_scene(request.source) else None
     if not isinstance(scene, OutdoorScene):
         raise BadInput(f"--preview needs an outdoor scene, got {request.source.name}")
-    _no_picture(request)
-    _no_bench(request, conditions)
+    _require_no_image_options(request)
+    _require_no_bench_options(request, conditions)
     return OutdoorRendering(scene, camera_from_description(description), conditions)
 
 
@@ -230,7 +230,7 @@ def _of_night(
     from simulate.iiccd.scene_to_photoelectrons import photoelectrons_from_radiance
     from simulate.outdoor_rendering import OutdoorRendering
 
-    _no_bench(request, conditions)
+    _require_no_bench_options(request, conditions)
     if request.kind == "dark":
         raise BadInput(f"a dark must have no light, got the scene {scene.name!r}")
     camera = camera_from_description(description)
@@ -321,7 +321,7 @@ def _of_cube(request: SimulationRequest, description: "Description", conditions:
     from simulate.cameras import camera_from_description
     from simulate.iiccd.scene_to_photoelectrons import photoelectrons_from_radiance
 
-    _no_picture(request)
+    _require_no_image_options(request)
     camera = camera_from_description(description)
     cube = cube_of(request.source)
     _require_dark(request, cube.radiance)
@@ -332,7 +332,7 @@ def _of_cube(request: SimulationRequest, description: "Description", conditions:
     return Shot(camera=camera, light=light, kind=kind, conditions=conditions, seen=cube, notes=notes, **planned)
 
 
-def _no_picture(request: SimulationRequest) -> None:
+def _require_no_image_options(request: SimulationRequest) -> None:
     for option, value in (("--photoelectrons-per-dn", request.photoelectrons_per_dn), ("--black-dn", request.black_dn)):
         if value is not None:
             raise BadInput(f"{option} is only for an image, got it with {request.source.name}")
@@ -379,7 +379,7 @@ def conditions_of(camera: Sensor | SolidStateCamera, *, gain: float | None = Non
     return Conditions(exposure_s=exposure_s, **{**nominal, **set_by_gain, **given})
 
 
-def beyond_limit(camera: Sensor | SolidStateCamera, conditions: Conditions) -> tuple[str, ...]:
+def voltage_limit_warnings(camera: Sensor | SolidStateCamera, conditions: Conditions) -> tuple[str, ...]:
     """Return a warning if the MCP voltage exceeds the limit of the description, which the bench would refuse."""
     mcp_v = conditions.mcp_v
     if isinstance(camera, SolidStateCamera) or mcp_v is None:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from labdata.session import Session
 
 
-def is_picture(path: Path) -> bool:
+def is_image(path: Path) -> bool:
     """Whether a path is a file of frames, not a session."""
     from labdata.importers import module_of
     from labdata.session import MANIFEST
@@ -62,7 +62,7 @@ def require_session(path: Path) -> None:
     """Raise BadInput if the path is a file of frames."""
     from labdata.errors import BadInput
 
-    if is_picture(path):
+    if is_image(path):
         raise BadInput(
             f"a session must be a folder with a session.toml, got the file {path}; create one with charact import "
             f"frames {path} OUT --kind KIND, or use charact bloom or charact mtf"
@@ -77,7 +77,7 @@ def open_session_only(path: Path) -> "Session":
     return open_session(path)
 
 
-def bloom_of_picture(path: Path, *, method: str, within: float, quick: bool, seed: int, mapped: bool,
+def bloom_of_image(path: Path, *, method: str, within: float, quick: bool, seed: int, mapped: bool,
                      plane: str | None, axis: str | None, as_json: bool, events: bool) -> None:  # fmt: skip
     """Measure and print the bloom extent of a point source in a single image."""
     with exit_on_bad_input(str(path), as_json=as_json, events=events):

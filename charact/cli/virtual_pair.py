@@ -17,7 +17,7 @@ from simulate.virtual_bench.models import virtual_model
 from simulate.virtual_bench.process import VirtualInstruments
 
 ADDRESS = 14
-_WRONGS = {
+_FAULTS = {
     "silent": Faults(silent=True),
     "mute": Faults(mute=True),
     "garbage": Faults(garbage=True),
@@ -82,7 +82,7 @@ class VirtualPair:
         self._tripped = wrong == "trip"
         if wrong == "panel":
             self._now(Faults(panel=self._virtual.panel[setting]))
-        self._now(_WRONGS[wrong])
+        self._now(_FAULTS[wrong])
 
     def heal(self) -> None:
         """End all faults; a trip is cleared by a power cycle."""

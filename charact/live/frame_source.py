@@ -50,7 +50,7 @@ class SourceFrame:
     conditions: Conditions = field(default_factory=Conditions)
 
 
-def highest_code(dtype: np.dtype, pixel_format: str | None = None) -> float:
+def full_scale_of(dtype: np.dtype, pixel_format: str | None = None) -> float:
     """Return the full scale of a pixel format ("Mono12"), else of the data type, DN."""
     named = re.search(r"\d+", pixel_format or "")
     own_bits = 8 * dtype.itemsize
@@ -116,7 +116,7 @@ class CameraSource:
         with camera.capture(frames=self._frames_each) as capture:
             due_s = time.monotonic()
             for frame in capture:
-                own_scale_dn = highest_code(frame.pixels.dtype, settings.pixel_format)
+                own_scale_dn = full_scale_of(frame.pixels.dtype, settings.pixel_format)
                 yield SourceFrame(
                     frame=frame,
                     of=camera.identifier,
@@ -207,7 +207,7 @@ class _Stack:
         return SourceFrame(
             frame=frame,
             of=f"stack {self.form.label}",
-            full_scale_dn=self._full_scale_dn or highest_code(frame.pixels.dtype),
+            full_scale_dn=self._full_scale_dn or full_scale_of(frame.pixels.dtype),
             lost_frames=frame.number - (self._first_number or 0) - entry.index,
             conditions=conditions_of(self.form),
         )

@@ -37,7 +37,7 @@ class LatestView:
         """Why the views ended; None while more may come."""
         return self._ended
 
-    def put(self, view: LiveView) -> None:
+    def publish(self, view: LiveView) -> None:
         """Replace the view by a newer one."""
         with self._changed:
             self._view = view
@@ -148,12 +148,12 @@ class LiveLoop:
             self._focus.look_at(pixels)
         meters = measure_frame(pixels, before, full_scale_dn=seen.full_scale_dn, region=self._region)
         self._number += 1
-        self.newest.put(
+        self.newest.publish(
             LiveView(
                 number=self._number,
-                seen=seen,
-                meters=meters,
-                picture=render_preview(pixels, meters, full_scale_dn=seen.full_scale_dn),
+                source_frame=seen,
+                statistics=meters,
+                preview=render_preview(pixels, meters, full_scale_dn=seen.full_scale_dn),
                 frame_rate_hz=rate_hz,
                 focus=self._focus.newest if self._focus else None,
                 best=self._focus.best if self._focus else BestFocus(),
@@ -166,7 +166,7 @@ class LiveLoop:
         view = self.newest.view
         if view is not None and self._focus is not None and self._focus.take_up():
             self._number += 1
-            self.newest.put(replace(view, number=self._number, focus=self._focus.newest, best=self._focus.best))
+            self.newest.publish(replace(view, number=self._number, focus=self._focus.newest, best=self._focus.best))
 
 
 class _PreviousFrame:

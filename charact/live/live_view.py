@@ -89,9 +89,9 @@ class LiveView:
     ----------
     number
         Number of the view.
-    seen
+    source_frame
         The frame.
-    meters, picture
+    statistics, preview
         Its statistics and its preview.
     frame_rate_hz
         Frame rate from the camera's frame numbers and time stamps, Hz; None before two frames.
@@ -102,9 +102,9 @@ class LiveView:
     """
 
     number: int
-    seen: SourceFrame
-    meters: FrameStatistics
-    picture: PreviewImage
+    source_frame: SourceFrame
+    statistics: FrameStatistics
+    preview: PreviewImage
     frame_rate_hz: float | None = None
     focus: Focus | None = None
     best: BestFocus = field(default_factory=BestFocus)
@@ -112,23 +112,23 @@ class LiveView:
 
     def as_json(self) -> dict[str, Any]:
         """Return the statistics as JSON for the page; units are in the names."""
-        meters, conditions = asdict(self.meters), vars(self.seen.conditions)
+        meters, conditions = asdict(self.statistics), vars(self.source_frame.conditions)
         return {
             "number": self.number,
-            "of": self.seen.of,
-            "frame": self.seen.frame.number,
-            "rows_columns": list(self.seen.frame.pixels.shape),
-            "full_scale_dn": self.seen.full_scale_dn,
-            "lost_frames": self.seen.lost_frames,
+            "of": self.source_frame.of,
+            "frame": self.source_frame.frame.number,
+            "rows_columns": list(self.source_frame.frame.pixels.shape),
+            "full_scale_dn": self.source_frame.full_scale_dn,
+            "lost_frames": self.source_frame.lost_frames,
             "frame_rate_hz": self.frame_rate_hz,
             "conditions": {name: value for name, value in conditions.items() if value is not None},
             "region": self.region,
             **meters,
-            "histogram": self.meters.histogram.tolist(),
+            "histogram": self.statistics.histogram.tolist(),
             "focus": None if self.focus is None else asdict(self.focus),
             "best": None if self.best.best is None else asdict(self.best.best),
             "at_best": None if self.focus is None else self.best.is_reached_by(self.focus),
-            "step": self.picture.step,
-            "black_dn": self.picture.black_dn,
-            "white_dn": self.picture.white_dn,
+            "step": self.preview.step,
+            "black_dn": self.preview.black_dn,
+            "white_dn": self.preview.white_dn,
         }

@@ -51,7 +51,7 @@ def page(running: LiveLoop, *, title: str, focus_first: bool = False) -> Starlet
         newest = running.newest.view
         if newest is None:
             return PlainTextResponse("no frame yet", status_code=503)
-        return Response(newest.picture.jpeg, media_type="image/jpeg")
+        return Response(newest.preview.jpeg, media_type="image/jpeg")
 
     async def forget(request: Request) -> Response:
         running.forget_best()

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from charact.live.frame_source import highest_code
+from charact.live.frame_source import full_scale_of
 from charact.session_measurement import measure, method_context
 from labdata.errors import BadInput
 from labdata.event_log import read_events
@@ -117,7 +117,7 @@ def _setting(entry: StackEntry) -> tuple[object, ...]:
 def _levels(entry: StackEntry) -> tuple[np.ndarray, int, float]:
     """Return frame means, the largest number of saturated pixels of a frame, and full scale, DN; read in blocks."""
     stack = open_lazy_stack(entry)
-    full_scale_dn = stack.full_scale_dn or highest_code(stack.dtype)
+    full_scale_dn = stack.full_scale_dn or full_scale_of(stack.dtype)
     means, most = [], 0
     for first in range(0, len(stack), BLOCK_FRAMES):
         frames = stack.frames(first, min(first + BLOCK_FRAMES, len(stack)))

@@ -56,19 +56,19 @@ def table(view: LiveView, title: str) -> "Table":
 
 def lines(view: LiveView) -> dict[str, str]:
     """Return the statistics of a view as text, by name."""
-    meters, focus, best = view.meters, view.focus, view.best.best
+    meters, focus, best = view.statistics, view.focus, view.best.best
     share = 100.0 * meters.saturated_px / meters.pixels
     error = "" if meters.noise_se_dn is None else f" ± {meters.noise_se_dn:.2g}"
     texts = {
-        "frame": f"{view.seen.frame.number} of {view.seen.of}",
+        "frame": f"{view.source_frame.frame.number} of {view.source_frame.of}",
         "saturated": f"{meters.saturated_px} of {meters.pixels} px ({share:.3g} %) at or above "
-        f"{view.seen.full_scale_dn:g} DN",
+        f"{view.source_frame.full_scale_dn:g} DN",
         "mean": f"{meters.mean_dn:.4g} DN",
         "temporal noise": "needs two frames" if meters.noise_dn is None else f"{meters.noise_dn:.4g}{error} DN",
         "highest pixel": f"{meters.highest_dn:g} DN",
         "frame rate": "needs two frames" if view.frame_rate_hz is None else f"{view.frame_rate_hz:.2f} Hz",
-        "lost frames": str(view.seen.lost_frames),
-        f"histogram 0 to {view.seen.full_scale_dn:g} DN": sparkline(view),
+        "lost frames": str(view.source_frame.lost_frames),
+        f"histogram 0 to {view.source_frame.full_scale_dn:g} DN": sparkline(view),
     }
     if focus is None:
         return texts
@@ -87,7 +87,7 @@ def lines(view: LiveView) -> dict[str, str]:
 
 def sparkline(view: LiveView) -> str:
     """Return the histogram as one line of block characters, logarithmic."""
-    counts = view.meters.histogram
+    counts = view.statistics.histogram
     together = -(-len(counts) // HISTOGRAM_WIDTH)
     sums = [int(counts[first : first + together].sum()) for first in range(0, len(counts), together)]
     most = math.log(1 + max(sums))

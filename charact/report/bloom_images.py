@@ -182,12 +182,12 @@ def _predict_diameters(data: dict[str, Any], result: Result) -> dict[str, Any] |
     density = np.maximum.accumulate(spread.density(radius)[:, ::-1], axis=1)[:, ::-1]
     light = np.array(data["overload"], float)
     overload = np.geomspace(light.min(), light.max(), 120)
-    levels = _threshold_fractions(data, _background_share(data, result, overload))
+    levels = _threshold_fractions(data, _background_fraction(data, result, overload))
     found = {quantity: _diameters(density, radius, overload, level) for quantity, level in levels.items()}
     return {"overload": overload.tolist(), **found}
 
 
-def _background_share(data: dict[str, Any], result: Result, overload: NDArray) -> NDArray:
+def _background_fraction(data: dict[str, Any], result: Result, overload: NDArray) -> NDArray:
     """Return the fitted background at every overload, as a fraction of full scale, both above dark; 0 without fit."""
     dark, full = float(np.median(data["dark_dn"])), float(np.median(data["full_scale_dn"]))
     fitted = result.evidence.get("point-profile", {})

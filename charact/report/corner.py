@@ -84,7 +84,7 @@ def _joint(axes: Any, x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
     """Plot the highest-density regions of 68 and 95 % of the draws."""
     counts, x_edges, y_edges = np.histogram2d(x, y, bins=BINS, range=(_limits(x), _limits(y)))
     density = _smooth_counts(counts)
-    levels = _levels_holding(density, (0.95, 0.68))
+    levels = _density_levels(density, (0.95, 0.68))
     middles = (x_edges[:-1] + x_edges[1:]) / 2, (y_edges[:-1] + y_edges[1:]) / 2
     if levels[0] < levels[1] < density.max():
         axes.contourf(*middles, density.T, levels=[*levels, density.max()], colors=[(DATA, 0.25), (DATA, 0.6)])
@@ -101,7 +101,7 @@ def _smooth_counts(counts: NDArray[np.float64]) -> NDArray[np.float64]:
     return counts
 
 
-def _levels_holding(density: NDArray[np.float64], shares: tuple[float, ...]) -> list[float]:
+def _density_levels(density: NDArray[np.float64], shares: tuple[float, ...]) -> list[float]:
     """Return the densities above which the given fractions of the draws lie."""
     ordered = np.sort(density.ravel())[::-1]
     held = np.cumsum(ordered) / ordered.sum()

@@ -134,7 +134,7 @@ def plot_edge_spread(data: Data) -> Any:
     x, measured = first_array(data, "distance_px"), first_array(data, "value_dn")
     modelled = has_all(data, "model_dn")
     figure, grid = panels(2, 1, size=(5.6, 4.4), height_ratios=(3, 1.4)) if modelled else panels()
-    near = np.abs(x - _middle(x, measured)) <= _reach(x, measured)
+    near = np.abs(x - _middle(x, measured)) <= _half_range(x, measured)
     _profile(grid[0, 0], data, x, measured, near)
     grid[0, 0].set(xlabel="distance from the edge (px)", ylabel="signal (DN)")
     if modelled:
@@ -204,7 +204,7 @@ def _middle(x: Array, measured: Array) -> float:
     return float(x[np.argmin(np.abs(measured - half))])
 
 
-def _reach(x: Array, measured: Array) -> float:
+def _half_range(x: Array, measured: Array) -> float:
     """Return four times the 10-90 % width of the step, at least 8 px."""
     low, high = np.percentile(measured, [1, 99])
     inside = x[(measured > low + 0.1 * (high - low)) & (measured < high - 0.1 * (high - low))]

@@ -129,7 +129,7 @@ def _picture(session: Session, entry: StackEntry, measurements: Sequence[Measure
     frame, caption = stack.data[middle], f"Frame {middle + 1} of {len(stack)}."
     row, col, height, width = (0, 0, *frame.shape)
     if entry.kind in ("bars", "point"):
-        row, col, height, width = around_the_light(stack.data.mean(axis=0))
+        row, col, height, width = bright_region(stack.data.mean(axis=0))
         caption += f" Rows {row}–{row + height - 1}, cols {col}–{col + width - 1}."
     cut = frame[row : row + height, col : col + width]
     found = picture_of(cut, f"{entry.label} ({entry.kind})", caption, unit=stack.unit, aspect=aspect_of(session))
@@ -137,7 +137,7 @@ def _picture(session: Session, entry: StackEntry, measurements: Sequence[Measure
     return replace(found, boxes=_boxes(entry, measurements) if whole else ())
 
 
-def around_the_light(mean: NDArray) -> tuple[int, int, int, int]:
+def bright_region(mean: NDArray) -> tuple[int, int, int, int]:
     """Return ROW, COL, HEIGHT, WIDTH around the bright part of a frame, shape (row, col), with a margin.
 
     Bright pixels exceed the mean of the median and the 99.99 percentile; the region has the frame's proportions.

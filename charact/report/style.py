@@ -126,7 +126,7 @@ def write_note(axes: Any, sentence: str) -> None:
     axes.grid(False)
 
 
-MOST_DOTS = 160
+MAX_POINTS = 160
 
 
 def first_array(data: Mapping[str, Any], *names: str) -> NDArray[np.float64]:
@@ -151,7 +151,7 @@ def plot_points(axes: Any, x: ArrayLike, y: ArrayLike, sd: ArrayLike | None = No
     """Plot points with error bars of one standard uncertainty."""
     options = {"markersize": 2.8, "linestyle": "", "marker": "o", **options}
     if sd is None:
-        axes.plot(*subsample(x, y, most=MOST_DOTS), **options)
+        axes.plot(*subsample(x, y, most=MAX_POINTS), **options)
         return
-    horizontal, vertical, arm = subsample(x, y, sd, most=MOST_DOTS)
+    horizontal, vertical, arm = subsample(x, y, sd, most=MAX_POINTS)
     axes.errorbar(horizontal, vertical, yerr=np.abs(arm), elinewidth=0.8, **options)

@@ -73,7 +73,7 @@ def test_devices_are_told_with_the_kernels_name_and_with_whether_they_may_be_ope
     offered = {str(devices / "video2"): "inputs #0 Composite; Mono8"}
     found = [one for one in video_devices(devices, kernel, offered) if "/dev/video" in one.says]
     assert found[0].says.endswith("video2: USB capture, inputs #0 Composite; Mono8")
-    assert found[1].says.endswith("video10: nameless, captures nothing that can be read")
+    assert found[1].says.endswith("video10: nameless, no readable capture format")
     assert all(one.ok for one in found)
     monkeypatch.setattr(os, "access", lambda path, mode: False)
     monkeypatch.setattr(doctor, "group_of", lambda path: "video")

@@ -93,5 +93,5 @@ def test_a_stack_that_is_there_already_is_shown_with_its_noise_and_its_focus(tmp
         view, until_s = None, time.monotonic() + 20.0
         while (view is None or view.focus is None) and time.monotonic() < until_s:
             view = running.newest.after(view.number if view else 0, timeout_s=1.0)
-    assert view is not None and view.seen.frame.number == 5 and view.meters.noise_dn is not None
+    assert view is not None and view.source_frame.frame.number == 5 and view.statistics.noise_dn is not None
     assert view.focus is not None and view.focus.mtf50_cy_per_px is not None
