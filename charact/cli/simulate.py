@@ -85,10 +85,10 @@ def simulate(
         from charact.cli.simulated_session import preview_into, save_frames, save_stage_images
         from charact.cli.simulation_sources import (
             SimulationRequest,
-            voltage_limit_warnings,
             conditions_of,
             load_described_camera,
             shot_of,
+            voltage_limit_warnings,
         )
         from labdata.errors import BadInput
         from labdata.target import Target

@@ -77,8 +77,8 @@ def test_a_black_level_above_the_dark_side_is_not_believed_and_said(two_edges: P
 
 def test_a_black_level_lets_the_noise_of_bars_tell_a_gamma(tmp_path: Path) -> None:
     scene = PulsedBars(
-        blur=TrueBlur(form="exponential", frequency_cy_per_px=0.32, exponent=1.3), photoelectrons=12.0, frames=4, rows=90,
-        cols=100, frequency_cy_per_px=0.25, gamma=1.9,
+        blur=TrueBlur(form="exponential", frequency_cy_per_px=0.32, exponent=1.3), photoelectrons=12.0, frames=4,
+        rows=90, cols=100, frequency_cy_per_px=0.25, gamma=1.9,
     )  # fmt: skip
     file = tmp_path / "bars.npy"
     np.save(file, scene.frames_drawn(np.random.default_rng(0)).data)
