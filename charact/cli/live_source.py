@@ -46,7 +46,7 @@ def live_source(
         raise BadInput(f"--bits must lie between 1 and 32, got {bits}")
     full_scale_dn = None if bits is None else float(2**bits - 1)
     if session is not None:
-        from charact.live.growing_session import SessionSource
+        from charact.live.frame_source import SessionSource
 
         require_session(session)
         yield SessionSource(session)
@@ -71,7 +71,7 @@ def _plan(path: Path) -> "Plan":
 def _camera_source(
     camera: str | None, plan: "Plan | None", full_scale_dn: float | None, tell: Callable[[str], None]
 ) -> "FrameSource":
-    from charact.cli.cameras import camera_named
+    from charact.cli.benches import camera_named
     from charact.live.frame_source import CameraSource
 
     return CameraSource(

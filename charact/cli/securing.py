@@ -27,7 +27,7 @@ def safe(
     Example: charact safe plan.toml
     """
     with exit_on_bad_input(str(plan or "the last bench"), events=events):
-        from charact.cli.plan_files import load_plan
+        from charact.cli.benches import load_plan
         from drivers.bench.safe_state import make_bench_safe
         from drivers.bench.setup import last_bench, with_present_ports
 

@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from charact import __version__
-from charact.cli.output import print_message
-from charact.cli.progress import progress_bar
+from charact.cli.output import print_message, progress_bar
 from charact.cli.single_image import open_session_only
 from labdata.errors import BadInput
 from labdata.session import Session

@@ -19,7 +19,7 @@ NAMES = ("serial", "json", "numpy", "socket", "pickle", "struct", "multiprocessi
 FOCUS = """
 import charact.cli
 import charact.cli.application
-from charact.live.focus_reader import FocusReader
+from charact.live.focus import FocusReader
 from charact.method import Context
 
 def run():
