@@ -16,8 +16,6 @@ from simulate.iiccd.effect_bounds.noise_budget import NoiseBudget
 from simulate.iiccd.grid import SCENE_MARGIN_PX
 from simulate.iiccd.scene_to_photoelectrons import Camera
 from simulate.iiccd.solid_state import SiliconCamera
-
-pass
 from simulate.radiance.geometry.viewpoint import Viewpoint
 from simulate.radiance.integrator.integrator_settings import workers
 from simulate.radiance.integrator.render_sensor import KNOWN, RenderSensor

@@ -9,14 +9,10 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-pass
-from charact.cli.output import print_message
-
-pass
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.cli.output import Progress
+from charact.cli.output import Progress, print_message
 from labdata.errors import BadInput
 from labdata.instrument_config import InstrumentConfig, Role
 from labdata.limits import limits_in_force

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from charact.live.focus import BestFocus, FocusReader
 from charact.live.frame_source import FrameSource, SourceFrame
 from charact.live.frame_statistics import measure_frame
-
-pass
 from charact.live.live_view import LiveView, render_preview
 from charact.mtf.mean_frame import Region
 from drivers.errors import BenchError

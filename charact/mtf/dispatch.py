@@ -13,8 +13,6 @@ from charact.method.stopwatch import with_timing
 from charact.mtf.mean_frame import Region
 from charact.mtf.target_detection import find_bar_groups, find_edges, find_pinholes
 from charact.mtf.thresholds import ACCURACY
-
-pass
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 from labdata.measurement import Measurement, Result

@@ -117,7 +117,7 @@ class BenchTruth:
         if position is None or position > len(self.lamp.filter_density) or outputs.lamp_a == 0.0:
             return 0.0  # the body of a turning wheel, and a position without a filter, are opaque
         # Below its calibration a diode's light goes on falling by the same power; so does the truth.
-        return self.lamp.lit(outputs.lamp_a, position, beyond_a=outputs.lamp_a).illuminance_lux or 0.0
+        return self.lamp.light_at(outputs.lamp_a, position, beyond_a=outputs.lamp_a).illuminance_lux or 0.0
 
 
 def load_or_draw_truth(folder: Path, sensor: Sensor, seed: int, lamp: LampCalibration | None = None) -> BenchTruth:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from charact.method import Context
 from charact.noise.gain.emva1288 import QUANTISATION_DN2
 from charact.noise.gain.series import CLIPPED_SHARE, longest_series, read_levels, series_of
-from charact.noise.rounding import unrounded_variance_range
+from charact.noise.rounding import QUANTISATION_DN2, unrounded_variance_range
 from charact.noise.stack.spectrum import Bins, bins_of, cross_spectra
 from charact.noise.stack.temporal import (
     autocovariance,
@@ -24,9 +24,6 @@ from charact.noise.stack.temporal import (
     usable_lags,
 )
 from labdata.errors import BadInput
-
-pass
-from charact.noise.rounding import QUANTISATION_DN2
 from labdata.frames import FrameStack
 from labdata.session import Session
 

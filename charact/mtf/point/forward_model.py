@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from charact.method import Context
 from charact.mtf.blur_models.transfer import sine_integral
 from charact.mtf.known_transfer import halo_diameters_px
-from charact.mtf.point.forward_prior import PointPrior
 from charact.mtf.point.thresholds import ACCURACY
 from charact.posterior.laplace import covariance_root
 from charact.video_filter import NODES_SD, VideoFilter, powers

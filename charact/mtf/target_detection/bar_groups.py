@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 
 from charact.mtf.bars.thresholds import ACCURACY
 from charact.mtf.mean_frame import Region
-
-pass
 from charact.mtf.target_detection.smoothed_mean_frame import local_maximum, mean_frame_of
 from labdata.errors import BadInput
 from labdata.frames import FrameStack

@@ -7,8 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.mtf.mean_frame import Region
-
-pass
 from charact.mtf.target_detection.segments import Segment, segments_of
 from charact.mtf.target_detection.smoothed_mean_frame import Gradient, gradient, mean_frame_of
 from labdata.frames import FrameStack

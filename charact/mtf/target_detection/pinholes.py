@@ -6,11 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.mtf.mean_frame import Region
-from charact.mtf.point.source import ROUNDING_DN, STEADY
 from charact.mtf.point.thresholds import LIMITS
 from charact.mtf.target_detection.smoothed_mean_frame import gaussian_blur, local_maximum, mean_frame_of
-
-pass
 from labdata.frames import FrameStack
 
 Array = NDArray[np.float32]
@@ -49,7 +46,7 @@ class SteadySpots:
             return True
         over = self.groups[:, row, col]
         error = max(float(over.std(ddof=1)), self.spread) / np.sqrt(len(over))
-        return bool(over.mean() >= STEADY * error)
+        return bool(over.mean() >= LIMITS.min_steadiness_sd * error)
 
     def far_spread(self, places: list[tuple[int, int]], apart_px: int) -> float:
         """Return the standard deviation that the background's far tail says, places and their surroundings left out."""
@@ -79,7 +76,7 @@ def steady_light(pictures: NDArray | FrameStack, replaced: tuple[NDArray[np.bool
     height = height - middle
     robust = 1.4826 * float(np.median(np.abs(height)))
     tail = float(np.quantile(height[::2, ::2], TAIL)) / TAIL_SD
-    rounding = ROUNDING_DN if data.dtype.kind in "ui" else 0.0
+    rounding = LIMITS.min_background_sd_dn if data.dtype.kind in "ui" else 0.0
     spread = max(robust, tail, rounding, 1e-6 * float(np.ptp(height)))
     return SteadySpots(groups=groups - middle, height=height, spread=spread)
 

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from charact.cli.benches import SaturationJudge, half_interval_dn
-from charact.cli.judge import SaturationJudge, half_interval_dn
 from labdata.conditions import Conditions
 from labdata.plan import Step, StopCriterion
 

@@ -13,8 +13,6 @@ from charact.mtf.edge import nonlinearity as edge_response
 from charact.mtf.edge.nonlinearity import EITHER_WAY, FLATTENING, STEEPENING, marginalise_nonlinearity
 from charact.mtf.edge.parametric import edge_parametric
 from charact.mtf.nonlinearity import CURVED, CURVED_SD
-
-pass
 from charact.study.edge.scene import EdgeScene, TrueBlur
 from labdata.measurement import Posterior
 
