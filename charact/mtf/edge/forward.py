@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from charact.method import Context, register
 from charact.mtf.blur_models.one_dimensional import ExtendedComponent
-from charact.mtf.edge import checks as edge_checks
 from charact.mtf.edge.checks import FittedProfile
 from charact.mtf.edge.fit.esf_from_mtf import nodes
 from charact.mtf.edge.forward_model import KNOTS, PARAMETERS, EdgeModel
@@ -28,6 +27,7 @@ from charact.mtf.edge.pixels.prepare_edge import (
 )
 from charact.mtf.edge.pixels.profile import EVEN_PER_PX, UNEVEN_PER_PX, EdgeProfile, refine_noise, with_shading
 from charact.mtf.edge.result import EdgeFitOutput, edge_refusals, edge_result, window_normalisation_note
+from charact.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.mtf.known_transfer import KnownTransfer, halo_of, known_transfer
 from charact.mtf.mean_frame import Region
 from charact.posterior import find_maximum, importance_sample, sample_posterior
@@ -36,8 +36,6 @@ from labdata.measurement import Posterior, Result
 
 Array = NDArray[np.float64]
 
-# Chi squared that an edge makes up, at which its peak is still wide against the distance of a first guess.
-BLUNT = 1e6
 # The least allows for what a description has wrong though it is taken as known, such as a video bandwidth.
 DEPARTURES = (0.03, 0.08, 0.2, 0.5)
 
@@ -86,7 +84,7 @@ def fit(profile: EdgeProfile, known: KnownTransfer, *, halo: ExtendedComponent |
     known
         Known part of the transfer.
     halo
-        Prior of a halo; None: none can be told in this window.
+        Prior of a halo; None: the window is too narrow for one.
     halo_certain
         Whether the camera is known to have one.
     """
@@ -134,9 +132,9 @@ def _fit(
 def _optimise(model: EdgeModel, start: Array, slope_sd_per_px: float) -> EdgeFit:
     """Return the fit at the peak above a start.
 
-    Nearly noiseless data make ridges that no climb follows from afar: it first goes up the same ridge, blunted.
+    Nearly noiseless data make narrow ridges: the first steps maximise a tempered posterior.
     """
-    for power in (BLUNT, 1e2 * BLUNT):
+    for power in (ACCURACY.tempered_power, 1e2 * ACCURACY.tempered_power):
         if model.evidence.marginal.power > 30.0 * power:
             share = power / model.evidence.marginal.power
             start, _ = find_maximum(lambda theta, share=share: model.log_tempered(theta, share), start, model.bounds)
@@ -144,7 +142,7 @@ def _optimise(model: EdgeModel, start: Array, slope_sd_per_px: float) -> EdgeFit
 
 
 def _starts(model: EdgeModel, near: EdgeFit | None) -> list[Array]:
-    """Return where to climb from: the most probable of a grid, for a halo one of small and one of large diameter."""
+    """Return starting points: the most probable of a grid, for a halo one of small and one of large diameter."""
     if near is not None and near.model.halo == model.halo:
         return [near.point]
     frequencies = np.exp(np.linspace(np.log(0.01), np.log(1.5), 40))
@@ -220,10 +218,6 @@ def curvature(found: EdgeFit, profile: EdgeProfile) -> CurvatureEstimate:
 
 
 QUANTITIES = ("mtf50", "mtf10", "mtf", "edge_angle")
-# Effective draws by importance where a posterior is wanted quickly, and draws to begin with.
-QUICK_ENOUGH, QUICK_FIRST = 500.0, 1000
-# With a halo single walkers linger in its tail for some thousand steps.
-MAX_STEPS = 8000
 METHOD = "edge-forward"
 
 
@@ -235,7 +229,7 @@ METHOD = "edge-forward"
         "Straight edges tilted 1 to 45 degrees in any direction, step over 1 standard deviation of the pixel noise, "
         "30 rows and more; noise may depend on the signal and be correlated. Broken by motion between fields, "
         "clipping, windows narrower than the blur, and a curved response: on a Gaussian edge of high contrast a gamma "
-        "of 0.45 to 2.2 moves MTF50 by -3 to +15 % and is told only where tails or the plateaus' noise show it; at "
+        "of 0.45 to 2.2 moves MTF50 by -3 to +15 % and is detected only from tails or the plateaus' noise; at "
         "low contrast it does no harm."
     ),
 )
@@ -300,7 +294,7 @@ def _fit_edge(edge: PreparedEdge, context: Context) -> _FittedEdge | str:
     known = known_transfer(edge.picture, profile.angle_rad, context)
     halo, certain = halo_of(edge.picture, profile.gathered.half_width_px, context)
     first = fit(profile, known, halo=halo, halo_certain=certain)
-    if first.chi2 / first.free < edge_checks.MISFIT:
+    if first.chi2 / first.free < THRESHOLDS.max_reduced_chi2:
         profile = refine_noise(profile, edge.picture, first.fitted.model)
         first = refit(profile, first)
     reason = edge_refusal(first.chi2, first.chi2_without, first.free) or blur_refusal(
@@ -323,5 +317,7 @@ def _posterior(fit: EdgeFit, context: Context) -> Posterior:
         "bounds": model.bounds,
     }
     if context.quick:
-        return importance_sample(model.log_probability, **asked, enough=QUICK_ENOUGH, first_draws=QUICK_FIRST)
-    return sample_posterior(model.log_probability, **asked, max_steps=MAX_STEPS)
+        return importance_sample(
+            model.log_probability, **asked, enough=ACCURACY.forward_ess, first_draws=ACCURACY.forward_first_draws
+        )
+    return sample_posterior(model.log_probability, **asked, max_steps=ACCURACY.forward_steps)

@@ -2,7 +2,7 @@
 
 The line spread in front of the pixel is a Gaussian process: smooth over a length, confined to a width and more or less
 symmetric, all of which the data choose by their evidence. The profile is linear in it, so that everything is in closed
-form and nothing has to be climbed.
+form.
 """
 
 from collections.abc import Sequence
@@ -26,6 +26,7 @@ from charact.mtf.edge.nonlinearity import (
 from charact.mtf.edge.pixels.prepare_edge import EdgeRefusal, PreparedEdge, blur_refusal, edge_refusal, prepare_edge
 from charact.mtf.edge.pixels.profile import EVEN_PER_PX, UNEVEN_PER_PX, EdgeProfile, with_shading
 from charact.mtf.edge.result import EdgeFitOutput, edge_refusals, edge_result, window_normalisation_note
+from charact.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.mtf.known_transfer import KnownTransfer, known_transfer
 from charact.mtf.mean_frame import Region
 from labdata.frames import FrameStack
@@ -33,23 +34,13 @@ from labdata.measurement import Posterior, Result
 
 Array = NDArray[np.float64]
 
-# Places that carry the line spread: this far apart near the edge and, in shares of their distance, farther out.
-SPACING_PX, SPACING_SHARE = 0.2, 0.09
 # Widths over which the line spread is confined, px, and lengths over which it is smooth, shares of the width.
 WIDTHS_PX = 0.5 * 1.4 ** np.arange(12)
 SMOOTHNESS = (0.5, 0.8, 1.2)
 # Envelopes: 1/(1 + (d/a)^2), and one that falls exponentially.
 TAILS = ("short", "long")
-# Tails within this of the best in ln of the evidence are worth pursuing.
-CLOSE = 6.0
-# Size of what is lopsided in a line spread, as a share of what is symmetric.
+# Size of the odd part of a line spread, fraction of the even part.
 ASYMMETRY = (0.03, 0.3)
-# Light beyond the region lies between none and this many times what the outer half of the region holds: a tube's
-# tails carry about nine tenths of that there, and the levels of the plateaus hide as much again.
-BEYOND = 2.0
-DRAWS = 600
-# Settings this much less probable than the best, as a share, add nothing to the draws.
-MIN_FRACTION = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,19 +153,19 @@ class LineSpreads:
         tops = [self._best_widths(self._project_levels(slope)) for slope in slopes_sd_per_px]
         best = max(one.log_evidence for of_slope in tops for one in of_slope)
         tried = [
-            self._evaluate(top.normal_equations, float(width), top.tail, smoothness, lopsided)
+            self._evaluate(top.normal_equations, float(width), top.tail, smoothness, asymmetry)
             for of_slope in tops
             for top in of_slope
-            if top.log_evidence > best - CLOSE
+            if top.log_evidence > best - THRESHOLDS.competitive_setting
             for width in _widths_around(max(of_slope, key=_evidence).width_px)
             for smoothness in SMOOTHNESS
-            for lopsided in ASYMMETRY
+            for asymmetry in ASYMMETRY
         ]
         evidence = np.array([one.log_evidence for one in tried])
         share = np.exp(evidence - evidence.max())
         share /= share.sum()
-        self.shares = np.sort(share[share > MIN_FRACTION])[::-1]
-        return [self._finished(tried[i]) for i in np.argsort(-share) if share[i] > MIN_FRACTION]
+        self.shares = np.sort(share[share > THRESHOLDS.min_setting_weight])[::-1]
+        return [self._finished(tried[i]) for i in np.argsort(-share) if share[i] > THRESHOLDS.min_setting_weight]
 
     def _best_widths(self, levelled: "_NormalEquations") -> list["_Evaluation"]:
         """Return the most probable setting of either kind of tail, all of one smoothness and symmetry."""
@@ -201,11 +192,11 @@ class LineSpreads:
         )
 
     def _evaluate(
-        self, levelled: "_NormalEquations", width: float, tail: str, smoothness: float, lopsided: float
+        self, levelled: "_NormalEquations", width: float, tail: str, smoothness: float, asymmetry: float
     ) -> "_Evaluation":
         """Return evidence, setting and posterior factors of one width, tail, smoothness and symmetry."""
         even, odd = _prior_root(self.places.tobytes(), width, tail, width * smoothness)
-        prior = np.concatenate([even, lopsided * odd], axis=1) * self._scale
+        prior = np.concatenate([even, asymmetry * odd], axis=1) * self._scale
         values, vectors = np.linalg.eigh(prior.T @ levelled.left @ prior)
         values = np.maximum(values, 0.0)
         along = vectors.T @ (prior.T @ levelled.right)
@@ -245,7 +236,7 @@ class LineSpreads:
     def posterior(self, seed: int) -> Posterior:
         """Return draws of the line spread, each setting in proportion to its evidence."""
         rng = np.random.default_rng(seed)
-        counts = np.maximum(np.round(DRAWS * self.shares / self.shares.sum()).astype(int), 1)
+        counts = np.maximum(np.round(ACCURACY.line_spread_draws * self.shares / self.shares.sum()).astype(int), 1)
         drawn = [
             one.mean + rng.standard_normal((count, one.root.shape[1])) @ one.root.T
             for one, count in zip(self.settings, counts, strict=True)
@@ -256,7 +247,7 @@ class LineSpreads:
         )
 
     def response_curvature(self, draws: Array) -> tuple[float, float]:
-        """Return the curvature of the response that lopsided line spreads ask for if the blur is even, and its error.
+        """Return the curvature of the camera response that explains asymmetric line spreads, with its error.
 
         Parameters
         ----------
@@ -296,16 +287,18 @@ class Transfers:
         real, imaginary = weighted @ (np.cos(phase) * smooth), weighted @ (np.sin(phase) * smooth)
         total = weighted.sum(axis=1)
         outer = weighted[:, np.abs(self.places) > 0.5 * self.places[-1]].sum(axis=1)
-        beyond = np.random.default_rng(self.seed).uniform(0.0, BEYOND, len(total)) * np.maximum(outer / total, 0.0)
+        beyond = np.random.default_rng(self.seed).uniform(0.0, ACCURACY.max_light_beyond, len(total)) * np.maximum(
+            outer / total, 0.0
+        )
         return np.hypot(real, imaginary) / (np.abs(total) * (1.0 + beyond))[:, None] * np.abs(self.known(frequency))
 
 
 def _places(limit: float) -> Array:
     """Return places from -limit to limit, px: even near the edge, farther apart with the distance."""
-    place, side = SPACING_PX, []
+    place, side = ACCURACY.node_spacing_px, []
     while place < limit:
         side.append(place)
-        place += max(SPACING_PX, SPACING_SHARE * place)
+        place += max(ACCURACY.node_spacing_px, ACCURACY.node_spacing * place)
     return np.concatenate([-np.array(side)[::-1], [0.0], side])
 
 
@@ -377,7 +370,7 @@ def _prior_root(places_bytes: bytes, width: float, tail: str, smooth: float) -> 
 
 
 METHOD = "edge-free"
-# Light that slopes looks like a long tail: both are weighed.
+# An illumination gradient looks like a long tail: both are weighted by evidence.
 SLOPES_PER_PX = (EVEN_PER_PX, UNEVEN_PER_PX)
 
 

@@ -101,11 +101,11 @@ def _centroid_line(value: Array) -> tuple[float, float]:
     slope, first = 0.0, 0.5 * (cols - 1)
     for _ in range(2):
         centre = (first + slope * row)[:, None]
-        weighed = difference * _hamming(place - centre, np.maximum(centre, cols - 1 - centre))
-        light = weighed.sum(axis=1)
+        weighted = difference * _hamming(place - centre, np.maximum(centre, cols - 1 - centre))
+        light = weighted.sum(axis=1)
         if not np.all(light > 0):
             return np.inf, 0.0
-        slope, first = np.polyfit(row, weighed @ place / light + 0.5, 1)
+        slope, first = np.polyfit(row, weighted @ place / light + 0.5, 1)
     return float(slope), float(first)
 
 

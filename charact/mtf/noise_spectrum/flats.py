@@ -26,6 +26,7 @@ from charact.mtf.noise_spectrum.model import (
 from charact.mtf.noise_spectrum.pooled_spectrum import PooledSpectrum, SelectedFlats, select_flats, spectrum_of
 from charact.mtf.noise_spectrum.result import DRAWS, SpectrumDraws, curves, figure_data, quantities
 from charact.mtf.noise_spectrum.result import note as unseen_note
+from charact.mtf.noise_spectrum.thresholds import THRESHOLDS
 from charact.noise.checks import QUANTISED_DN2
 from charact.noise.provenance import provenance
 from charact.posterior import laplace, predictive_check, sample_posterior
@@ -33,23 +34,6 @@ from labdata.measurement import Posterior, Result, make_refusal
 from labdata.session import Session
 
 Array = NDArray[np.float64]
-
-# Fewer frames cannot tell light that exposures share from pattern.
-MIN_FRAMES = 4
-FLICKER = 0.05
-# Change of the power over the signal along the levels that a straight response may have, and that of a described tube,
-# whose plate tires; and in standard errors.
-MAX_NONLINEARITY, MAX_MCP_SATURATION = 0.02, 0.08
-SIGNIFICANT = 4.0
-# Fourth moment over the square of the second of pulse heights that are exponential, and over their relative square.
-KURTOSIS, RELATIVE_SQUARE = 6.0, 2.0
-# Gain in ln likelihood by which scattered light must be told: less than once in a hundred by chance.
-MIN_SCATTER_LN_LIKELIHOOD = 5.0
-# Blurs of screens, fibres and chips fall no steeper than a Gaussian, but for a filter behind them: what does by so many
-# standard errors is beyond what forms and their priors were made for.
-STEEPEST, STEEP_SD = 2.5, 1.5
-# Chance of calling a right model wrong.
-MISFIT_LEVEL = 0.002
 
 
 def findings_of(
@@ -61,12 +45,12 @@ def findings_of(
         notes.append(f"left out, at another gain, saturated or of a single frame: {', '.join(chosen.left_out)}")
     if chosen.clipped:
         flags.append("clipped")
-    if chosen.flicker > FLICKER:
+    if chosen.flicker > THRESHOLDS.flicker:
         flags.append("flicker")
         notes.append(f"the light changes by {100 * chosen.flicker:.2g} % from frame to frame")
-    if spectrum.frames < MIN_FRAMES:
+    if spectrum.frames < THRESHOLDS.min_frames:
         flags.append("too-few-frames")
-        notes.append(f"{spectrum.frames} frames cannot show whether exposures share light; {MIN_FRAMES} can")
+        notes.append(f"{spectrum.frames} frames cannot show whether exposures share light; {THRESHOLDS.min_frames} can")
     if spectrum.lag_open:
         flags.append("lag")
         notes.append("earlier exposures still glow at the last lag that the frames allow")
@@ -80,13 +64,15 @@ def findings_of(
         notes.append("one level of light only: whether the response is straight cannot be seen")
     if min(float(np.mean(level.power_dn2)) for level in spectrum.levels) < QUANTISED_DN2:
         flags.append("quantised")
-    flags += _nonlinearity_flags(spectrum, peak, MAX_NONLINEARITY if context.sensor is None else MAX_MCP_SATURATION)
+    flags += _nonlinearity_flags(
+        spectrum, peak, THRESHOLDS.max_nonlinearity if context.sensor is None else THRESHOLDS.max_mcp_saturation
+    )
     if _has_scatter(spectrum, peak):
         flags.append("model-misfit")
         notes.append("light seems to be scattered after the gain beyond the form's reach: the MTF may be too high")
     if _is_too_steep(peak):
         flags.append("model-misfit")
-        notes.append(f"the transfer falls more steeply than exp(-(f/fc)^{STEEPEST:g}), as blurs do not")
+        notes.append(f"the transfer falls more steeply than exp(-(f/fc)^{THRESHOLDS.max_exponent:g}), as blurs do not")
     if context.sensor is not None and float(context.sensor.video.gamma) != 1.0:
         flags.append("gamma")
     return tuple(dict.fromkeys(flags)), tuple(notes)
@@ -109,7 +95,7 @@ def _nonlinearity_flags(spectrum: PooledSpectrum, peak: SpectrumOptimum, straigh
     ratio = power * (1.0 - 0.5 * (low + high)) / signal
     mean = float(np.average(ratio, weights=(signal / error) ** 2))
     sd = np.hypot(error / power, _pulse_height_error(spectrum, peak, signal, power))
-    allowed = straight + SIGNIFICANT * sd + 0.5 * (high - low)
+    allowed = straight + THRESHOLDS.nonlinearity_sd * sd + 0.5 * (high - low)
     return ["gamma"] if np.any(np.abs(ratio / mean - 1.0) > allowed) else []
 
 
@@ -123,8 +109,8 @@ def _pulse_height_error(spectrum: PooledSpectrum, peak: SpectrumOptimum, signal_
         float(np.sum((level.power_dn2 / level.power_sd_dn2) ** 2)) for level in spectrum.levels if level.signal_dn
     ])  # fmt: skip
     at_zero = power * float(np.exp(peak.point[0]))
-    pulses = RELATIVE_SQUARE * signal_dn**2 / at_zero * 2.0 * looks
-    return np.sqrt(KURTOSIS / np.maximum(pulses, 1.0))
+    pulses = THRESHOLDS.pulse_square * signal_dn**2 / at_zero * 2.0 * looks
+    return np.sqrt(THRESHOLDS.pulse_kurtosis / np.maximum(pulses, 1.0))
 
 
 def _is_too_steep(peak: SpectrumOptimum) -> bool:
@@ -132,7 +118,9 @@ def _is_too_steep(peak: SpectrumOptimum) -> bool:
     if "exponent" not in peak.problem.shape.parameters or peak.problem.shape.name == "free":
         return False
     place = peak.problem.names.index("exponent")
-    return float(peak.point[place]) > STEEPEST + STEEP_SD * float(np.sqrt(peak.covariance[place, place]))
+    return float(peak.point[place]) > THRESHOLDS.max_exponent + THRESHOLDS.exponent_sd * float(
+        np.sqrt(peak.covariance[place, place])
+    )
 
 
 def _has_scatter(spectrum: PooledSpectrum, peak: SpectrumOptimum) -> bool:
@@ -145,7 +133,7 @@ def _has_scatter(spectrum: PooledSpectrum, peak: SpectrumOptimum) -> bool:
         return problem.start_at(peak.point[: len(COMMON)], float(np.exp(peak.point[len(COMMON)])))
 
     veiled = optimum_under_model(spectrum, peak.problem.known, form, start=start)
-    return _log_likelihood(veiled) - _log_likelihood(peak) > MIN_SCATTER_LN_LIKELIHOOD
+    return _log_likelihood(veiled) - _log_likelihood(peak) > THRESHOLDS.scatter_ln_likelihood
 
 
 def _log_likelihood(peak: SpectrumOptimum) -> float:
@@ -166,16 +154,12 @@ def misfit(peak: SpectrumOptimum, posterior: Posterior, rng: np.random.Generator
     drawn = np.cbrt(problem.model(posterior.draws[:300]) / best)
     drawn = (1.0 + drawn - drawn.mean(axis=0)) * (1.0 - 1.0 / (9.0 * looks))
     noise = 1.0 / (3.0 * np.sqrt(looks))
-    check = predictive_check(data[order], drawn[:, order], noise[order], rng=rng, level=MISFIT_LEVEL)
+    check = predictive_check(data[order], drawn[:, order], noise[order], rng=rng, level=THRESHOLDS.misfit_p_value)
     return check.flags
 
 
 KIND = "post-gain"
 NOTE = "MTF of what comes after the gain (screen, taper, chip, video): lens and cathode gap are not in it"
-# Evidence, in ln, by which a blurred spectrum must beat a white one.
-MIN_EVIDENCE = 8.0
-# Forms of less than this share of the weight take no part.
-MIN_WEIGHT = 0.02
 QUANTITIES = ("post_gain_mtf50", "post_gain_mtf", "white_noise_share")
 
 
@@ -194,14 +178,14 @@ def noise_spectrum(session: Session, *, context: Context) -> Result:
     -------
     Result
         `post_gain_mtf50` and `post_gain_mtf` at pinned frequencies along rows (0 deg) and columns (90 deg),
-        `white_noise_share`; curves "mtf_post_gain" and "mtf_post_gain_vertical", and the model-free ones beside them.
+        `white_noise_share`; curves "mtf_post_gain" and "mtf_post_gain_vertical", and the non-parametric ones.
 
     Notes
     -----
     Power of the noise: white floor + k F^2 mu |H|^2, folded by sampling, fitted by Whittle's likelihood. See
     `charact.mtf.noise_spectrum.model`.
     """
-    return _measure(session, FAMILIES, "noise-spectrum", context, beside=True)
+    return _measure(session, FAMILIES, "noise-spectrum", context, with_free_curves=True)
 
 
 @register(
@@ -212,11 +196,11 @@ def noise_spectrum(session: Session, *, context: Context) -> Result:
 )
 def noise_spectrum_free(session: Session, *, context: Context) -> Result:
     """Measure the MTF after the gain as a free smooth function; returns as `noise_spectrum`."""
-    return _measure(session, (NonparametricBlur(),), "noise-spectrum-free", context, beside=False)
+    return _measure(session, (NonparametricBlur(),), "noise-spectrum-free", context, with_free_curves=False)
 
 
 def _measure(
-    session: Session, shapes: tuple[PostGainBlur, ...], method: str, context: Context, *, beside: bool
+    session: Session, shapes: tuple[PostGainBlur, ...], method: str, context: Context, *, with_free_curves: bool
 ) -> Result:
     fields: dict[str, Any] = {"method": method, "provenance": provenance(context)}
     chosen = select_flats(session, context)
@@ -230,7 +214,7 @@ def _measure(
     known = readout_of(context)
     peaks = sorted((optimum_under_model(spectrum, known, shape) for shape in shapes), key=lambda p: -p.log_weight)
     gained = peaks[0].log_evidence - white_log_probability(peaks[0])
-    if gained < MIN_EVIDENCE:
+    if gained < THRESHOLDS.min_blur_ln_evidence:
         return _refusal(
             f"the noise is white (evidence of blur exp({gained:.2g})): nothing blurs after the gain, or the flats are "
             "too few to show it",
@@ -246,7 +230,7 @@ def _measure(
     }  # fmt: skip
     result = quantities(spectrum, found, own)
     drawn_curves = result.curves
-    if beside:
+    if with_free_curves:
         free = _draw_models([optimum_under_model(spectrum, known, NonparametricBlur())], _quick(context))
         drawn_curves = {**drawn_curves, **{f"{name}_free": curve for name, curve in curves(spectrum, free).items()}}
     return replace(result, curves=drawn_curves, evidence={"post-gain-noise": figure_data(spectrum, found)})
@@ -275,7 +259,7 @@ def _draw_models(peaks: list[SpectrumOptimum], context: Context) -> SpectrumDraw
     """Draw from the posteriors of the forms that have a say."""
     height = np.array([peak.log_weight for peak in peaks])
     share = np.exp(height - height.max())
-    kept = share / share.sum() > MIN_WEIGHT
+    kept = share / share.sum() > THRESHOLDS.min_model_weight
     share = share[kept] / share[kept].sum()
     own = [peak for peak, keep in zip(peaks, kept, strict=True) if keep]
     posteriors = tuple(

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
+from charact.mtf.noise_spectrum.thresholds import ACCURACY, THRESHOLDS
 from charact.noise.gain.emva1288 import QUANTISATION_DN2
 from charact.noise.gain.series import CLIPPED_SHARE, longest_series, read_levels, series_of
 from charact.noise.rounding import QUANTISATION_DN2, unrounded_variance_range
@@ -28,19 +29,6 @@ from labdata.frames import FrameStack
 from labdata.session import Session
 
 Array = NDArray[np.float64]
-
-# Cells of frequency on each axis, and the least modes that one is averaged over.
-MAX_CELLS = 20
-MODES_ALONG = 4
-MIN_MODES = 8
-# Modes this near an axis hold the noise of whole rows and columns, and what the faded sides leak of it.
-NEAR_AXIS = 2
-# Exposures this far apart may still share light.
-MAX_LAGS = 12
-# Correlation in time is read where light outshines the white floor, cycles per column pitch; exposures of opposite
-# rows are compared only where rows do not alias, cycles per row of the exposure.
-LAG_BAND = 0.2
-LAG_ROW_BAND = 0.08
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,7 +67,7 @@ def stack_spectra(stack: FrameStack, context: Context) -> StackSpectra:
         change = fluctuations(shots)
         bins = frequency_cells(change.shape[1], change.shape[2], context.pitch_ratio * shots.row_step)
         products = cross_spectra(change, shots.parity, bins)
-        lags = usable_lags(shots.time, shots.parity, MAX_LAGS)
+        lags = usable_lags(shots.time, shots.parity, ACCURACY.max_lag_exposures)
         same = lags[lags % 2 == 0] if context.interlaced else lags
         none = np.zeros(1, np.int64)
         plain.append(autocovariance(products, shots.time, shots.parity, none, within_parity=True)[:, 0])
@@ -103,8 +91,10 @@ def stack_spectra(stack: FrameStack, context: Context) -> StackSpectra:
 
 def low_frequency_weights(bins: Bins) -> Array:
     """Weights of the cells in which the correlation in time is read."""
-    inside = np.hypot(bins.column_cy_per_px, bins.row_cy_per_px) < LAG_BAND
-    inside &= bins.row_cy_per_px * bins.row_pitch < max(LAG_ROW_BAND, 1.01 * bins.row_cy_per_px.min() * bins.row_pitch)
+    inside = np.hypot(bins.column_cy_per_px, bins.row_cy_per_px) < ACCURACY.lag_band_cy_per_px
+    inside &= bins.row_cy_per_px * bins.row_pitch < max(
+        ACCURACY.lag_row_band, 1.01 * bins.row_cy_per_px.min() * bins.row_pitch
+    )
     weight = bins.modes * inside
     return weight / max(weight.sum(), 1.0)
 
@@ -120,13 +110,13 @@ def frequency_cells(rows: int, cols: int, row_pitch: float) -> Bins:
     plain = bins_of(rows, cols, row_pitch)
     along = np.arange(cols // 2 + 1)[None, :]
     down = np.abs(np.round(np.fft.fftfreq(rows) * rows))[:, None]
-    across, up = (int(np.clip(n // (2 * MODES_ALONG), 1, MAX_CELLS)) for n in (cols, rows))
+    across, up = (int(np.clip(n // (2 * ACCURACY.modes_per_cell), 1, ACCURACY.max_cells)) for n in (cols, rows))
     cell = np.minimum(2 * along * across // cols, across - 1).astype(np.int64) * up
     cell = cell + np.minimum(2 * down * up // rows, up - 1).astype(np.int64)
-    cell[(along <= NEAR_AXIS) | (down <= NEAR_AXIS) | (2 * along == cols)] = -1
+    cell[(along <= ACCURACY.axis_modes) | (down <= ACCURACY.axis_modes) | (2 * along == cols)] = -1
     kept, position, modes = np.unique(cell, return_inverse=True, return_counts=True)
     position = position.reshape(cell.shape)
-    full = (kept >= 0) & (modes >= MIN_MODES)
+    full = (kept >= 0) & (modes >= ACCURACY.min_modes)
     if full.sum() < 24:
         raise BadInput(f"images must have some 48 x 48 pixels an exposure for a noise spectrum, got {rows} x {cols}")
     column, row = (np.broadcast_to(f, cell.shape).ravel() for f in (along / cols, down / rows / row_pitch))
@@ -145,14 +135,6 @@ def smear(window: NDArray[np.float32]) -> float:
     """
     fine = window.astype(float)
     return float(np.sqrt(np.sum(np.diff(fine) ** 2) / np.sum(fine**2)) / (2.0 * np.pi))
-
-
-# Correlation in time is there beyond this many standard errors.
-LAG_SEEN = 4.0
-# Share of the cells that hold less noise of a dark than what is white in it is taken for.
-QUIETEST = 0.1
-# Power of a flat whose codes never change, DN^2: no weight is endless.
-STILL_DN2 = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -367,7 +349,7 @@ def _quantisation_noise_dn2(dark: StackSpectra, share: float) -> tuple[float, fl
     what is left at the frequencies that they do not reach.
     """
     whole = float(np.average(dark.plain_dn2, weights=dark.bins.modes))
-    rest = float(np.quantile(dark.plain_dn2, QUIETEST))
+    rest = float(np.quantile(dark.plain_dn2, ACCURACY.white_quantile))
     hidden = [
         noise + QUANTISATION_DN2 - variance
         for variance in (whole, rest)
@@ -387,7 +369,7 @@ def _modes_of(bins: Bins, stack: FrameStack, context: Context) -> tuple[Array, A
 
 def _weights(flats: list[StackSpectra], signals: list[float | None]) -> list[float]:
     """Weights near those of least variance: a flat's signal over the square of its power, times its exposures."""
-    mean = [max(float(one.plain_dn2.mean()), STILL_DN2) for one in flats]
+    mean = [max(float(one.plain_dn2.mean()), ACCURACY.min_power_dn2) for one in flats]
     gain = [m if s is None else s for m, s in zip(mean, signals, strict=True)]
     weight = [one.runs * len(one.time) * g / m**2 for one, g, m in zip(flats, gain, mean, strict=True)]
     return [w / sum(w * g for w, g in zip(weight, gain, strict=True)) for w in weight]
@@ -408,13 +390,13 @@ def _lag(flats: list[StackSpectra]) -> tuple[Array, bool, bool]:
         value += one.low_dn2[1:count] / total
         square += (one.low_dn2[0] / total) ** 2 / (2.0 * modes * np.maximum(pairs, 1.0))
     sd = 1.2 * np.sqrt(square)
-    seen = bool((value[:3] > LAG_SEEN * sd[:3]).any())
+    seen = bool((value[:3] > THRESHOLDS.lag_sd * sd[:3]).any())
     if not seen:
         return np.empty(0), True, False
     full = np.zeros(int(flats[0].lags[count - 1]))
     full[flats[0].lags[1:count] - 1] = value
     tail = float(np.mean(value[-3:]))
-    return full, True, bool(tail > max(0.05, LAG_SEEN * float(sd[-3:].mean())))
+    return full, True, bool(tail > max(0.05, THRESHOLDS.lag_sd * float(sd[-3:].mean())))
 
 
 def _flat_spectrum(

@@ -18,15 +18,12 @@ from charact.mtf.noise_spectrum.model import (
     SpectrumOptimum,
 )
 from charact.mtf.noise_spectrum.pooled_spectrum import PooledSpectrum
+from charact.mtf.noise_spectrum.thresholds import ACCURACY, THRESHOLDS
 from labdata.measurement import Curve, Measurement, Posterior, Result, make_refusal, measurement_from_draws
 
 Array = NDArray[np.float64]
 
 DRAWS = 1000
-# Relative half width of the 68 % interval beyond which more frames are asked for.
-WIDEST_SHARE = 0.25
-# Beyond the sampling limit the form alone speaks.
-SAMPLING_LIMIT = 0.5
 DIRECTIONS = (("mtf_post_gain", False), ("mtf_post_gain_vertical", True))
 
 
@@ -109,9 +106,9 @@ def _mtf50_measurement(half: Array, own: dict[str, Any]) -> Measurement:
         )
     flags = set(own["flags"])
     low, middle, high = np.quantile(known, [0.16, 0.5, 0.84])
-    if 0.5 * (high - low) > WIDEST_SHARE * middle:
+    if 0.5 * (high - low) > THRESHOLDS.max_relative_sd * middle:
         flags.add("too-few-frames")
-    if middle > SAMPLING_LIMIT:
+    if middle > THRESHOLDS.nyquist_cy_per_px:
         flags.add("aliased")
     return measurement_from_draws("post_gain_mtf50", "cy/px", known, **{**own, "flags": tuple(flags)})
 
@@ -149,11 +146,8 @@ def figure_data(spectrum: PooledSpectrum, found: SpectrumDraws) -> dict[str, Any
     }
 
 
-# Gain in ln likelihood at which scattered light is told for sure: 5 is asked for, and the gain itself has a standard
-# deviation of 5.
+# Gain in ln likelihood at which scattered light is certainly detected: the threshold is 5 and the gain scatters by 5.
 SURE = 12.0
-# Small steps for slopes: of a share, and in standard deviations.
-SHARE_STEP, STEP_SD = 1e-3, 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -177,7 +171,7 @@ class UndetectedComponent:
 
 @dataclass(frozen=True, kw_only=True)
 class UndetectedScatter:
-    """Scattered light that would not be told for sure.
+    """Largest amount of scattered light that may stay undetected.
 
     Parameters
     ----------
@@ -225,8 +219,8 @@ class _Jacobians:
         self.peak, problem = peak, peak.problem
         low, high = problem.bounds.T
         sd = np.minimum(np.sqrt(np.maximum(np.diag(peak.covariance), 1e-30)), 0.2 * (high - low))
-        up = np.minimum(peak.point + np.diag(STEP_SD * sd), high)
-        down = np.maximum(peak.point - np.diag(STEP_SD * sd), low)
+        up = np.minimum(peak.point + np.diag(ACCURACY.derivative_step_sd * sd), high)
+        down = np.maximum(peak.point - np.diag(ACCURACY.derivative_step_sd * sd), low)
         change = np.diag(up - down)
         self.power = problem.model(peak.point[None])[0]
         self.of_power = (np.log(problem.model(up)) - np.log(problem.model(down))) / change[:, None]
@@ -238,20 +232,20 @@ class _Jacobians:
         """Return what would go unseen of light scattered over a length."""
         looks, at = self.peak.problem.looks, self.peak.point[None]
         there = replace(self.peak, problem=_with_scatter(self.peak.problem, length_px))
-        away = (there.problem.model(at)[0] / self.power - 1.0) / SHARE_STEP
+        away = (there.problem.model(at)[0] / self.power - 1.0) / ACCURACY.fraction_step
         pull = self.of_power @ (looks * away)
         taken_up = np.linalg.solve(self.normal, pull)
         information = max(float(looks @ away**2 - pull @ taken_up), 1e-9)
         share = min(float(np.sqrt(2.0 * SURE / information)), SCATTER_FRACTION[1])
         half = _mtf50(self.peak, at)
-        lower = ((half - _mtf50(there, at)) / SHARE_STEP + self.of_half @ taken_up) / half
+        lower = ((half - _mtf50(there, at)) / ACCURACY.fraction_step + self.of_half @ taken_up) / half
         return UndetectedScatter(
             length_px=length_px, share=share, lower_percent=max(100.0 * share * float(lower[0]), 0.0)
         )
 
 
 def _with_scatter(problem: SpectrumLikelihood, length_px: float) -> SpectrumLikelihood:
-    shape: Any = UndetectedComponent(shape=problem.shape, share=SHARE_STEP, length_px=length_px)
+    shape: Any = UndetectedComponent(shape=problem.shape, share=ACCURACY.fraction_step, length_px=length_px)
     return replace(problem, shape=shape)
 
 

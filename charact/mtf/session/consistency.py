@@ -10,14 +10,11 @@ from scipy.special import chdtrc, ndtri
 
 from charact.method import Context
 from charact.mtf.session.constraints import HALF68_SD, ConstraintSource, is_vertical, pitches, sources
+from charact.mtf.session.thresholds import THRESHOLDS
 from labdata.conditions import Conditions
 from labdata.measurement import Curve, Measurement, Result
 
 Array = NDArray[np.float64]
-
-# Directions further apart than this have MTFs of their own.
-SAME_DIRECTION_DEG = 10.0
-LEVEL = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +56,7 @@ def mtf_consistency(result: Result, kinds: dict[str, str]) -> Result:
         return Result()
     difference = np.array([one.value - other.value for _, _, one, other in rows])
     sd = np.array([np.hypot(one.sd, other.sd) for _, _, one, other in rows])
-    limit = float(ndtri(1.0 - LEVEL / (2 * len(rows))))
+    limit = float(ndtri(1.0 - THRESHOLDS.level / (2 * len(rows))))
     largest = float(np.abs(difference / sd).max())
     evidence = {
         "figure": "agreement",
@@ -102,13 +99,13 @@ def _direction_deg(name: str, stack: str, result: Result) -> float:
     """Return the direction of a curve's frequencies: a point source has one curve along rows and one along columns."""
     if name.startswith("mtf_vertical"):
         return 90.0
-    told = [m.orientation_deg for m in result.find("mtf50", stack=stack) if m.orientation_deg is not None]
-    return min(told, default=0.0)
+    directions = [m.orientation_deg for m in result.find("mtf50", stack=stack) if m.orientation_deg is not None]
+    return min(directions, default=0.0)
 
 
 def _same_direction(one_deg: float, other_deg: float) -> bool:
     apart = abs(one_deg - other_deg) % 180.0
-    return min(apart, 180.0 - apart) <= SAME_DIRECTION_DEG
+    return min(apart, 180.0 - apart) <= THRESHOLDS.same_direction_deg
 
 
 # What MTF50 is laid against; light by its logarithm, for it runs over decades.
@@ -209,5 +206,5 @@ def _table(rows: list[UniformityRow], trends: dict[str, tuple[float, float]]) ->
         "chi_squared": squares,
         "degrees_of_freedom": len(rows) - 1,
         "probability": probability,
-        "constant_at_5_percent": bool(probability >= LEVEL),
+        "constant_at_5_percent": bool(probability >= THRESHOLDS.level),
     }

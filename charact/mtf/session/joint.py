@@ -16,13 +16,11 @@ from charact.mtf.curve import FINE, PINNED, REPORTED, crossing_frequency, curve_
 from charact.mtf.known_transfer import halo_diameters_px
 from charact.mtf.session.constraints import MtfConstraint, constraints_from
 from charact.mtf.session.joint_model import JointBlurModel, KnownCameraTransfer
+from charact.mtf.session.thresholds import ACCURACY, THRESHOLDS
 from charact.posterior import find_maximum, importance_sample, sample_posterior
 from labdata.measurement import Measurement, Posterior, Provenance, Result, make_refusal, measurement_from_draws
 
 Array = NDArray[np.float64]
-
-# Newton steps of a climb: along a ridge, where two blurs are traded, more of them gain nothing that can be told.
-STEPS = 20
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,14 +31,14 @@ class JointLikelihood:
     ----------
     form
         Form of the transfer.
-    told
+    constraints
         What the targets say of the MTF.
     bounds
         What the noise of flats says of the part behind the gain: no less than the whole.
     """
 
     form: JointBlurModel
-    told: Sequence[MtfConstraint]
+    constraints: Sequence[MtfConstraint]
     bounds: Sequence[MtfConstraint] = ()
 
     def residual(self, theta: Array) -> Array:
@@ -53,12 +51,12 @@ class JointLikelihood:
 
     @cached_property
     def _combinations(self) -> int:
-        return sum(one.value.size for one in self.told)
+        return sum(one.value.size for one in self.constraints)
 
     @cached_property
     def _places(self) -> tuple[Array, Array, NDArray[np.bool_], Array, Array | None]:
         """Frequencies of all targets, one after the other, along rows and columns; whether within; what is known."""
-        every = (*self.told, *self.bounds)
+        every = (*self.constraints, *self.bounds)
         frequency, angle = (np.concatenate(of) for of in zip(*((o.frequency, o.angle_rad) for o in every), strict=True))
         within = np.concatenate([np.full(one.frequency.size, one.within) for one in every])
         fx, fy = np.abs(frequency * np.cos(angle)), np.abs(frequency * np.sin(angle))
@@ -69,7 +67,7 @@ class JointLikelihood:
         fx, fy, within, known, bend = self._places
         mtf = known * self.form.unknown(theta, fx, fy, bend=bend, within=within)
         last, parts = 0, []
-        for one in (*self.told, *self.bounds):
+        for one in (*self.constraints, *self.bounds):
             first, last = last, last + one.frequency.size
             parts.append(one.residual(mtf[:, first:last]))
         return np.concatenate(parts, axis=1)
@@ -111,12 +109,12 @@ class JointFit:
 
 
 def fit_joint_model(problem: JointLikelihood) -> JointFit:
-    """Climb from the best of many half frequencies and return the peak, with its curvature by Gauss and Newton."""
+    """Optimise from the best of many half frequencies; return the optimum with its Gauss-Newton curvature."""
     walls = problem.form.bounds
     start = np.tile(problem.form.start, (24, 1))
     start[:, 0] = np.linspace(walls[0, 0], walls[0, 1], 26)[1:-1]
     begun = start[int(np.argmax(problem.log_probability(start)))]
-    point, _ = find_maximum(problem.log_probability, begun, walls, iterations=STEPS)
+    point, _ = find_maximum(problem.log_probability, begun, walls, iterations=ACCURACY.newton_steps)
     slope = _slope(problem.residual, point, walls)
     bound_slope = _slope(problem.below_bounds, point, walls)
     below = problem.below_bounds(point[None])[0]
@@ -146,7 +144,7 @@ class ConsistencyTest:
     chi2, freedom, probability
         Chi squared of all combinations against the joint curve, its degrees of freedom, and the chance of one as large.
     targets, values
-        Name of each target and how many numbers it told.
+        Name of each target and the number of its values.
     leave_one_out_chi2, leave_one_out_p_value
         Chi squared of each target against the curve of all the others, and the chance of one as large.
     residuals
@@ -175,9 +173,9 @@ def consistency_test(fit: JointFit) -> ConsistencyTest:
     -----
     With J the slope of the whitened residuals and C the covariance of the parameters that lean on no bound,
     H = J C J^T is the share of each residual's noise that the fit takes up: chi squared r.r has N - tr H degrees of
-    freedom, and r_t (1 - H_tt)^-1 r_t is that of target t, with as many as it told numbers, against the curve of the
-    others, whose error it contains
-    (leave-one-out in linear theory). A bound broken by z standard deviations adds z^2, a kept one nothing.
+    freedom, and r_t (1 - H_tt)^-1 r_t is that of target t, with one degree of freedom per value, against the
+    curve of the others, whose error it contains (leave-one-out in linear theory). A bound
+    violated by z standard deviations adds z^2.
     """
     problem, point = fit.problem, fit.point
     residual = problem.residual(point[None])[0]
@@ -186,7 +184,7 @@ def consistency_test(fit: JointFit) -> ConsistencyTest:
     total = float(residual @ residual + np.sum(np.minimum(below, 0.0) ** 2))
     freedom = float(max(residual.size - np.trace(taken), 0.0))
     apart, chances, parts, first = [], [], [], 0
-    for one in problem.told:
+    for one in problem.constraints:
         own = slice(first, first + one.value.size)
         first += one.value.size
         left = np.eye(one.value.size) - taken[own, own]
@@ -198,36 +196,24 @@ def consistency_test(fit: JointFit) -> ConsistencyTest:
         chi2=total,
         freedom=freedom,
         probability=float(chdtrc(freedom, total)) if freedom > 0.05 else 1.0,
-        targets=(*(one.target for one in problem.told), *(one.target for one in problem.bounds)),
-        values=(*(one.value.size for one in problem.told), *(1 for _ in problem.bounds)),
+        targets=(*(one.target for one in problem.constraints), *(one.target for one in problem.bounds)),
+        values=(*(one.value.size for one in problem.constraints), *(1 for _ in problem.bounds)),
         leave_one_out_chi2=(*apart, *(np.minimum(below, 0.0) ** 2).tolist()),
         leave_one_out_p_value=(*chances, *ndtr(below).tolist()),
         residuals=(*parts, *((float(min(z, 0.0)),) for z in below)),
     )
 
 
-# A combination that is known from one target alone has no others to be compared with.
-ALONE = 0.02
-
-
 def _leave_one_out_chi2(residual: Array, left: Array) -> tuple[float, int]:
     """Return chi squared of one target against the others and its degrees of freedom."""
     variance, axes = np.linalg.eigh(0.5 * (left + left.T))
-    compared = variance > ALONE
+    compared = variance > THRESHOLDS.min_compared
     along = axes[:, compared].T @ residual
     return float(np.sum(along**2 / variance[compared])), int(compared.sum())
 
 
 METHOD = "joint"
-# A form this much less probable than the best, as a share, adds nothing to the draws.
-MIN_FRACTION = 0.02
 DRAWS = 1000
-# Steps of a Markov chain, where weighted draws are too few.
-MAX_STEPS = 3000
-# Chance below which targets lie outside their joint 95 % region, and below which one MTF is not believed.
-OUTSIDE, MISFIT = 0.05, 0.01
-# Targets within this of the rows' or columns' direction tell of it, degrees.
-NEAR_DEG = 30.0
 CORES: tuple[tuple[Core, bool], ...] = (
     ("gaussian", False), ("exponential", False), ("moffat", False), ("exponential", True),
 )  # fmt: skip
@@ -255,7 +241,7 @@ class JointMtf:
 
 @with_timing
 def fit_joint_mtf(result: Result, kinds: Mapping[str, str], *, context: Context) -> Result:
-    """Fit one MTF to what all targets of a session told and test whether they told of one.
+    """Fit one MTF to all targets of a session and test their consistency.
 
     Parameters
     ----------
@@ -319,7 +305,14 @@ def fit_joint_mtf(result: Result, kinds: Mapping[str, str], *, context: Context)
 def _directions(sound: Sequence[MtfConstraint]) -> list[bool]:
     """Whether rows (False) and columns (True) have targets that tell of them."""
     off = np.concatenate([np.abs((np.rad2deg(one.angle_rad) + 90.0) % 180.0 - 90.0) for one in sound])
-    ways = [way for way, tells in ((False, np.any(off < NEAR_DEG)), (True, np.any(off > 90.0 - NEAR_DEG))) if tells]
+    ways = [
+        way
+        for way, tells in (
+            (False, np.any(off < THRESHOLDS.near_axis_deg)),
+            (True, np.any(off > 90.0 - THRESHOLDS.near_axis_deg)),
+        )
+        if tells
+    ]
     return ways or [False]
 
 
@@ -330,11 +323,11 @@ def _fit_and_draw(sound: Sequence[MtfConstraint], bounds: Sequence[MtfConstraint
     wide = _halo(sound, context)
     forms = [JointBlurModel(core=core, blurred=blurred, wide=wide, elliptical=elliptical, known=known)
              for core, blurred in CORES]  # fmt: skip
-    fits = [fit_joint_model(JointLikelihood(form=form, told=sound, bounds=bounds)) for form in forms]
+    fits = [fit_joint_model(JointLikelihood(form=form, constraints=sound, bounds=bounds)) for form in forms]
     fits.sort(key=lambda fit: -fit.log_evidence)
     shares = np.exp([fit.log_evidence - fits[0].log_evidence for fit in fits])
     shares /= shares.sum()
-    kept = shares > MIN_FRACTION
+    kept = shares > THRESHOLDS.min_model_weight
     fits, shares = [fit for fit, keep in zip(fits, kept, strict=True) if keep], shares[kept] / shares[kept].sum()
     posteriors = [_posterior(fit, context, context.seed + number) for number, fit in enumerate(fits)]
     return JointMtf(fits=fits, shares=shares, posteriors=posteriors, verdict=consistency_test(fits[0]))
@@ -365,7 +358,7 @@ def _posterior(fit: JointFit, context: Context, seed: int) -> Posterior:
     }
     if context.quick:
         return importance_sample(fit.problem.log_probability, **asked)
-    return sample_posterior(fit.problem.log_probability, **asked, max_steps=MAX_STEPS)
+    return sample_posterior(fit.problem.log_probability, **asked, max_steps=ACCURACY.chain_steps)
 
 
 def _flags(found: JointMtf) -> tuple[str, ...]:
@@ -377,17 +370,17 @@ def _flags(found: JointMtf) -> tuple[str, ...]:
         chosen = np.array([name not in NATURAL_BOUNDS for name in posterior.names])
         if crowds_at_bound(posterior.draws, fit.problem.form.bounds)[chosen].any():
             flags.add("prior-bound")
-    if found.verdict.probability < MISFIT or min(found.verdict.leave_one_out_p_value) < MISFIT / len(
-        found.verdict.targets
-    ):
+    if found.verdict.probability < THRESHOLDS.misfit_p_value or min(
+        found.verdict.leave_one_out_p_value
+    ) < THRESHOLDS.misfit_p_value / len(found.verdict.targets):
         flags.add("model-misfit")
     return tuple(flags)
 
 
 def _notes(found: JointMtf) -> tuple[str, ...]:
     test = found.verdict
-    notes = [f"Fitted to what {', '.join(dict.fromkeys(test.targets))} told; form of the spread: {_forms(found)}."]
-    if test.probability < OUTSIDE:
+    notes = [f"Joint fit to {', '.join(dict.fromkeys(test.targets))}; blur model: {_forms(found)}."]
+    if test.probability < THRESHOLDS.inconsistent_p_value:
         notes.append(
             f"The targets lie outside their joint 95 % region (chi squared {test.chi2:.1f} for {test.freedom:.1f} "
             f"degrees of freedom, chance {test.probability:.2g}); {test.most_deviating} differs most from the others."
@@ -426,7 +419,7 @@ def _figure_data(found: JointMtf, sound: Sequence[MtfConstraint]) -> dict:
         "chi_squared": test.chi2,
         "degrees_of_freedom": test.freedom,
         "probability": test.probability,
-        "inside_joint_95_percent_region": bool(test.probability >= OUTSIDE),
+        "inside_joint_95_percent_region": bool(test.probability >= THRESHOLDS.inconsistent_p_value),
         "differs_most": test.most_deviating,
         "forms": {fit.problem.form.name: float(share) for fit, share in zip(found.fits, found.shares, strict=True)},
     }

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.mtf.target_detection.thresholds import ACCURACY, THRESHOLDS
 from labdata.frames import FrameStack
 
 
@@ -32,14 +33,6 @@ def local_maximum(picture: NDArray[np.float32], rows: int, cols: int) -> NDArray
 
 
 Array = NDArray[np.float32]
-
-# Quantile of the moduli of a gradient's components that structure in up to a half of a block hardly moves; for a
-# Gaussian it stands at so many standard deviations.
-QUIET_QUANTILE, QUIET_SD = 0.25, 0.318639
-# Steps lower than this share of the picture's range are no targets.
-MIN_STEP_FRACTION = 0.05
-MIN_BLUR_PX = 1.5
-LEVELS = 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,7 +74,7 @@ def gradient(picture: NDArray, scale_px: float, *, whole_codes: bool) -> Gradien
     noise = _noise(smooth, right, down, scale_px)
     rounding = 0.29 / (np.sqrt(8.0 * np.pi) * scale_px**2) if whole_codes else 1e-9 * (1.0 + float(np.ptp(smooth)))
     low, high = np.quantile(smooth[::2, ::2], (0.001, 0.999))
-    floor = MIN_STEP_FRACTION * (high - low) / np.sqrt(2.0 * np.pi * (scale_px**2 + MIN_BLUR_PX**2))
+    floor = THRESHOLDS.min_step * (high - low) / np.sqrt(2.0 * np.pi * (scale_px**2 + ACCURACY.min_blur_px**2))
     significance = np.where(modulus > floor, modulus / np.maximum(noise, rounding), 0.0).astype(np.float32)
     return Gradient(scale_px=scale_px, down=down, right=right, modulus=modulus, significance=significance)
 
@@ -96,14 +89,18 @@ def _noise(smooth: Array, right: Array, down: Array, scale_px: float) -> Array:
             block = (slice(part_rows[0], part_rows[-1] + 1), slice(part_cols[0], part_cols[-1] + 1))
             both = np.abs(np.concatenate([right[block].ravel(), down[block].ravel()]))
             level.append(float(np.median(smooth[block])))
-            sd.append(float(np.quantile(both, QUIET_QUANTILE)) / QUIET_SD)
+            sd.append(float(np.quantile(both, ACCURACY.quiet_quantile)) / ACCURACY.quiet_sd)
     return _by_level(np.array(level), np.array(sd), smooth)
 
 
 def _by_level(level: NDArray, sd: NDArray, smooth: Array) -> Array:
     """Interpolate the noise of quiet blocks over the level."""
-    place = np.clip(((level - level.min()) / max(np.ptp(level), 1e-12) * LEVELS).astype(int), 0, LEVELS - 1)
-    filled = [number for number in range(LEVELS) if np.count_nonzero(place == number)]
+    place = np.clip(
+        ((level - level.min()) / max(np.ptp(level), 1e-12) * ACCURACY.noise_levels).astype(int),
+        0,
+        ACCURACY.noise_levels - 1,
+    )
+    filled = [number for number in range(ACCURACY.noise_levels) if np.count_nonzero(place == number)]
     middles = [float(np.mean(level[place == number])) for number in filled]
     quiet = [float(np.quantile(sd[place == number], 0.4)) for number in filled]
     return np.interp(smooth, middles, quiet).astype(np.float32)

@@ -1,4 +1,4 @@
-"""Fitting forms of the point spread to an edge's profile: each form by Gauss-Newton, all weighed by their evidence."""
+"""Fits of blur models to an edge profile by Gauss-Newton, with their evidence (Laplace)."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -25,6 +25,7 @@ from charact.mtf.edge.fit.gauss_newton import (
 from charact.mtf.edge.fit.sufficient_statistics import Marginal, apply_phases
 from charact.mtf.edge.nonlinearity import CurvatureEstimate, response_curvature
 from charact.mtf.edge.pixels.profile import EdgeProfile
+from charact.mtf.edge.thresholds import ACCURACY
 from charact.mtf.known_transfer import KnownTransfer
 
 Array = NDArray[np.float64]
@@ -112,11 +113,8 @@ def _real_and_imaginary(transfer: Complex) -> Array:
     return np.concatenate([transfer.real, transfer.imag], axis=1)
 
 
-SHIFT_PX = 6.0
 # Half frequencies among which the first guess is taken, cycles per pixel.
 GUESSES = np.exp(np.linspace(np.log(0.01), np.log(1.8), 40))
-ITERATIONS = 30
-FIRST_DAMPING = 1e-3
 # So many points at a time: transfers of more do not stay in the processor's cache, and take twice as long.
 BLOCK = 512
 
@@ -213,13 +211,13 @@ class BlurModelFitter:
 
     def fit(self, family: BlurModel, start: Array, slope_sd_per_px: float, ln_weight: float = 0.0) -> BlurModelFit:
         """Fit a form from a starting point (shift and the form's parameters)."""
-        point, here = self.optimise(family, start, slope_sd_per_px, ITERATIONS)
+        point, here = self.optimise(family, start, slope_sd_per_px, ACCURACY.fit_iterations)
         return self._fit_at(family, point, here, slope_sd_per_px, ln_weight)
 
     def optimise(self, family: BlurModel, start: Array, slope_sd_per_px: float, iterations: int) -> Reached:
         """Return where so many steps lead from a starting point, and the model there."""
         kind, bounds, prior = kind_of(family), self.bounds(family), self._prior(family, slope_sd_per_px)
-        point, damping = np.clip(start, bounds[:, 0], bounds[:, 1]), FIRST_DAMPING
+        point, damping = np.clip(start, bounds[:, 0], bounds[:, 1]), ACCURACY.first_damping
         while True:
             self.maps.rebuild_for(float(point[0]))
             point, damping, iterations, here, beyond = gauss_newton(
@@ -318,7 +316,7 @@ class BlurModelFitter:
         """
         spread, *changes = self.spread_of(fit)
         sd = np.sqrt(np.diag(fit.covariance))
-        most = np.concatenate([[SHIFT_PX], 5.0 * sd[1:]])
+        most = np.concatenate([[ACCURACY.max_shift_px], 5.0 * sd[1:]])
         shape_sd = np.array([np.inf, *self.profile.slopes_sd(fit.slope_sd_per_px)])
         tangents = np.array(changes) * most[:, None]
         return response_curvature(self.profile, self.maps.root, spread, tangents, self.profile.levels, shape_sd)
@@ -350,7 +348,7 @@ def _tables(family: BlurModel) -> Tables:
 
 @lru_cache(maxsize=256)
 def _bounds(family: BlurModel) -> Array:
-    bounds = np.concatenate([[[-SHIFT_PX, SHIFT_PX]], family.bounds])
+    bounds = np.concatenate([[[-ACCURACY.max_shift_px, ACCURACY.max_shift_px]], family.bounds])
     bounds.flags.writeable = False
     return bounds
 

@@ -1,4 +1,7 @@
-"""Which forms of the point spread an edge's profile asks for: fitted simple ones first, weighed by their evidence."""
+"""Selection of blur models for an edge profile, and their weights by evidence.
+
+Simple cores are fitted first. Extended components are scored to first order and fitted if the score is high enough.
+"""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -22,21 +25,15 @@ from charact.mtf.edge.fit.gauss_newton import amplitudes, chi2_explained
 from charact.mtf.edge.fit.model_fit import BlurModelFit, BlurModelFitter
 from charact.mtf.edge.forward_model import departure_shapes
 from charact.mtf.edge.pixels.profile import EVEN_PER_PX, SLIGHT_PER_PX, UNEVEN_PER_PX
+from charact.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.mtf.known_transfer import halo_diameters_px
 
 Array = NDArray[np.float64]
 
 Departures = Callable[[Array, float], NDArray[np.complex128]]
 
-# Sizes of light beyond the core among which a fit begins.
-SIZES = 9
-# Steps after which one of several starts is chosen.
-FIRST_ITERATIONS = 5
-# Shares of light, of the range that they may have, over which evidence is summed; ln of the largest that is told.
+# Fractions over which the evidence is summed, and the largest exponent of a term.
 SHARES, LARGEST = 100, 50.0
-MIN_BAYES_FACTOR = 1e-300
-# How far apart in ln two sizes must be to lead elsewhere.
-APART = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,7 +68,7 @@ class ExtendedComponentScore:
     @property
     def log_evidence(self) -> float:
         """ln of the evidence of the core with such light, to first order."""
-        return self.core.log_evidence + float(np.log(max(self.odds, MIN_BAYES_FACTOR))) + self.ln_weight
+        return self.core.log_evidence + float(np.log(max(self.odds, ACCURACY.min_bayes_factor))) + self.ln_weight
 
     def start(self, size: int) -> Array:
         """Return where a fit with one of the sizes begins."""
@@ -104,7 +101,7 @@ class ComponentFit:
 def trial_components(wide: ExtendedComponent, grid_bytes: bytes) -> ComponentFit:
     """Return light of some sizes beyond the core, on the nodes of the transfer."""
     bounds = np.array([bound for _, bound in wide.parameters.values()])
-    sizes = bounds[1, 0] * (bounds[1, 1] / bounds[1, 0]) ** np.linspace(0.05, 0.95, SIZES)
+    sizes = bounds[1, 0] * (bounds[1, 1] / bounds[1, 0]) ** np.linspace(0.05, 0.95, ACCURACY.component_sizes)
     others = np.array([[0.1], [0.9]]) if len(bounds) > 2 else np.zeros((1, 0))
     shapes = np.array([[size, *other] for other in others for size in sizes])
     change = wide.transfer(np.frombuffer(grid_bytes), shapes) - 1.0
@@ -112,7 +109,10 @@ def trial_components(wide: ExtendedComponent, grid_bytes: bytes) -> ComponentFit
 
 
 def score_extended_components(
-    fitter: BlurModelFitter, fit: BlurModelFit, wides: tuple[ExtendedComponent, ...], least_gains: Mapping[float, float]
+    fitter: BlurModelFitter,
+    fit: BlurModelFit,
+    components: tuple[ExtendedComponent, ...],
+    least_gains: Mapping[float, float],
 ) -> list[ExtendedComponentScore]:
     """Return what each kind of light beyond a core may gain; before the data all are together as likely as none.
 
@@ -121,10 +121,10 @@ def score_extended_components(
     least_gains
         For each prior of the illumination's slopes that is asked about the gain of chi squared that is worth telling.
     """
-    if not wides:
+    if not components:
         return []
     maps, step = fitter.maps, abs(fitter.profile.step)
-    asked = [trial_components(wide, maps.grid.tobytes()) for wide in wides]
+    asked = [trial_components(wide, maps.grid.tobytes()) for wide in components]
     core = maps.shift_transfers(fit.family.modulus(fit.point[None, 1:], maps.grid), float(fit.point[0]))
     away = maps.white(core * np.concatenate([one.change for one in asked])) * step
     return [
@@ -197,8 +197,10 @@ def fit_extended_component(
     order = np.argsort(-promise.gains)
     family, slope = BlurModel(core=core.family.core, wide=wide), core.slope_sd_per_px
     sizes = np.log(promise.shapes[order, 0])
-    apart = order[np.abs(sizes - sizes[0]) > APART]
-    begun = [fitter.optimise(family, promise.start(i), slope, FIRST_ITERATIONS) for i in (order[0], *apart[:1])]
+    apart = order[np.abs(sizes - sizes[0]) > ACCURACY.size_separation]
+    begun = [
+        fitter.optimise(family, promise.start(i), slope, ACCURACY.first_iterations) for i in (order[0], *apart[:1])
+    ]
     point, reached = min(begun, key=lambda one: one[1][-1])
     return None if reached[-1] > hopeless_cost else fitter.fit(family, point, slope, promise.ln_weight)
 
@@ -222,28 +224,6 @@ def departure_gain(fitter: BlurModelFitter, fit: BlurModelFit, shapes_at: Depart
 
 # Cores that are fitted after a Gaussian, each from where the one before led.
 CORES: tuple[Core, ...] = ("exponential", "moffat", "airy")
-# Departures from the likeliest of these, in standard deviations of what noise leaves them, from which on a pupil out of
-# focus or with a hole is fitted.
-PUPIL_SD = 1.0
-# A form this much less probable than the best, as a share, adds nothing to the draws.
-MIN_FRACTION = 0.02
-# Power of the evidence by which forms are weighed: none of them is the blur itself, and the noise is an estimate too
-# (power likelihoods: Gruenwald & van Ommen 2017, doi 10.1214/17-BA1085).
-TEMPERED = 0.7
-# Gain in chi squared from which on wide light is worth a fit of its own, and odds from which on it is with less.
-WORTH_CHI2, WORTH_ODDS = 6.0, 0.6
-# Gain from which on it is worth one where only slopes of the light make room for it.
-WORTH_IN_SLOPES_CHI2 = 3.0
-# Forms within this of the best in ln of the evidence are worth pursuing.
-CLOSE = 8.0
-# Half width from which a window tells a disc of light from the core, and a halo's profile or glare from a disc.
-MIN_FOR_DISC_PX, MIN_FOR_HALO_PX = 6.0, 16.0
-# Light that slopes is tried with forms that would come within this of the best.
-SLOPED = 4.0
-# A fit that began this much worse than the best in chi squared is not carried on.
-HOPELESS = 100.0
-# Chi squared that smooth departures of any size may take, in standard deviations of what noise leaves them.
-DEPARTURE_SD = 4.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -260,9 +240,9 @@ def candidate_components(context: Context, half_width_px: float, *, transposed: 
         low, high = halo_diameters_px(context, transposed=transposed)
         return (HaloComponent(size_px=(low, high)),) if half_width_px >= 0.6 * high else ()
     found: list[ExtendedComponent] = [UnresolvedGlareComponent(size_px=(0.5 * half_width_px, 4.0 * half_width_px))]
-    if half_width_px >= MIN_FOR_DISC_PX:
+    if half_width_px >= THRESHOLDS.min_window_disc_px:
         found.append(DiscComponent(size_px=(6.0, 2.0 * half_width_px)))
-    if half_width_px >= MIN_FOR_HALO_PX:
+    if half_width_px >= THRESHOLDS.min_window_halo_px:
         found.append(HaloComponent(size_px=(6.0, 2.0 * half_width_px)))
         found.append(ScatterComponent(size_px=(2.0, 0.25 * half_width_px)))
     return tuple(found)
@@ -286,17 +266,22 @@ def _fit_cores_and_components(
     found = _fit_cores(fitter, slope_sd_per_px)
     best = max(found[:2], key=_evidence)
     # Light beyond a Moffat is asked for only where wings are likelier than none: it explains them a second time.
-    wings = best.family.core != "gaussian" and found[2].log_evidence > best.log_evidence - CLOSE
-    lenses = [fit for fit in found[3:] if fit.log_evidence > max(map(_evidence, found)) - CLOSE]
+    wings = (
+        best.family.core != "gaussian"
+        and found[2].log_evidence > best.log_evidence - THRESHOLDS.competitive_ln_evidence
+    )
+    lenses = [
+        fit for fit in found[3:] if fit.log_evidence > max(map(_evidence, found)) - THRESHOLDS.competitive_ln_evidence
+    ]
     pursued = [*(found[:3] if wings else found[:2]), *lenses]
-    least_gains = {UNEVEN_PER_PX: WORTH_IN_SLOPES_CHI2, slope_sd_per_px: 0.0}
+    least_gains = {UNEVEN_PER_PX: THRESHOLDS.component_in_gradient_chi2, slope_sd_per_px: 0.0}
     promised = [one for core in pursued for one in score_extended_components(fitter, core, wide, least_gains)]
     own = _components_worth_fitting([one for one in promised if one.core.slope_sd_per_px == slope_sd_per_px])
     hidden = _components_masked_by_gradients(
         [one for one in promised if one.core.slope_sd_per_px != slope_sd_per_px], own, best
     )
     for promise in sorted([*own, *hidden], key=lambda one: wide.index(one.wide)):
-        fit = fit_extended_component(fitter, promise, min(fit.cost for fit in found) + HOPELESS)
+        fit = fit_extended_component(fitter, promise, min(fit.cost for fit in found) + THRESHOLDS.max_start_chi2)
         found = found if fit is None else [*found, fit]
     return found
 
@@ -308,10 +293,10 @@ def _fit_cores(fitter: BlurModelFitter, slope_sd_per_px: float) -> list[BlurMode
     for core in CORES:
         found.append(_next_core(fitter, core, found[-1], guess))
     best = max(found, key=_evidence)
-    lens_like = found[-1].log_evidence > best.log_evidence - CLOSE
+    lens_like = found[-1].log_evidence > best.log_evidence - THRESHOLDS.competitive_ln_evidence
     return (
         [*found, _next_core(fitter, "pupil", best, guess)]
-        if lens_like or _exceeds_model_by(fitter, best, PUPIL_SD)
+        if lens_like or _exceeds_model_by(fitter, best, THRESHOLDS.pupil_departure_sd)
         else found
     )
 
@@ -332,7 +317,8 @@ def _components_masked_by_gradients(
     return [
         one
         for one in promised
-        if (one.core.family, one.wide) not in already and one.log_evidence > best.log_evidence - CLOSE
+        if (one.core.family, one.wide) not in already
+        and one.log_evidence > best.log_evidence - THRESHOLDS.competitive_ln_evidence
     ]
 
 
@@ -341,15 +327,15 @@ def _components_worth_fitting(promised: list[ExtendedComponentScore]) -> list[Ex
 
     An edge too weak to tell light beyond the core leaves it as likely as it was: one stands for all of that.
     """
-    told = [one for one in promised if one.gains.max() >= WORTH_CHI2]
-    rest = [one for one in promised if one.gains.max() < WORTH_CHI2]
+    measurable = [one for one in promised if one.gains.max() >= THRESHOLDS.component_chi2]
+    rest = [one for one in promised if one.gains.max() < THRESHOLDS.component_chi2]
     best = max((one.core.log_evidence for one in promised), default=0.0)
     likely = np.array([one.odds * np.exp(one.core.log_evidence - best) for one in rest])
-    if not likely.sum() > WORTH_ODDS:
-        return told
+    if not likely.sum() > THRESHOLDS.component_bayes_factor:
+        return measurable
     likeliest = rest[int(np.argmax(likely))]
     stands_for = float(np.log(likely.sum() / likely.max()))
-    return [*told, replace(likeliest, ln_weight=likeliest.ln_weight + stands_for)]
+    return [*measurable, replace(likeliest, ln_weight=likeliest.ln_weight + stands_for)]
 
 
 def _start(core: Core, half_frequency_cy_per_px: float) -> Array:
@@ -390,7 +376,7 @@ def _fits_with_gradients(fitter: BlurModelFitter, found: list[BlurModelFit]) -> 
         for slope in (SLIGHT_PER_PX, UNEVEN_PER_PX)
         if slope != fit.slope_sd_per_px
     ]
-    least = max(map(_evidence, [*found, *asked])) - SLOPED
+    least = max(map(_evidence, [*found, *asked])) - THRESHOLDS.gradient_ln_evidence
     return [
         fitter.fit(one.family, one.point, one.slope_sd_per_px, one.ln_weight)
         for one in asked
@@ -417,18 +403,18 @@ def _fits_with_unresolved_glare(
 
 def _weight_by_evidence(found: list[BlurModelFit]) -> list[EvidenceWeightedModels]:
     evidence = np.array([fit.log_evidence for fit in found])
-    share = np.exp(TEMPERED * (evidence - evidence.max()))
+    share = np.exp(THRESHOLDS.evidence_power * (evidence - evidence.max()))
     share /= share.sum()
     return [
         EvidenceWeightedModels(fit=found[i], share=float(share[i]))
         for i in np.argsort(-share)
-        if share[i] > MIN_FRACTION
+        if share[i] > THRESHOLDS.min_model_weight
     ]
 
 
 def exceeds_model(fitter: BlurModelFitter, fit: BlurModelFit) -> bool:
     """Tell whether smooth departures from the form would take more chi squared than noise leaves them."""
-    return _exceeds_model_by(fitter, fit, DEPARTURE_SD)
+    return _exceeds_model_by(fitter, fit, THRESHOLDS.departure_sd)
 
 
 def _exceeds_model_by(fitter: BlurModelFitter, fit: BlurModelFit, deviations: float) -> bool:

@@ -115,7 +115,7 @@ def profile_statistics(
     covariance
         Their covariance, shape (bin, bin).
     spread
-        Weights of `charact.mtf.edge.fit.esf_from_mtf.edge_weights` side by side, shape (bin, 2 node); the data's model is
+        Weights of `charact.mtf.edge.fit.esf_from_mtf.edge_weights` side by side, shape (bin, 2 node); the model is
         step (spread @ transfer) + nuisance.
     nuisance
         Shapes whose amplitudes are marginalised, shape (bin, shape).

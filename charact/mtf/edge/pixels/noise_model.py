@@ -11,24 +11,15 @@ from numba import njit
 from numpy.typing import NDArray
 
 from charact.mtf.edge.pixels.bins import NARROWEST_PX, BinnedPixels
+from charact.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.robust import median
 
 Array = NDArray[np.float64]
 
-# Lags that tell the form, px; further ones hold next to nothing but noise.
-TELLING_PX = 6
 # Lengths along columns and rows, and the exponent of exp(-(r/L)^p): a Gaussian blur leaves 2, tails of tubes less.
 LENGTH_PX, EXPONENT = (0.35, 6.0), (0.7, 2.3)
 EXPONENT_PRIOR = (1.8, 0.3)
 STARTS_PX = (0.7, 1.2, 2.4)
-# Chi squared that a correlation must be worth, with four numbers of its own.
-WORTH_CHI2 = 25.0
-# Width of the bins that take most of the noise along the edge with them, px.
-STRIP_PX = 1.0
-ITERATIONS = 30
-# Gain in chi squared that ends the fit, and damping of its steps: least, most and by how much it changes (Levenberg
-# 1944, doi 10.1090/qam/10666).
-MIN_GAIN, MIN_DAMPING, MAX_DAMPING, DAMPING_STEP = 0.1, 1e-3, 100.0, 10.0
 
 
 def fit_correlation_model(
@@ -61,10 +52,10 @@ def fit_correlation_model(
     """
     rows, cols = (np.arange(size) - size // 2 for size in correlation.shape)
     y, x = np.meshgrid(rows, cols, indexing="ij")
-    strip = np.maximum(1.0 - np.abs(across) / STRIP_PX, 0.0)
+    strip = np.maximum(1.0 - np.abs(across) / ACCURACY.strip_px, 0.0)
     # One of each pair of opposite lags, and not the pixel itself.
     half = (y > 0) | ((y == 0) & (x > 0))
-    near = half & (np.abs(x) <= TELLING_PX) & (np.abs(y) <= TELLING_PX) & (pairs > 50)
+    near = half & (np.abs(x) <= ACCURACY.correlation_fit_px) & (np.abs(y) <= ACCURACY.correlation_fit_px) & (pairs > 50)
     telling = near if between is None else near & ~between
     weight = np.sqrt(pairs[telling])
     lags = np.stack([x[telling], y[telling]]).astype(float)
@@ -128,7 +119,7 @@ def _fit(data: Array, lags: Array, strip: Array, weight: Array) -> tuple[Array, 
     theta, amplitude, left = _optimise(start, data, lags, strip, weight)
     without = data - strip * (strip @ data / max(strip @ strip, 1e-300))
     worth = float(np.sum(without**2) - np.sum(left**2))
-    return (theta, amplitude) if worth > WORTH_CHI2 and amplitude[0] > 0 else None
+    return (theta, amplitude) if worth > THRESHOLDS.correlation_chi2 and amplitude[0] > 0 else None
 
 
 def _optimise(theta: Array, data: Array, lags: Array, strip: Array, weight: Array) -> tuple[Array, Array, Array]:
@@ -136,8 +127,8 @@ def _optimise(theta: Array, data: Array, lags: Array, strip: Array, weight: Arra
     low = np.array([np.log(LENGTH_PX[0]), np.log(LENGTH_PX[0]), EXPONENT[0]])
     high = np.array([np.log(LENGTH_PX[1]), np.log(LENGTH_PX[1]), EXPONENT[1]])
     little = np.concatenate([np.zeros((1, 3)), 1e-4 * np.eye(3)])
-    here, damping = _solve(theta + little, data, lags, strip, weight), MIN_DAMPING
-    for _ in range(ITERATIONS):
+    here, damping = _solve(theta + little, data, lags, strip, weight), ACCURACY.correlation_min_damping
+    for _ in range(ACCURACY.correlation_iterations):
         left = here[1]
         slopes = (left[1:] - left[0]) / 1e-4
         normal = slopes @ slopes.T
@@ -146,23 +137,22 @@ def _optimise(theta: Array, data: Array, lags: Array, strip: Array, weight: Arra
         there = _solve(trial + little, data, lags, strip, weight)
         gain = np.sum(left[0] ** 2) - np.sum(there[1][0] ** 2)
         if gain > 0.0:
-            theta, here, damping = trial, there, max(damping / DAMPING_STEP, MIN_DAMPING)
-            if gain < MIN_GAIN:
+            theta, here, damping = (
+                trial,
+                there,
+                max(damping / ACCURACY.correlation_damping_step, ACCURACY.correlation_min_damping),
+            )
+            if gain < ACCURACY.correlation_min_gain:
                 break
         else:
             # Too far along a ridge of lengths and exponent: the next step is shorter and steeper.
-            damping *= DAMPING_STEP
-            if damping > MAX_DAMPING:
+            damping *= ACCURACY.correlation_damping_step
+            if damping > ACCURACY.correlation_max_damping:
                 break
     return theta, here[0][0], here[1][0]
 
 
 MAX_LAG_PX = 14  # px; correlations beyond are taken as none
-# Standard errors from which on a departure from the smooth form counts, so that chance among hundreds of lags makes one
-# in a thousand pictures, and a correlation where the form does not hold.
-STANDS_OUT, STANDS_OUT_ALONE = 4.7, 2.5
-# Lags that tell best whether the form holds, px, and the mean square of its departures there, in errors, if it does.
-NEAR_PX, MISFIT = 2, 4.0
 # Squared residuals count for no more than so many variances.
 LARGEST_SQUARE = 50.0
 
@@ -291,14 +281,14 @@ def correlation_of(
     left = correlation - form - taken
     # Bartlett: errors of a correlation are tied over lags as the noise itself is.
     error = np.sqrt(np.sum(form**2) / np.maximum(pairs, 1))
-    near = np.maximum(np.abs(take_row)[:, None], np.abs(take_col)) <= NEAR_PX
+    near = np.maximum(np.abs(take_row)[:, None], np.abs(take_col)) <= ACCURACY.correlation_near_px
     tied = np.sqrt(np.sum(_running_mean(form) ** 2) / np.maximum(pairs, 1))
-    formless = np.mean((left / error)[near] ** 2) > MISFIT
+    formless = np.mean((left / error)[near] ** 2) > THRESHOLDS.correlation_misfit
     if formless:
         # No smooth form is that of this noise: what stands out counts as it is.
-        keep = np.abs(_running_mean(correlation - taken)) > STANDS_OUT_ALONE * tied
+        keep = np.abs(_running_mean(correlation - taken)) > THRESHOLDS.correlation_sd * tied
     else:
-        keep = np.abs(_running_mean(left)) > STANDS_OUT * tied
+        keep = np.abs(_running_mean(left)) > THRESHOLDS.correlation_departure_sd * tied
     keep[reach_row, reach_col] = False
     taper = np.outer(_taper(take_row, MAX_LAG_PX), _taper(take_col, MAX_LAG_PX))
     departure = np.where(keep, left, 0.0) * taper

@@ -13,6 +13,7 @@ from charact.mtf.edge.pixels.fields import separate_fields, steepness
 from charact.mtf.edge.pixels.line import EdgeLine
 from charact.mtf.edge.pixels.profile import EdgeProfile, centre_line, profile_of
 from charact.mtf.edge.pixels.roughness import roughness_of
+from charact.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.mtf.mean_frame import OrientedFrame, Region, mean_oriented_frame
 from charact.mtf.plateau_noise import Sides, SlopeNoise, noise_on_slopes, plateau_noise
 from charact.mtf.target_motion import TargetMotion, measure_line_motion
@@ -21,8 +22,6 @@ from labdata.frames import FrameStack
 
 Array = NDArray[np.float64]
 
-# The step is taken between these distances on both sides of the line, px.
-NEAR_PX, FAR_PX = 3.0, 9.0
 MIN_ROWS = 12
 
 
@@ -77,12 +76,15 @@ def _steps(value: Array, across: Array, size: int) -> tuple[Array, float]:
     """Return the step of each block of rows and the noise of one, NaN where a side lies outside the frame."""
     count = len(value) // size
     sides = []
-    for inside in ((across > NEAR_PX) & (across < FAR_PX), (across < -NEAR_PX) & (across > -FAR_PX)):
+    for inside in (
+        (across > ACCURACY.step_near_px) & (across < ACCURACY.step_far_px),
+        (across < -ACCURACY.step_near_px) & (across > -ACCURACY.step_far_px),
+    ):
         number = inside.sum(axis=1).astype(float)
         total = np.where(inside, value, 0.0).sum(axis=1)
         blocks = number[: count * size].reshape(count, size).sum(axis=1)
         means = total[: count * size].reshape(count, size).sum(axis=1) / np.maximum(blocks, 1.0)
-        sides.append(np.where(blocks >= size * (FAR_PX - NEAR_PX - 2.0), means, np.nan))
+        sides.append(np.where(blocks >= size * (ACCURACY.step_far_px - ACCURACY.step_near_px - 2.0), means, np.nan))
     step = sides[0] - sides[1]
     finite = step[np.isfinite(step)]
     error = NORMAL * median(np.abs(np.diff(finite))) / np.sqrt(2.0) if finite.size > 3 else 0.0
@@ -135,15 +137,7 @@ def _running_median(values: Array, back: int) -> Array:
 
 
 WIDEST_PX = 110.0
-# Share of the step up to which a pixel belongs to either side.
-PLATEAU = 0.1
-# Least reach and number of pixels on either side.
-MIN_HALF_WIDTH_PX, MIN_PIXELS = 3.0, 16
 NO_STEP = "no target: no step from dark to bright was found in the region"
-# Least gain in chi squared for an edge to be one: a search of frames of noise finds up to about 40.
-MIN_CHI2 = 90.0
-# What is no edge at all: chi squared per bin, and its share of that without an edge.
-MAX_REDUCED_CHI2, MAX_UNEXPLAINED = 1.5, 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -228,7 +222,10 @@ class PreparedEdge:
         value[profile.keep] = profile.value
         value = value[profile.gathered.bin_index]
         level = (value - profile.dark) / (profile.step or 1.0)
-        sides = np.where(level < PLATEAU, 1, np.where(level > 1.0 - PLATEAU, 2, 0)) * profile.gathered.used
+        sides = (
+            np.where(level < ACCURACY.plateau_fraction, 1, np.where(level > 1.0 - ACCURACY.plateau_fraction, 2, 0))
+            * profile.gathered.used
+        )
         return value, level, sides
 
 
@@ -274,7 +271,7 @@ def prepare_edge(
         return EdgeRefusal(reason=NO_STEP, where=where)
     rows = replace(rows, line=centre_line(picture, rows.line))
     profile = profile_of(picture, rows.line, WIDEST_PX, quickly=quickly)
-    if not profile.step > 0 or profile.gathered.half_width_px < MIN_HALF_WIDTH_PX:
+    if not profile.step > 0 or profile.gathered.half_width_px < THRESHOLDS.min_half_width_px:
         return EdgeRefusal(reason=NO_STEP, where=where)
     return PreparedEdge(
         used=used,
@@ -307,8 +304,8 @@ def _notes(used: FrameStack, profile: EdgeProfile, edge: line.EdgeLine, *, cut: 
 def _has_both_sides(picture: OrientedFrame, edge: line.EdgeLine) -> bool:
     """Tell whether a line leaves pixels enough on both sides of it: one found in noise may run outside."""
     distance = edge.across(picture.value.shape)
-    sides = (np.count_nonzero((side > 0) & (side < 2 * MIN_HALF_WIDTH_PX)) for side in (distance, -distance))
-    return bool(min(sides) >= MIN_PIXELS)
+    sides = (np.count_nonzero((side > 0) & (side < 2 * THRESHOLDS.min_half_width_px)) for side in (distance, -distance))
+    return bool(min(sides) >= THRESHOLDS.min_side_pixels)
 
 
 def edge_refusal(chi2: float, chi2_without: float, free: int) -> str | None:
@@ -319,12 +316,12 @@ def edge_refusal(chi2: float, chi2_without: float, free: int) -> str | None:
     """
     misfit = max(chi2 / free, 1.0)
     sd = np.sqrt(max((chi2_without - chi2) / misfit, 0.0))
-    if sd**2 < MIN_CHI2:
+    if sd**2 < THRESHOLDS.min_edge_chi2:
         return (
             f"no target: the best step in the region stands {sd:.1f} standard errors out of the noise, fewer than 9.5"
         )
     left = chi2 / chi2_without
-    if misfit > MAX_REDUCED_CHI2 and left > MAX_UNEXPLAINED:
+    if misfit > THRESHOLDS.no_edge_reduced_chi2 and left > THRESHOLDS.no_edge_fraction:
         return f"no target: the best step in the region leaves {100 * left:.0f} % of what varies across it unexplained"
     return None
 

@@ -13,6 +13,7 @@ from charact.mtf.edge.pixels.bins import BinnedPixels, bin_pixels, coarsen
 from charact.mtf.edge.pixels.fields import steepness
 from charact.mtf.edge.pixels.line import EdgeLine
 from charact.mtf.edge.pixels.noise_model import EdgeNoiseModel, bin_covariance, estimate_edge_noise
+from charact.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.mtf.mean_frame import OrientedFrame
 from charact.mtf.nonlinearity import usable_black_level
 from charact.robust import NORMAL, median
@@ -20,10 +21,6 @@ from charact.robust import NORMAL, median
 Array = NDArray[np.float64]
 
 DEFECT_SD = 8.0
-# A pixel off by less than this share of the step moves nothing, and bins of a steep edge leave as much over.
-MIN_DEFECT = 0.02
-# Share of the pixels beyond 5 standard deviations that are defects, not the tail of the noise, if any are.
-HEAVY_TAIL = 0.5
 
 
 def residual_of(picture: OrientedFrame, gathered: BinnedPixels) -> tuple[Array, Array]:
@@ -121,7 +118,7 @@ def find_defects(residual: Array, level: Array, used: NDArray[np.bool_], roundin
     dark, bright = (_robust_sd(size[side if side.any() else used], rounding_sd) for side in sides)
     sd = np.sqrt(dark**2 + np.clip(level, 0.0, 1.0) * (bright**2 - dark**2))
     far, near = size > DEFECT_SD * sd, np.count_nonzero(size > 5.0 * sd)
-    return far & (sd > 0) if np.count_nonzero(far) > HEAVY_TAIL * near else np.zeros_like(used)
+    return far & (sd > 0) if np.count_nonzero(far) > THRESHOLDS.defect_fraction * near else np.zeros_like(used)
 
 
 def _robust_sd(size: Array, rounding_sd: float) -> float:
@@ -131,8 +128,6 @@ def _robust_sd(size: Array, rounding_sd: float) -> float:
 
 # Share of the step in a pixel by which light slopes on either side: in a good set-up, a fair and a poor one.
 EVEN_PER_PX, SLIGHT_PER_PX, UNEVEN_PER_PX = 4e-5, 3e-4, 2e-3
-# Share of a slope by which the sides may depart from one light on both: stray light falls on them alike.
-APART = 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,7 +152,7 @@ class IlluminationGradient:
 
     def slopes_sd(self, slope_sd_per_px: float) -> Array:
         """Return the deviations of the priors of both ways from that of the bright side's slope, in its unit."""
-        apart = max(APART * slope_sd_per_px, EVEN_PER_PX) if self.together else slope_sd_per_px
+        apart = max(THRESHOLDS.gradient_asymmetry * slope_sd_per_px, EVEN_PER_PX) if self.together else slope_sd_per_px
         return np.array([slope_sd_per_px / self.ways[0, 0], apart])
 
     def by_side(self, amplitude: Array) -> Array:
@@ -175,7 +170,7 @@ def uneven_light(dark_dn: float, bright_dn: float, black_dn: float | None) -> Il
 
     Notes
     -----
-    A lamp's unevenness and a lens's shading multiply light: sides a and b over black slope by the same share of a and
+    Non-uniform lamps and lens shading multiply the light: sides a and b above black slope by the same fraction of a and
     of b.
     """
     if black_dn is None or not bright_dn > max(dark_dn, black_dn):
@@ -186,11 +181,7 @@ def uneven_light(dark_dn: float, bright_dn: float, black_dn: float | None) -> Il
     )
 
 
-PLATEAU_FROM_PX = 10.0
-SHADING_LENGTH_PX = 10.0
-MIN_SHADED_PX = 1.4 * SHADING_LENGTH_PX
-# Step over the noise of a pixel below which bins need not be narrow.
-NOISY = 8.0
+MIN_SHADED_PX = 1.4 * ACCURACY.shading_length_px
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -295,12 +286,12 @@ def profile_of(picture: OrientedFrame, line: EdgeLine, half_width_px: float, *, 
     residual, level = residual_of(picture, gathered)
     rounding_sd = 0.3 / np.sqrt(picture.frames) if picture.whole_codes else 0.0
     spread = abs(span(picture, gathered))
-    masked = find_defects(residual, level, gathered.used, max(rounding_sd, MIN_DEFECT * spread / DEFECT_SD))
+    masked = find_defects(residual, level, gathered.used, max(rounding_sd, THRESHOLDS.min_defect * spread / DEFECT_SD))
     defects = int(masked.sum())
     if defects:
         gathered = bin_pixels(picture, line, half_width_px, masked)
         residual, level = residual_of(picture, gathered)
-    if quickly and spread < NOISY * np.std(residual[gathered.used]):
+    if quickly and spread < THRESHOLDS.noisy_step_sd * np.std(residual[gathered.used]):
         gathered = coarsen(gathered)
     return _assemble(picture, line, gathered, residual, level, defects)
 
@@ -398,16 +389,16 @@ def _shading_covariance(place: Array, sd: float) -> Array | float:
     """Return the covariance of slow undulations at some places, shape (place, place); 0 where there are none."""
     if sd == 0:
         return 0.0
-    return sd**2 * np.exp(-0.5 * ((place[:, None] - place) / SHADING_LENGTH_PX) ** 2)
+    return sd**2 * np.exp(-0.5 * ((place[:, None] - place) / ACCURACY.shading_length_px) ** 2)
 
 
 def _shading_sd(profile: EdgeProfile, left_over: Array) -> float:
     """Return the standard deviation by which the plateaus undulate beyond the noise of wide bins.
 
-    In a plateau not much longer than an undulation all but a thousandth of it is bend, of which nothing is told.
+    A plateau not much longer than the correlation length is fitted by a parabola within a thousandth: no estimate.
     """
     excess, weight, scatter = 0.0, 0.0, 0.0
-    for side in (profile.distance < -PLATEAU_FROM_PX, profile.distance > PLATEAU_FROM_PX):
+    for side in (profile.distance < -ACCURACY.plateau_from_px, profile.distance > ACCURACY.plateau_from_px):
         place = profile.distance[side]
         if place.size < 12 or np.ptp(place) < MIN_SHADED_PX:
             continue

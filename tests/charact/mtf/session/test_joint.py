@@ -50,8 +50,8 @@ def target(rng, label, *, half=0.22, exponent=1.4, half_sd=0.003, exponent_sd=0.
 
 def bars(rng, *, half=0.22, sd=0.008) -> Result:
     return Result(measurements=tuple(
-        measurement_from_sd("mtf", "1", float(mtf(f, half)) + sd * rng.standard_normal(), sd, method="fake", stack=label,
-                frequency_cy_per_px=f, orientation_deg=3.0)
+        measurement_from_sd("mtf", "1", float(mtf(f, half)) + sd * rng.standard_normal(), sd, method="fake",
+                stack=label, frequency_cy_per_px=f, orientation_deg=3.0)
         for label, f in BARS.items()
     ))  # fmt: skip
 
@@ -192,7 +192,7 @@ def test_draws_are_those_of_the_posterior(seed: int) -> None:
     if posterior.names != tuple(form.parameters):
         pytest.skip("another form explains this session better")
     grid = np.stack(np.meshgrid(np.linspace(-1.75, -1.25, 300), np.linspace(1.0, 2.0, 300)), axis=-1).reshape(-1, 2)
-    density = JointLikelihood(form=form, told=sound).log_probability(grid)
+    density = JointLikelihood(form=form, constraints=sound).log_probability(grid)
     weight = np.exp(density - density.max())
     mean = weight @ grid / weight.sum()
     sd = np.sqrt(weight @ (grid - mean) ** 2 / weight.sum())
