@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from charact.method import Context, Method, choose
+from charact.method.registry import beyond_note
 from charact.method.stopwatch import with_timing
-from charact.method.tolerance import beyond_note
 from charact.mtf.mean_frame import Region
 from charact.mtf.target_detection import find_bar_groups, find_edges, find_pinholes
 from charact.mtf.thresholds import ACCURACY

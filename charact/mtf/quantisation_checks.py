@@ -127,7 +127,7 @@ def rounding_shifts(level_dn: Array, variance_dn2: Array) -> Array:
     part of x is unknown: the black level is placed at several equally likely offsets between two steps. The noise is
     the smallest that is consistent with the variance.
     """
-    from charact.noise.snr.rounding import EVEN_DN2
+    from charact.noise.rounding import EVEN_DN2
 
     least = np.interp(variance_dn2, *_least_noise())
     noise = np.where(variance_dn2 > EVEN_DN2, variance_dn2 - QUANTISATION_DN2, least)
@@ -144,7 +144,7 @@ def rounding_shifts(level_dn: Array, variance_dn2: Array) -> Array:
 @cache
 def _least_noise() -> tuple[Array, Array]:
     """Return variances after quantisation and the smallest variances before it, DN^2."""
-    from charact.noise.snr.rounding import EVEN_DN2, unrounded_variance_range
+    from charact.noise.rounding import EVEN_DN2, unrounded_variance_range
 
     rounded = np.linspace(0.0, EVEN_DN2, 91)
     return rounded, np.array([unrounded_variance_range(float(one))[0] for one in rounded])

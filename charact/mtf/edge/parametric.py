@@ -17,8 +17,7 @@ from charact.mtf.edge.fit.model_selection import (
     exceeds_model,
     fit_blur_models,
 )
-from charact.mtf.edge.nonlinearity import marginalise_nonlinearity
-from charact.mtf.edge.photon_transfer import edge_ln_bayes_factor_nonlinear
+from charact.mtf.edge.nonlinearity import edge_ln_bayes_factor_nonlinear, marginalise_nonlinearity
 from charact.mtf.edge.pixels.prepare_edge import EdgeRefusal, PreparedEdge, blur_refusal, edge_refusal, prepare_edge
 from charact.mtf.edge.pixels.profile import with_shading
 from charact.mtf.edge.result import EdgeFitOutput, edge_refusals, edge_result, window_normalisation_note

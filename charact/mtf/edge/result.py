@@ -11,16 +11,16 @@ import charact
 from charact.method import Context
 from charact.mtf.curve import FINE, PINNED, REPORTED, crossing_frequency, curve_of, flag_filter_uncertainty
 from charact.mtf.edge import checks as edge_checks
-from charact.mtf.edge.findings import Facts, sharpening_flags, with_findings
-from charact.mtf.edge.geometry import orientation_deg
+from charact.mtf.edge.checks import Facts, sharpening_flags, with_findings
 from charact.mtf.edge.nonlinearity import (
     NO_CURVATURE_ESTIMATE,
     CurvatureEstimate,
     contrast,
+    growth_of,
     notes_on_undetected_nonlinearity,
     response_flags,
 )
-from charact.mtf.edge.photon_transfer import growth_of
+from charact.mtf.edge.pixels.line import orientation_deg
 from charact.mtf.edge.pixels.prepare_edge import PreparedEdge
 from charact.mtf.edge.pixels.profile import EdgeProfile
 from charact.mtf.mean_frame import OrientedFrame, Region

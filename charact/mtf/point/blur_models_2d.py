@@ -11,8 +11,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.blur_models.diffraction import OBSCURATION, pupil
 from charact.mtf.blur_models.one_dimensional import BlurModel, ExtendedComponent
+from charact.mtf.blur_models.pupil_table import OBSCURATION, pupil
 from charact.mtf.point.forward_model import pinhole
 
 Array = NDArray[np.float64]

@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.mtf.blur_models.extended_component_tables import sine_integral
+from charact.mtf.blur_models.transfer import sine_integral
 from charact.mtf.known_transfer import halo_diameters_px
 from charact.mtf.point.thresholds import ACCURACY
 from charact.posterior.laplace import covariance_root
 from charact.video_filter import NODES_SD, VideoFilter, powers
-from labdata.parameter import Parameter
+from labdata.camera_description import Parameter
 
 Array = NDArray[np.float64]
 

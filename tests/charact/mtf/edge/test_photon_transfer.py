@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from charact.method import Context
-from charact.mtf.edge.photon_transfer import growth_of
+from charact.mtf.edge.nonlinearity import growth_of
 from charact.mtf.edge.pixels.prepare_edge import prepare_edge
 from charact.mtf.nonlinearity import (
     BENDING,
