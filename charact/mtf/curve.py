@@ -20,10 +20,10 @@ LEVELS = {"mtf50": 0.5, "mtf10": 0.1}
 
 def curve_of(frequency: Array, draws: Array) -> Curve:
     """Return median and pointwise credible intervals of drawn curves, shape (draw, frequency)."""
-    low95, low68, middle, high68, high95 = quantiles(draws, QUANTILES)
+    low95, low68, centre, high68, high95 = quantiles(draws, QUANTILES)
     return Curve(
         frequency_cy_per_px=frequency,
-        value=middle,
+        value=centre,
         interval68=np.stack([low68, high68]),
         interval95=np.stack([low95, high95]),
         draws=draws,
@@ -33,9 +33,9 @@ def curve_of(frequency: Array, draws: Array) -> Curve:
 def quantiles(draws: Array, shares: tuple[float, ...]) -> Array:
     """Return quantiles of draws (draw, ...), shape (quantile, ...); equal to `numpy.quantile`, with a single sort."""
     ordered = np.sort(np.ascontiguousarray(draws.T)).T
-    place = np.asarray(shares) * (len(draws) - 1)
-    low = np.minimum(place.astype(int), max(len(draws) - 2, 0))
-    rest = (place - low).reshape(-1, *[1] * (draws.ndim - 1))
+    position = np.asarray(shares) * (len(draws) - 1)
+    low = np.minimum(position.astype(int), max(len(draws) - 2, 0))
+    rest = (position - low).reshape(-1, *[1] * (draws.ndim - 1))
     return ordered[low] + rest * (ordered[np.minimum(low + 1, len(draws) - 1)] - ordered[low])
 
 
@@ -55,8 +55,8 @@ def crossing_frequency(frequency: Array, curves: Array, level: float) -> Array:
     index = np.where(found, first, 1)
     rows = np.arange(len(curves))
     high, low = curves[rows, index - 1], curves[rows, index]
-    share = (high - level) / np.where(high > low, high - low, 1.0)
-    crossing = frequency[index - 1] + share * (frequency[index] - frequency[index - 1])
+    fraction = (high - level) / np.where(high > low, high - low, 1.0)
+    crossing = frequency[index - 1] + fraction * (frequency[index] - frequency[index - 1])
     return np.where(found, crossing, np.nan)
 
 
@@ -88,11 +88,11 @@ def flag_filter_uncertainty(
     if doubt is None or found.value is None or found.interval68 is None or found.quantity not in (*LEVELS, "mtf"):
         return found
     frequency = found.value if found.frequency_cy_per_px is None else found.frequency_cy_per_px
-    share = float(doubt(np.array([frequency]))[0])
-    if share == 0.0:
+    fraction = float(doubt(np.array([frequency]))[0])
+    if fraction == 0.0:
         return found
     level = LEVELS.get(found.quantity)
-    moved = share * found.value if level is None else crossing(level * np.exp(-share)) - found.value
+    moved = fraction * found.value if level is None else crossing(level * np.exp(-fraction)) - found.value
     return found.with_(
         interval68=_widen(found.value, found.interval68, 0.994458 * moved),
         interval95=_widen(found.value, found.interval95, 1.959964 * moved),

@@ -18,6 +18,17 @@ from labdata.frames import FrameStack
 from labdata.measurement import Measurement, Result
 from labdata.session import Session
 
+# Default methods for a camera with a sensor description. Its stages are known within ranges, which the chart's cases,
+# of one blur each, do not represent: on edges of 38 simulated cameras MTF10 erred by 1.6 standard uncertainties (rms)
+# with parametric models alone and by 0.7 with model departures and a free video bandwidth.
+FOR_DESCRIBED_CAMERAS = {"edge": "edge-forward", "point": "point-forward"}
+# Fallback of `auto` where the data reject every blur model of the first method.
+WITHOUT_MODEL = {"edge-parametric": "edge-free"}
+NO_MODEL = "No blur model fits this edge; it was measured without one, with a wider interval."
+# Suffix of a curve's name that states its region.
+REGION_NAME = ":{},{},{},{}"
+NAMES = {"edge": "edges", "bars": "groups of bars", "point": "points"}
+
 
 def drop_duplicate_frames(stack: FrameStack) -> FrameStack:
     """Return a stack without frames identical to an earlier one, with a note of their number.
@@ -48,15 +59,6 @@ def _distinct_indices(stack: FrameStack) -> list[int]:
             before.append(number)
             first.append(number)
     return first
-
-
-# Default methods for a camera with a sensor description. Its stages are known within ranges, which the chart's cases,
-# of one blur each, do not represent: on edges of 38 simulated cameras MTF10 erred by 1.6 standard uncertainties (rms)
-# with parametric models alone and by 0.7 with model departures and a free video bandwidth.
-FOR_DESCRIBED_CAMERAS = {"edge": "edge-forward", "point": "point-forward"}
-# Fallback of `auto` where the data reject every blur model of the first method.
-WITHOUT_MODEL = {"edge-parametric": "edge-free"}
-NO_MODEL = "No blur model fits this edge; it was measured without one, with a wider interval."
 
 
 def measure(
@@ -184,11 +186,6 @@ def _require_valid_bars(bars: Any = None, frequency_cy_per_px: Any = None) -> No
         raise BadInput(f"the frequency of bars must lie in (0, 1] cycles per pixel, got {frequency_cy_per_px}")
 
 
-# Suffix of a curve's name that states its region.
-REGION_NAME = ":{},{},{},{}"
-NAMES = {"edge": "edges", "bars": "groups of bars", "point": "points"}
-
-
 @dataclass(frozen=True, kw_only=True)
 class LocatedTarget:
     """A located target: its region and the arguments for its method."""
@@ -233,18 +230,18 @@ def measure_all(
     """
     if at_most < 1:
         raise BadInput(f"at least 1 target must be measured, got at most {at_most}")
-    asked = {"method": method, "within_percent": within_percent, "context": context}
+    arguments = {"method": method, "within_percent": within_percent, "context": context}
     if kind == "bars" and target.get("frequency_cy_per_px") is not None:
-        return measure(kind, stack, **asked, **target)
+        return measure(kind, stack, **arguments, **target)
     found = targets(kind, stack, context, **target)
     if len(found) < (1 if kind == "bars" else 2):
-        return measure(kind, stack, **asked, **target)
+        return measure(kind, stack, **arguments, **target)
     best_first = found if kind == "bars" else spread_over_frame(found, stack.shape[1:], at_most)
     chosen = sorted(best_first[:at_most], key=lambda one: one.region[:2])
     results = []
     for done, one in enumerate(chosen):
         context.progress(f"{kind} in {one.region}", done / len(chosen))
-        results.append(measure(kind, stack, region=one.region, **asked, **{**target, **one.requested}))
+        results.append(measure(kind, stack, region=one.region, **arguments, **{**target, **one.requested}))
     together = _merge_results(results, chosen, len(found) - len(chosen), kind)
     if kind != "bars":
         return together
@@ -286,8 +283,8 @@ def spread_over_frame(found: list[LocatedTarget], shape: tuple[int, ...], at_mos
     turns = []
     for one in found:
         row, col, height, width = one.region
-        middle = (row + 0.5 * height) / shape[0], (col + 0.5 * width) / shape[1]
-        part = tuple(int(parts * share) for share in middle)
+        centre = (row + 0.5 * height) / shape[0], (col + 0.5 * width) / shape[1]
+        part = tuple(int(parts * fraction) for fraction in centre)
         turns.append(taken[part])
         taken[part] += 1
     return [found[index] for index in np.argsort(turns, kind="stable")]

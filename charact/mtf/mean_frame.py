@@ -9,6 +9,8 @@ from labdata.frames import FrameStack
 
 Array = NDArray[np.float64]
 
+Region = tuple[int, int, int, int]
+
 
 @dataclass(frozen=True, kw_only=True)
 class OrientedFrame:
@@ -91,6 +93,3 @@ def mean_oriented_frame(stack: FrameStack, pitch_ratio: float, *, interlaced: bo
         pitch_ratio=pitch_ratio,
         interlaced=interlaced,
     )
-
-
-Region = tuple[int, int, int, int]

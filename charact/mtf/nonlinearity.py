@@ -18,6 +18,12 @@ Array = NDArray[np.float64]
 CURVED, CURVED_SD = 0.25, 0.65
 
 
+# Prior probability that noise is read-out noise, and the standard deviation of 1 - 1/g for exponents g.
+READ_OUT, BENDING = 0.5, 0.4
+# Limit of the noise's ln Bayes factor: frames may have been processed.
+MAX_LN_BAYES_FACTOR = np.log(10.0)
+
+
 def usable_black_level(black_dn: float | None, dark_dn: float, bright_dn: float) -> float | None:
     """Return the black level, DN; None if it is unknown or lies well above the dark side."""
     if black_dn is None or black_dn > dark_dn + LIMITS.max_below_black * (bright_dn - dark_dn):
@@ -69,18 +75,12 @@ def curvatures(
     """
     found, error, prior_sd = response[0], max(response[1], 1e-9), CURVED_SD * contrast
     apart = np.hypot(error, prior_sd)
-    share = CURVED if curved is None else curved
-    ln_odds = np.log(share / (1.0 - share) * error / apart) + 0.5 * ((found / error) ** 2 - (found / apart) ** 2)
+    fraction = CURVED if curved is None else curved
+    ln_odds = np.log(fraction / (1.0 - fraction) * error / apart) + 0.5 * ((found / error) ** 2 - (found / apart) ** 2)
     ln_odds += noise_ln_odds
     bends = rng.random(count) < 1.0 / (1.0 + np.exp(-np.clip(ln_odds, -50.0, 50.0)))
     drawn = found * (prior_sd / apart) ** 2 + error * prior_sd / apart * rng.standard_normal(count)
     return np.where(bends, drawn, 0.0)
-
-
-# Prior probability that noise is read-out noise, and the standard deviation of 1 - 1/g for exponents g.
-READ_OUT, BENDING = 0.5, 0.4
-# Limit of the noise's ln Bayes factor: frames may have been processed.
-MAX_LN_BAYES_FACTOR = np.log(10.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,7 +94,7 @@ class PlateauNoiseRatio:
         dimensionless.
     photon_ratio
         Ratio of the signals, which photon noise has under a linear response; None: the black level is unknown.
-    is_covariance
+    of_light
         Whether the ratio is that of covariances. Light pulses correlate neighbours, read-out noise does not.
     """
 

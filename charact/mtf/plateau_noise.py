@@ -187,10 +187,10 @@ def noise_on_slopes(frames: Array, level: Array, steep: Array, sides: NDArray[np
     slope = np.sum(square * on_slope, axis=1) - moved.sum(axis=0) / free
     usable = count >= LIMITS.min_slope_pixels
     # The displacement of a row takes one degree of freedom.
-    share = (count - 1) / np.maximum(count, 1)
-    bright = np.where(on_slope, np.clip(level, 0.0, 1.0), 0.0).sum(axis=1) * share
+    fraction = (count - 1) / np.maximum(count, 1)
+    bright = np.where(on_slope, np.clip(level, 0.0, 1.0), 0.0).sum(axis=1) * fraction
     # Per row: variance on the slope, and the equivalent number of pixels at the dark and the bright level.
-    slope, bright, dark = ((usable * one) for one in (slope, bright, count * share - bright))
+    slope, bright, dark = ((usable * one) for one in (slope, bright, count * fraction - bright))
     plateaus = [(np.sum(square * (sides == one), axis=1), np.count_nonzero(sides == one, axis=1)) for one in (1, 2)]
     parts = [slope, dark, bright, *(part for plateau in plateaus for part in plateau)]
     return _noise_ratio(np.stack([np.asarray(part, np.float64) for part in parts]))

@@ -9,6 +9,9 @@ from charact.mtf.thresholds import ACCURACY, LIMITS
 
 Array = NDArray[np.float64]
 
+# Variance that quantisation adds where noise spreads over several steps, DN^2.
+QUANTISATION_DN2 = 1.0 / 12.0
+
 
 def clipping_flags(data: NDArray, full_scale_dn: float | None) -> tuple[str, ...]:
     """Return `clipped` where pixels pile up at an end of the scale.
@@ -33,19 +36,19 @@ def clipping_flags(data: NDArray, full_scale_dn: float | None) -> tuple[str, ...
     values, counts = _histogram(data)
     if values.size < 3:
         return ("clipped",) if data.size > 64 else ()
-    share = counts / data.size
-    clipped = full_scale_dn is not None and bool(values[-1] >= full_scale_dn and share[-1] > LIMITS.pile_up_fraction)
+    fraction = counts / data.size
+    clipped = full_scale_dn is not None and bool(values[-1] >= full_scale_dn and fraction[-1] > LIMITS.pile_up_fraction)
     noise, step = _noise_below(data, 0.5 * (float(values[0]) + float(values[-1]))), float(np.diff(values).min())
     noisy = noise > LIMITS.min_relative_noise * float(values[-1] - values[0]) and values.size > 12
-    top = share[-1] > 2 * LIMITS.pile_up_fraction and counts[-1] > LIMITS.pile_up_ratio * counts[-2]
-    bottom = share[0] > 2 * LIMITS.pile_up_fraction and counts[0] > LIMITS.pile_up_ratio * counts[1]
+    top = fraction[-1] > 2 * LIMITS.pile_up_fraction and counts[-1] > LIMITS.pile_up_ratio * counts[-2]
+    bottom = fraction[0] > 2 * LIMITS.pile_up_fraction and counts[0] > LIMITS.pile_up_ratio * counts[1]
     brighter = np.count_nonzero(data > 0.5 * (float(values[0]) + float(values[-1])))
     clipped |= bool(top and noisy and noise >= step and counts[-1] > LIMITS.plateau_fraction * brighter)
     # Black clips at zero or at the floor of the video range; a quiet plateau above either is not clipped.
     clipped |= bool(
         bottom and values[0] in ACCURACY.video_floors_dn and values.size > 12 and _shows_noise(data, values)
     )
-    clipped |= bool(top and not bottom and noisy and share[-2] > 1e-4)
+    clipped |= bool(top and not bottom and noisy and fraction[-2] > 1e-4)
     clipped = clipped or any(_cuts_noise(data, values, counts, end=end) for end in (0, -1))
     return ("clipped",) if clipped else ()
 
@@ -105,10 +108,6 @@ def _histogram(data: NDArray) -> tuple[NDArray, NDArray]:
         values = np.flatnonzero(counts)
         return values, counts[values]
     return np.unique(data, return_counts=True)
-
-
-# Variance that quantisation adds where noise spreads over several steps, DN^2.
-QUANTISATION_DN2 = 1.0 / 12.0
 
 
 def rounding_shifts(level_dn: Array, variance_dn2: Array) -> Array:

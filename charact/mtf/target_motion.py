@@ -70,8 +70,8 @@ def measure_line_motion(
     mean, where = values.mean(axis=0), line[used]
     template, rise = _profile(mean, across[used])
     weight, holds = _weights(np.stack([rise, template - template.mean(), np.ones_like(rise)]), where)
-    places = np.stack([np.bincount(where, weight * (one - mean), minlength=holds.size) for one in values])
-    return measure_target_motion(np.asarray(places[:, holds], np.float64))
+    positions = np.stack([np.bincount(where, weight * (one - mean), minlength=holds.size) for one in values])
+    return measure_target_motion(np.asarray(positions[:, holds], np.float64))
 
 
 def _profile(value: Array, across: Array) -> tuple[Array, Array]:
@@ -82,9 +82,9 @@ def _profile(value: Array, across: Array) -> tuple[Array, Array]:
     blur = ACCURACY.profile_smoothing_px * ACCURACY.profile_cells_per_px
     sums, counts = (gaussian_filter1d(np.bincount(cell, one), blur) for one in (value, np.ones_like(value)))
     profile = sums / np.maximum(counts, 1e-12)
-    place = across.min() + (np.arange(profile.size) + 0.5) / ACCURACY.profile_cells_per_px
+    position = across.min() + (np.arange(profile.size) + 0.5) / ACCURACY.profile_cells_per_px
     slope = np.gradient(profile) * ACCURACY.profile_cells_per_px if profile.size > 1 else np.zeros(1)
-    return np.interp(across, place, profile), np.interp(across, place, slope)
+    return np.interp(across, position, profile), np.interp(across, position, slope)
 
 
 def _weights(shapes: Array, line: NDArray[np.int64]) -> tuple[Array, NDArray[np.bool_]]:

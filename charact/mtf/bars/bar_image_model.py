@@ -14,6 +14,23 @@ from charact.mtf.blur_models import transfer as forms
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+NAMES = (
+    "log_attenuation", "form_one", "form_two", "departure", "log_frequency", "log_length", "across_px",
+    "along_px", "angle_rad", "level_dn", "pedestal_dn", "slope_across", "slope_along",
+)  # fmt: skip
+ALONG = ("log_length", "along_px")
+# Prior standard deviations: frequency (STANAG 4349: 5 %) and length, relative.
+FREQUENCY_SD, LENGTH_SD = 0.02, 0.35
+# Prior standard deviation of the model departure: relative to the transfer, and absolute.
+DEPARTURE_SD, DEPARTURE_FLOOR = 0.015, 0.002
+BOUNDS = {
+    "log_attenuation": (-9.0, 2.3),
+    "departure": (-0.9, 5.0),
+    # Far beyond any target: bounds the size of the image when other objects are fitted.
+    "log_frequency": (float(np.log(1e-3)), 0.0),
+    "log_length": (0.0, float(np.log(4e3))),
+}
+
 
 @dataclass(frozen=True, kw_only=True)
 class BarShape:
@@ -94,9 +111,9 @@ class Table:
         j = np.clip(np.searchsorted(self.along_px, far, side="right") - 1, 0, rows - 2)
         gap = (self.along_px[1:] - self.along_px[:-1])[j]
         y = (far - self.along_px[j]) / gap
-        place = j * cols + i
+        position = j * cols + i
         flat = self.values.reshape(len(self.values), -1)
-        a, b, c, d = (np.take(flat, place + shift, axis=1) for shift in (0, 1, cols, cols + 1))
+        a, b, c, d = (np.take(flat, position + shift, axis=1) for shift in (0, 1, cols, cols + 1))
         low, high = a + x * (b - a), c + x * (d - c)
         across_slope = (b - a)[:1] + y * ((d - c)[:1] - (b - a)[:1])
         return np.concatenate(
@@ -162,8 +179,8 @@ def _along(length_px: float, nodes: Array) -> tuple[Array, Array, Array]:
 def _comb(shape: BarShape, u: Array) -> tuple[Array, Array]:
     """Return the spectrum of the bars across them, px, and its derivative by ln(frequency)."""
     width = 0.5 / shape.frequency
-    places = (np.arange(shape.bars) - (shape.bars - 1) / 2.0)[:, None] / shape.frequency
-    turn = 2.0 * np.pi * places * u
+    positions = (np.arange(shape.bars) - (shape.bars - 1) / 2.0)[:, None] / shape.frequency
+    turn = 2.0 * np.pi * positions * u
     bar, repeats = width * np.sinc(width * u), np.cos(turn).sum(axis=0)
     return bar * repeats, bar * (turn * np.sin(turn)).sum(axis=0) - width * np.cos(np.pi * width * u) * repeats
 
@@ -189,24 +206,6 @@ def _pixel(angle_rad: float, across: int, step: float, along: int, highest: floa
         np.sinc(u * cosine - sense * v * sine) * np.sinc(u * sine + sense * v * cosine) for sense in (1.0, -1.0)
     )
     return 0.5 * (one + other)
-
-
-NAMES = (
-    "log_attenuation", "form_one", "form_two", "departure", "log_frequency", "log_length", "across_px",
-    "along_px", "angle_rad", "level_dn", "pedestal_dn", "slope_across", "slope_along",
-)  # fmt: skip
-ALONG = ("log_length", "along_px")
-# Prior standard deviations: frequency (STANAG 4349: 5 %) and length, relative.
-FREQUENCY_SD, LENGTH_SD = 0.02, 0.35
-# Prior standard deviation of the model departure: relative to the transfer, and absolute.
-DEPARTURE_SD, DEPARTURE_FLOOR = 0.015, 0.002
-BOUNDS = {
-    "log_attenuation": (-9.0, 2.3),
-    "departure": (-0.9, 5.0),
-    # Far beyond any target: bounds the size of the image when other objects are fitted.
-    "log_frequency": (float(np.log(1e-3)), 0.0),
-    "log_length": (0.0, float(np.log(4e3))),
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -248,7 +247,7 @@ def priors(problem: BarLikelihood, mtf: float) -> tuple[Array, Array]:
 def initial_parameters(problem: BarLikelihood, target: BarTarget) -> dict[str, float]:
     """Return starting values for a detected target."""
     pixels = problem.image[problem.window]
-    ground, far = np.quantile(pixels, [0.1, 0.95] if target.sign > 0 else [0.9, 0.05])
+    background, far = np.quantile(pixels, [0.1, 0.95] if target.sign > 0 else [0.9, 0.05])
     return {
         "log_attenuation": float(np.log(-np.log(ACCURACY.start_transfer))),
         "form_one": problem.form.start[0],
@@ -259,8 +258,8 @@ def initial_parameters(problem: BarLikelihood, target: BarTarget) -> dict[str, f
         "across_px": 0.0,
         "along_px": 0.0,
         "angle_rad": target.angle_rad,
-        "level_dn": 1.3 * float(far - ground),
-        "pedestal_dn": float(ground),
+        "level_dn": 1.3 * float(far - background),
+        "pedestal_dn": float(background),
         "slope_across": 0.0,
         "slope_along": 0.0,
     }
@@ -304,7 +303,7 @@ class BarImageModel:
         level = theta["level_dn"]
         slopes = level * found[7], level * found[8]
         scale = (2.0 * self.reach[0], 2.0 * self.reach[1])
-        picture = (
+        image = (
             theta["pedestal_dn"]
             + level * found[0]
             + theta["slope_across"] * across / scale[0]
@@ -320,4 +319,4 @@ class BarImageModel:
             "slope_across": across / scale[0],
             "slope_along": along / scale[1],
         }
-        return picture, np.stack([derivative[name] for name in self.problem.names])
+        return image, np.stack([derivative[name] for name in self.problem.names])

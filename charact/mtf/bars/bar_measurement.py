@@ -226,12 +226,12 @@ def _average_models(
     If the tube model is first, the scatter of the other models is a systematic uncertainty; otherwise the draws are
     mixed in proportion to the weights.
     """
-    (share, fit, _), others = forms[0], forms[1:]
+    (fraction, fit, _), others = forms[0], forms[1:]
     if fit.shape.form is TUBE:
         doubt = float(np.sqrt(sum(part * (one.shape.mtf - fit.shape.mtf) ** 2 for part, one, _ in others)))
         return drawn + doubt * np.random.default_rng([context.seed, 43]).standard_normal(drawn.size)
     quick = replace(context, quick=True)
-    parts = [(share, drawn)]
+    parts = [(fraction, drawn)]
     parts += [(part, mtf_of(sample_fit(one, its, quick, bias), one, quick)) for part, one, its in others]
     taken = [np.linspace(0, own.size - 1, round(part * drawn.size)).astype(np.intp) for part, own in parts]
     return np.concatenate([own[which] for (_, own), which in zip(parts, taken, strict=True)])
@@ -249,19 +249,19 @@ def _measure_complete_target(
             reason="no target: the region must include background beyond the bars (pedestal not measurable); "
             "enlarge --roi"
         )
-    ground = target_background(mean, target, margin)
-    memory = None if context.sensor is None else image_lag_model(context, len(used.data))
-    amplitudes = amplitudes_of(used.data, target, window, ground.beyond, memory)
+    background = target_background(mean, target, margin)
+    image_lag = None if context.sensor is None else image_lag_model(context, len(used.data))
+    amplitudes = amplitudes_of(used.data, target, window, background.beyond, image_lag)
     reported = target.frequency
     if amplitudes.signal_to_noise > LIMITS.min_frequency_signal_sd:
         target = replace(target, frequency=measure_frequency(mean, target, margin))
         # The measured frequency is uncertain too: if it equals the stated one, the MTF is reported at that.
         near = asked.frequency is not None and abs(target.frequency / reported - 1.0) < LIMITS.frequency_tolerance
         reported = reported if near else target.frequency
-        amplitudes = amplitudes_of(used.data, target, window, ground.beyond, memory)
+        amplitudes = amplitudes_of(used.data, target, window, background.beyond, image_lag)
     if context.sensor is not None:
         box = target.box(mean.shape, core_margin_px(wanted.frequency))
-        core = amplitudes_of(used.data, target, box, ground.beyond, memory)
+        core = amplitudes_of(used.data, target, box, background.beyond, image_lag)
         if core.signal_to_noise < LIMITS.min_signal_sd:
             return _refuse_faint(core.signal_to_noise)
     if (
@@ -273,9 +273,9 @@ def _measure_complete_target(
     why = not_identifiable(wanted, wanted.length_px) or not_identifiable(target, target.length_px)
     if why is not None:
         return BarRefusal(reason=why, flag="aliased")
-    second = second_harmonic(mean, target, window, float(mean[ground.beyond].mean()), amplitudes)
+    second = second_harmonic(mean, target, window, float(mean[background.beyond].mean()), amplitudes)
     given = findings_of_sums(target, amplitudes, second)
-    given += crowding_findings(ground.crowded)
+    given += crowding_findings(background.crowded)
     given += margin_findings(margin, LIMITS.min_margin_px if cut else 0.0)
     if context.sensor is not None:
         box = target.box(used.shape[1:], 1.0)
@@ -291,7 +291,7 @@ def _measure_complete_target(
         )
     inflation = amplitudes.frame_correlation
     return _measure_by_fit(
-        used, mean, target, ground.beyond | window, context, asked, (reported, given, margin, inflation)
+        used, mean, target, background.beyond | window, context, asked, (reported, given, margin, inflation)
     )
 
 

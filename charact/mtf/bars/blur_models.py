@@ -54,10 +54,10 @@ class BarBlurModel:
         Interpolated in a radial table: the transfer is rotationally symmetric.
         """
         table = self._table(PLACES, attenuation, one, two)
-        place = np.clip((ln_ratio - PLACES[0]) / (PLACES[1] - PLACES[0]), 0.0, PLACES.size - 1.001)
-        left = place.astype(np.intp)
-        share = place - left
-        return np.stack([row[left] + share * (row[left + 1] - row[left]) for row in table])
+        position = np.clip((ln_ratio - PLACES[0]) / (PLACES[1] - PLACES[0]), 0.0, PLACES.size - 1.001)
+        left = position.astype(np.intp)
+        fraction = position - left
+        return np.stack([row[left] + fraction * (row[left + 1] - row[left]) for row in table])
 
     def _table(self, places: Array, attenuation: float, one: float, two: float) -> Array:
         """Return ln transfer and its derivatives at ln(r/f), shape (4, point)."""

@@ -21,6 +21,16 @@ from labdata.frames import FrameStack
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+REGION = "--roi around this group only, with one period of background on every side"
+POSTERIOR_FINDINGS = {
+    "not-converged": ("interval from the curvature at the optimum; it may be a third too narrow", "another --seed"),
+    "several-modes": ("the posterior has two modes, separated by the width of the interval", "--bars and --frequency"),
+    "model-misfit": (
+        "the full posterior differs from the fit by more than two standard deviations: MTF error up to that",
+        "--sensor, to include its halo; or --quick, for the fit only",
+    ),
+}
+
 
 def sharpening(fit: BarFit) -> float:
     """Return the fraction of a blurred copy of the bars that is missing, 0 where not significant."""
@@ -47,17 +57,6 @@ def _blur_bars(fit: BarFit, width_px: float) -> Array:
     light = np.zeros(fit.window.shape)
     light[fit.window] = fit.model_dn - fit["pedestal_dn"]
     return gaussian_filter(light, width_px, mode="nearest")[fit.window]
-
-
-REGION = "--roi around this group only, with one period of background on every side"
-POSTERIOR_FINDINGS = {
-    "not-converged": ("interval from the curvature at the optimum; it may be a third too narrow", "another --seed"),
-    "several-modes": ("the posterior has two modes, separated by the width of the interval", "--bars and --frequency"),
-    "model-misfit": (
-        "the full posterior differs from the fit by more than two standard deviations: MTF error up to that",
-        "--sensor, to include its halo; or --quick, for the fit only",
-    ),
-}
 
 
 def misfit_finding(effect: str, remedy: str = REGION) -> Finding:
@@ -236,12 +235,12 @@ def _profile_residual_rms(fit: BarFit) -> float:
     """
     across, _ = fit.target.coordinates((fit.window.shape[0], fit.window.shape[1]))
     near = np.abs(across[fit.window]) < fit.target.width_px / 2.0 + 1.0 / fit.target.frequency
-    place = np.floor(across[fit.window][near]).astype(np.intp)
-    place = place - place.min()
-    count = np.bincount(place)
+    position = np.floor(across[fit.window][near]).astype(np.intp)
+    position = position - position.min()
+    count = np.bincount(position)
     shared = float(np.abs(fit.noise.correlation).sum()) * fit.noise.inflation
-    mean = np.bincount(place, fit.residual_dn[near])[count > 0] / count[count > 0]
-    expected = np.bincount(place, fit.noise.variance[near])[count > 0] * shared / count[count > 0] ** 2
+    mean = np.bincount(position, fit.residual_dn[near])[count > 0] / count[count > 0]
+    expected = np.bincount(position, fit.noise.variance[near])[count > 0] * shared / count[count > 0] ** 2
     noise = LIMITS.significant_sd * np.sqrt(2.0 * float(np.sum(expected**2))) / mean.size
     square = float(np.mean(mean**2 - expected))
     return float(np.sqrt(square)) if square > (LIMITS.max_misfit * fit["level_dn"]) ** 2 + noise else 0.0
@@ -285,36 +284,36 @@ def not_identifiable(target: BarTarget, length_px: float) -> str | None:
 
 def likelier_bar_count(fit: BarFit, problem: BarLikelihood) -> int | None:
     """Return the number of bars, one fewer or one more, that fits the pixels better; None if none does."""
-    asked = fit.cost
+    cost = fit.cost
     begun = {n: _chi2_of_count(fit, problem, n) for n in (fit.target.bars - 1, fit.target.bars + 1) if n > 1}
     left = {
         n: _fit_count(fit, problem, n, shift_px).cost
         for n, (least, shift_px) in begun.items()
-        if least < LIMITS.max_count_chi2_ratio * asked
+        if least < LIMITS.max_count_chi2_ratio * cost
     }
     if not left:
         return None
     best = min(left, key=left.__getitem__)
-    shared = fit.noise.tied
+    shared = fit.noise.correlation_sum
     # A wrong number leaves residuals that resemble correlated noise; no other number then saves a third of them.
     return (
         best
-        if asked - left[best] > min(LIMITS.min_count_chi2_gain * shared, LIMITS.min_count_chi2_fraction * asked)
+        if cost - left[best] > min(LIMITS.min_count_chi2_gain * shared, LIMITS.min_count_chi2_fraction * cost)
         else None
     )
 
 
 def _chi2_of_count(fit: BarFit, problem: BarLikelihood, bars: int) -> tuple[float, float]:
     """Return the smallest chi squared of another number of bars at the fitted transfer, and their shift, px."""
-    picture = BarImageModel(problem, fit.target)
-    across, along = picture.places(fit["angle_rad"], 0.0, 0.0)
-    reach = picture.reach[0] + max(ACCURACY.count_shifts_periods) / fit.target.frequency, picture.reach[1]
+    image = BarImageModel(problem, fit.target)
+    across, along = image.places(fit["angle_rad"], 0.0, 0.0)
+    reach = image.reach[0] + max(ACCURACY.count_shifts_periods) / fit.target.frequency, image.reach[1]
     table = table_of(replace(fit.shape, bars=bars), *reach)
     weight = 1.0 / np.sqrt(problem.variance)
-    ground = np.stack([np.ones_like(across), across / reach[0], along / reach[1]]) * weight
+    background = np.stack([np.ones_like(across), across / reach[0], along / reach[1]]) * weight
     data, left = problem.image[problem.window] * weight, {}
     for shift_px in np.array(ACCURACY.count_shifts_periods) / fit.target.frequency:
-        design = np.concatenate([(table.at(across - shift_px, along)[0] * weight)[None], ground])
+        design = np.concatenate([(table.at(across - shift_px, along)[0] * weight)[None], background])
         amplitude = np.linalg.lstsq(design @ design.T, design @ data, rcond=1e-12)[0]
         left[float(shift_px)] = float(np.sum((data - amplitude @ design) ** 2))
     best = min(left, key=left.__getitem__)

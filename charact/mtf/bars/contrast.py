@@ -171,9 +171,9 @@ def _modulation(mean: Array, seen: LocatedBars) -> tuple[float, float] | None:
     reach = target.width_px / 2.0 + min(12.0, 1.5 / frequency)
     if not through:
         reach = target.width_px / 2.0 + fitting_margin(target, (mean.shape[0], mean.shape[1]), 1.5 / frequency)[0]
-    ground = inner & (np.abs(across) > reach - 1.0)
+    background = inner & (np.abs(across) > reach - 1.0)
     patch = inner & (np.abs(across) < reach)
-    fundamental = np.sum((mean[patch] - mean[ground].mean()) * np.exp(-2j * np.pi * frequency * across[patch]))
+    fundamental = np.sum((mean[patch] - mean[background].mean()) * np.exp(-2j * np.pi * frequency * across[patch]))
     ahead = float(np.angle(fundamental * np.exp(1j * np.pi * (bars - 1)))) / (2.0 * np.pi)
     phase = (across * frequency + ahead + (bars - 1) / 2.0) % 1.0
     near = np.minimum(phase, 1.0 - phase)
@@ -182,9 +182,9 @@ def _modulation(mean: Array, seen: LocatedBars) -> tuple[float, float] | None:
         mean[within & (near < ACCURACY.extremum_periods)],
         mean[within & (near > 0.5 - ACCURACY.extremum_periods)],
     )
-    if min(on.size, between.size) < 3 or np.count_nonzero(ground) < 3:
+    if min(on.size, between.size) < 3 or np.count_nonzero(background) < 3:
         return None
-    pedestal = float(mean[ground].mean())
+    pedestal = float(mean[background].mean())
     light = float((mean[patch] - pedestal).mean()) * 2.0 * reach
     step = light / (bars * 0.5 / frequency)
     if not step > 0:

@@ -19,6 +19,10 @@ TILTS_DEG = np.arange(-12.0, 12.1, 1.0)
 TYPICAL = {"log_attenuation": -0.4, "form": TUBE, "form_one": TUBE.start[0], "form_two": 0.0, "departure": 0.0}
 
 
+# Trial frequencies over that of the spectral peak.
+FREQUENCIES = np.linspace(0.92, 1.08, 9)
+
+
 def spans_region(image: Array, *, bars: int, frequency: float) -> bool:
     """Return whether a patch of light as wide as the bars meets two opposite borders of a region."""
     from scipy.ndimage import uniform_filter1d
@@ -26,8 +30,8 @@ def spans_region(image: Array, *, bars: int, frequency: float) -> bool:
     for picture in (image, image.T):
         depth = max(picture.shape[0] // ACCURACY.end_divisor, 2)
         width = int(min(bars / frequency, 0.6 * picture.shape[1])) or 1
-        middle = (picture.shape[0] - depth) // 2
-        bands = [picture[top : top + depth].mean(axis=0) for top in (0, middle, picture.shape[0] - depth)]
+        centre = (picture.shape[0] - depth) // 2
+        bands = [picture[top : top + depth].mean(axis=0) for top in (0, centre, picture.shape[0] - depth)]
         height = [float(np.ptp(uniform_filter1d(band, width))) for band in bands]
         if min(height[0], height[2]) > LIMITS.min_end_light * height[1]:
             return True
@@ -46,8 +50,8 @@ def strip_of(image: Array, *, bars: int, frequency: float, pitch_ratio: float) -
     -----
     The mean profile along each trial direction is correlated with that of the bars under a typical blur.
     """
-    middle = ((image.shape[0] - 1) / 2.0, (image.shape[1] - 1) / 2.0)
-    blank = replace(blank_target(bars, frequency, pitch_ratio), row=middle[0], col=middle[1])
+    centre = ((image.shape[0] - 1) / 2.0, (image.shape[1] - 1) / 2.0)
+    blank = replace(blank_target(bars, frequency, pitch_ratio), row=centre[0], col=centre[1])
     template = _template(blank)
     found = [
         _best(image, replace(blank, angle_rad=float(np.deg2rad(axis + tilt))), template)
@@ -55,18 +59,18 @@ def strip_of(image: Array, *, bars: int, frequency: float, pitch_ratio: float) -
         for tilt in TILTS_DEG
         if image.shape[int(axis == 0.0)] * (1.0 if axis == 0.0 else pitch_ratio) > blank.width_px
     ]
-    likeness, target = max(found, key=lambda one: one[0], default=(0.0, None))
-    return target if likeness > LIMITS.min_strip_match_sd else None
+    match, target = max(found, key=lambda one: one[0], default=(0.0, None))
+    return target if match > LIMITS.min_strip_match_sd else None
 
 
 def _best(image: Array, target: BarTarget, template: Array) -> tuple[float, BarTarget]:
     """Return the match of the profile along one direction in standard uncertainties, and the target there."""
     across, _ = target.coordinates((image.shape[0], image.shape[1]))
     first = float(np.floor(across.min()))
-    place = ((across - first) / ACCURACY.profile_bin_px).astype(np.intp).ravel()
-    count = np.bincount(place)
+    position = ((across - first) / ACCURACY.profile_bin_px).astype(np.intp).ravel()
+    count = np.bincount(position)
     values = (image - np.median(image)).ravel()
-    profile = np.bincount(place, values)
+    profile = np.bincount(position, values)
     filled = count > 0
     mean = profile[filled].sum() / count.sum()
     profile = np.where(filled, profile - mean * count, 0.0)
@@ -101,13 +105,9 @@ def _template(target: BarTarget) -> Array:
         bars=target.bars, frequency=target.frequency, length_px=np.inf, reference=target.frequency, angle_rad=0.0,
         **TYPICAL,
     )  # fmt: skip
-    places = (np.arange(int(2 * half / ACCURACY.profile_bin_px)) + 0.5) * ACCURACY.profile_bin_px
-    places = places - places.mean()
-    return table_of(shape, half, 1.0).at(places, places)[0]
-
-
-# Trial frequencies over that of the spectral peak.
-FREQUENCIES = np.linspace(0.92, 1.08, 9)
+    positions = (np.arange(int(2 * half / ACCURACY.profile_bin_px)) + 0.5) * ACCURACY.profile_bin_px
+    positions = positions - positions.mean()
+    return table_of(shape, half, 1.0).at(positions, positions)[0]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,8 +173,8 @@ def _waves(image: Array, frequency: float | None, pitch_ratio: float) -> Iterato
     height[size[0] // 2 + 1 :, 0] = 0.0
     top = (height == maximum_filter(height, 5)) & (height > 0.0)
     rows, cols = np.nonzero(top)
-    for place in np.argsort(-height[rows, cols])[: ACCURACY.spectral_peaks]:
-        row, col = int(rows[place]), int(cols[place])
+    for position in np.argsort(-height[rows, cols])[: ACCURACY.spectral_peaks]:
+        row, col = int(rows[position]), int(cols[position])
         down = (row + _vertex(height[:, col], row) + size[0] / 2) % size[0] - size[0] / 2
         right = col + _vertex(height[row], col)
         wave = np.array([right / size[1], down / size[0] / pitch_ratio])
@@ -215,39 +215,39 @@ def _runs_through(patch: Mask, angle_rad: float) -> bool:
 def _count_bars(image: Array, patch: Mask, wave: BarTarget, bars: int | None) -> tuple[float, BarTarget] | None:
     """Return the fraction of a patch's profile explained by N blurred bars, and the best target."""
     across, along = wave.coordinates((image.shape[0], image.shape[1]))
-    middle = 0.5 * (across[patch].min() + across[patch].max()), 0.5 * (along[patch].min() + along[patch].max())
+    centre = 0.5 * (across[patch].min() + across[patch].max()), 0.5 * (along[patch].min() + along[patch].max())
     width, length = np.ptp(across[patch]), np.ptp(along[patch])
-    near = (np.abs(across - middle[0]) < 0.5 * width + ACCURACY.profile_margin_periods / wave.frequency) & (
-        np.abs(along - middle[1]) < max(ACCURACY.profile_inner_length * length, 1.0)
+    near = (np.abs(across - centre[0]) < 0.5 * width + ACCURACY.profile_margin_periods / wave.frequency) & (
+        np.abs(along - centre[1]) < max(ACCURACY.profile_inner_length * length, 1.0)
     )
     step = max(1.0 / (ACCURACY.profile_points_per_period * wave.frequency), 0.5)
     index = np.floor((across[near] - across[near].min()) / step).astype(np.intp)
     count = np.bincount(index)
     filled = count > 0
-    place = (np.bincount(index, across[near])[filled] / count[filled] - middle[0]) * wave.frequency
+    position = (np.bincount(index, across[near])[filled] / count[filled] - centre[0]) * wave.frequency
     value = np.bincount(index, image[near])[filled] / count[filled]
     guess = round(width * wave.frequency)
     numbers = (
         [bars] if bars else [n for n in range(guess - ACCURACY.count_range, guess + ACCURACY.count_range + 1) if n > 1]
     )
-    if place.size < 8 or not numbers or numbers[0] > LIMITS.max_bars:
+    if position.size < 8 or not numbers or numbers[0] > LIMITS.max_bars:
         return None
-    inside = np.abs(place) < 0.5 * width * wave.frequency
-    phase = float(np.angle(np.sum((value - value[inside].mean())[inside] * np.exp(2j * np.pi * place[inside]))))
+    inside = np.abs(position) < 0.5 * width * wave.frequency
+    phase = float(np.angle(np.sum((value - value[inside].mean())[inside] * np.exp(2j * np.pi * position[inside]))))
     explained, number, ratio, shift, sign = max(
-        (_match_profile(place, value, number, phase / (2.0 * np.pi)) for number in numbers), key=lambda one: one[0]
+        (_match_profile(position, value, number, phase / (2.0 * np.pi)) for number in numbers), key=lambda one: one[0]
     )
     seen = 0.5 * number / ratio + LIMITS.min_background_periods
-    if place[0] > shift - seen or place[-1] < shift + seen:
+    if position[0] > shift - seen or position[-1] < shift + seen:
         return None
-    x = middle[0] + shift / wave.frequency
+    x = centre[0] + shift / wave.frequency
     cosine, sine = np.cos(wave.angle_rad), np.sin(wave.angle_rad)
     target = replace(
         wave,
         bars=number,
         frequency=wave.frequency * ratio,
-        row=float(x * sine + middle[1] * cosine) / wave.pitch_ratio,
-        col=float(x * cosine - middle[1] * sine),
+        row=float(x * sine + centre[1] * cosine) / wave.pitch_ratio,
+        col=float(x * cosine - centre[1] * sine),
         length_px=float(length),
         sign=sign,
     )
@@ -266,18 +266,18 @@ def _match_profile(place: Array, value: Array, bars: int, peak: float) -> tuple[
     """
     from scipy.special import ndtr
 
-    ground = np.linalg.qr(np.stack([np.ones_like(place), place], axis=1))[0]
-    left = value - ground @ (ground.T @ value)
+    background = np.linalg.qr(np.stack([np.ones_like(place), place], axis=1))[0]
+    left = value - background @ (background.T @ value)
     middles = peak + 0.5 * np.arange(-3, 4)
-    ratio, middle, blur = (
+    ratio, centre, blur = (
         one.ravel() for one in np.meshgrid(FREQUENCIES, middles, ACCURACY.trial_blurs, indexing="ij")
     )
     bars_at = np.arange(bars) - 0.5 * (bars - 1)
-    phase = (place - middle[:, None]) * ratio[:, None]
+    phase = (place - centre[:, None]) * ratio[:, None]
     shape = np.zeros(phase.shape)
     for at in bars_at:
         shape += ndtr((phase - at + 0.25) / blur[:, None]) - ndtr((phase - at - 0.25) / blur[:, None])
-    shape -= (shape @ ground) @ ground.T
+    shape -= (shape @ background) @ background.T
     inner, power = shape @ left, np.maximum(np.sum(shape**2, axis=1), 1e-9)
     gain = inner**2 / power
     best = int(np.argmax(gain))
@@ -286,7 +286,7 @@ def _match_profile(place: Array, value: Array, bars: int, peak: float) -> tuple[
     row = best // (middles.size * len(ACCURACY.trial_blurs))
     finer = _vertex(grid, row) if 0 < row < FREQUENCIES.size - 1 else 0.0
     own = float(ratio[best] + finer * (FREQUENCIES[1] - FREQUENCIES[0]))
-    return float(gain[best]) / total, bars, own, float(middle[best]), 1 if inner[best] > 0 else -1
+    return float(gain[best]) / total, bars, own, float(centre[best]), 1 if inner[best] > 0 else -1
 
 
 def target_in(image: Array, *, bars: int | None, frequency: float | None, pitch_ratio: float) -> LocatedBars | None:

@@ -108,19 +108,19 @@ def fit_bars(
     Near its optimum weighted least squares is a linear estimator, E = (J' W J + P)^-1 J' W. For any correlation between
     pixels its covariance is E S E' plus the priors' part.
     """
-    picture, names = BarImageModel(problem, target), problem.names
+    image, names = BarImageModel(problem, target), problem.names
     theta = np.array([start[name] for name in names])
-    here = _evaluate_point(picture, theta, picture.shape(start).pixel)
+    here = _evaluate_point(image, theta, image.shape(start).pixel)
     bounds = np.array([problem.bounds.get(name, (-np.inf, np.inf)) for name in names])
     for step in range(ACCURACY.fit_iterations):
-        there, expected = _gauss_newton_step(picture, here, bounds)
+        there, expected = _gauss_newton_step(image, here, bounds)
         if there is None:
             break
         gained, here = here.cost - there.cost, there
         # Near the optimum a step gains at least as much as all later steps.
         if expected < tolerance or (step >= ACCURACY.give_up_after and here.cost - max(gained, expected) > hopeless):
             break
-    return _fit_at(problem, target, picture, here, noise)
+    return _fit_at(problem, target, image, here, noise)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,8 +156,8 @@ def _gauss_newton_step(picture: BarImageModel, here: _FitPoint, bounds: Array) -
     felt = np.diag(normal)
     scale = 1.0 / np.sqrt(np.where(felt > 0.0, felt, 1.0))
     step = scale * np.linalg.solve(normal * np.outer(scale, scale) + 1e-9 * np.eye(len(scale)), scale * gradient)
-    for share in ACCURACY.step_fractions:
-        there = _evaluate_point(picture, np.clip(here.theta + share * step, bounds[:, 0], bounds[:, 1]), here.pixel)
+    for fraction in ACCURACY.step_fractions:
+        there = _evaluate_point(picture, np.clip(here.theta + fraction * step, bounds[:, 0], bounds[:, 1]), here.pixel)
         if there.cost < here.cost:
             return there, float(gradient @ step)
     return None, 0.0
@@ -221,15 +221,15 @@ def fit_frames(
         Variance factor of the mean by image lag.
     """
     first = fit_bars(problem, target, initial_parameters(problem, target), tolerance=ACCURACY.rough_tolerance)
-    window, ground = problem.window, first["pedestal_dn"]
+    window, background = problem.window, first["pedestal_dn"]
     if len(frames) > 1:
-        noise = noise_of(frames, first.model_dn, window, ground_dn=ground, inflation=inflation)
+        noise = noise_of(frames, first.model_dn, window, ground_dn=background, inflation=inflation)
     else:
         # Start from white noise.
         spread = first.noise_covariance * np.mean(first.residual_dn**2) / np.mean(problem.variance)
         for _ in range(2):
             absorbed = _root(spread).T @ first.slope
-            noise = noise_of_one(first.residual_dn, first.model_dn, absorbed, window, ground_dn=ground)
+            noise = noise_of_one(first.residual_dn, first.model_dn, absorbed, window, ground_dn=background)
             spread = noise.spread(first.estimator, window)
         # A common quantisation shift is absorbed by the image: the residuals do not contain it.
         if frames.dtype.kind in "ui":
@@ -257,9 +257,11 @@ def fit_all_models(fit: BarFit, problem: BarLikelihood) -> list[tuple[float, Bar
     order, stays first unless the data clearly prefer another.
     """
     shape, ratio = fit.shape, problem.asked / fit.shape.reference
-    places = np.log(np.geomspace(ACCURACY.matched_range[0], ACCURACY.matched_range[1], ACCURACY.matched_points) * ratio)
+    positions = np.log(
+        np.geomspace(ACCURACY.matched_range[0], ACCURACY.matched_range[1], ACCURACY.matched_points) * ratio
+    )
     now = (float(np.exp(shape.log_attenuation)), shape.form_one, shape.form_two)
-    core = np.exp(shape.form.ln(places, *now))
+    core = np.exp(shape.form.ln(positions, *now))
     attenuation = -float(shape.form.ln(np.log([ratio]), *now)[0])
     fits, least = [], fit.cost
     for form in BLUR_MODELS:
@@ -267,17 +269,22 @@ def fit_all_models(fit: BarFit, problem: BarLikelihood) -> list[tuple[float, Bar
         if form is shape.form and ratio == 1.0:
             fits.append((fit, own))
             continue
-        scale, (log_attenuation, one, two) = form.nearest(places - np.log(ratio), core, attenuation)
+        scale, (log_attenuation, one, two) = form.nearest(positions - np.log(ratio), core, attenuation)
         start = {**fit.values, "across_px": 0.0, "along_px": 0.0, "level_dn": scale * fit["level_dn"]}
         start |= {"log_attenuation": float(log_attenuation), "form_one": float(one), "form_two": float(two)}
-        hopeless = least - 2.0 * fit.noise.tied * np.log(ACCURACY.min_model_weight)
+        hopeless = least - 2.0 * fit.noise.correlation_sum * np.log(ACCURACY.min_model_weight)
         fits.append((fit_bars(own, fit.target, start, fit.noise, hopeless=hopeless), own))
         least = min(least, fits[-1][0].cost)
-    asked = min(one.cost for one, _ in fits[1:]) < fits[0][0].cost - LIMITS.min_model_preference_sd**2 * fit.noise.tied
+    is_preferred = (
+        min(one.cost for one, _ in fits[1:])
+        < fits[0][0].cost - LIMITS.min_model_preference_sd**2 * fit.noise.correlation_sum
+    )
     weighted = [
-        (share, *one) for share, one in zip(_weights(fits), fits, strict=True) if share > ACCURACY.min_model_weight
+        (fraction, *one)
+        for fraction, one in zip(_weights(fits), fits, strict=True)
+        if fraction > ACCURACY.min_model_weight
     ]
-    if not asked:
+    if not is_preferred:
         plain = (_weights(fits)[0], *fits[0])
         return [plain, *(one for one in weighted if one[1] is not fits[0][0])]
     return sorted(weighted, key=lambda one: -one[0])
@@ -296,7 +303,7 @@ def _ln_evidence(fit: BarFit, problem: BarLikelihood) -> float:
         min(fit.sd(name) / prior[1], 1.0)
         for name, prior in (("form_one", problem.form.one), ("form_two", problem.form.two))
     ]
-    return -0.5 * fit.cost / fit.noise.tied + float(np.sum(np.log(np.maximum(left, 1e-6))))
+    return -0.5 * fit.cost / fit.noise.correlation_sum + float(np.sum(np.log(np.maximum(left, 1e-6))))
 
 
 def _root(covariance: Array) -> Array:
@@ -324,7 +331,7 @@ def mtf_bias(fit: BarFit, problem: BarLikelihood) -> float:
     covariance = fit.noise_covariance
     if first @ covariance[np.ix_(own, own)] @ first < (ACCURACY.negligible_bias_sd * fit.shape.mtf) ** 2:
         return 0.0
-    shared = fit.noise.shared(fit.estimator, fit.window)
+    shared = fit.noise.covariance_with(fit.estimator, fit.window)
     unlike = shared - covariance @ fit.slope
     bends = _bends(fit, problem)
     pull = np.zeros(len(fit.names))
@@ -364,11 +371,11 @@ def _bends(fit: BarFit, problem: BarLikelihood) -> dict[tuple[int, int], Array]:
 
     Level, pedestal and departure enter linearly: they have mixed derivatives only.
     """
-    picture, index = BarImageModel(problem, fit.target), fit.names.index
+    image, index = BarImageModel(problem, fit.target), fit.names.index
     here = {**fit.values, **{name: 0.0 for name in ("across_px", "along_px") if name in fit.names}}
     bends: dict[tuple[int, int], Array] = {}
-    for name, step in _steps(fit, picture).items():
-        up, down = (picture({**here, name: here[name] + sign * step})[1] for sign in (1.0, -1.0))
+    for name, step in _steps(fit, image).items():
+        up, down = (image({**here, name: here[name] + sign * step})[1] for sign in (1.0, -1.0))
         own = index(name)
         for other, bend in enumerate((up - down) / (2.0 * step)):
             pair = (min(own, other), max(own, other))

@@ -20,6 +20,8 @@ from labdata.measurement import Provenance, Result, make_refusal, measurement_fr
 
 Array = NDArray[np.float64]
 
+METHOD = "bars-forward"
+
 
 def measure_bar_motion(used: FrameStack, target: BarTarget) -> TargetMotion:
     """Return the motion of a target across its bars through a stack."""
@@ -42,10 +44,10 @@ def bar_profile(used: FrameStack, target: BarTarget, mtf: float) -> dict:
     mean = used.data.mean(axis=0, dtype=np.float64)
     near = (np.abs(along) < 0.3 * target.length_px) & (np.abs(across) < target.width_px / 2 + 1.5 / target.frequency)
     edges = np.arange(across[near].min(), across[near].max() + 0.25, max(0.25, 0.04 / target.frequency))
-    place = np.digitize(across[near], edges)
-    count = np.bincount(place, minlength=len(edges) + 1)[1:-1]
+    position = np.digitize(across[near], edges)
+    count = np.bincount(position, minlength=len(edges) + 1)[1:-1]
     filled = count > 0
-    value = np.bincount(place, mean[near], minlength=len(edges) + 1)[1:-1][filled] / count[filled]
+    value = np.bincount(position, mean[near], minlength=len(edges) + 1)[1:-1][filled] / count[filled]
     distance = (0.5 * (edges[1:] + edges[:-1]))[filled]
     shape = _model_profile(distance, target, mtf)
     scale, level = np.polyfit(shape, value, 1) if shape.std() > 0 else (0.0, float(value.mean()))
@@ -72,9 +74,6 @@ def _model_profile(distance: Array, target: BarTarget, mtf: float) -> Array:
         departure=0.0, angle_rad=target.angle_rad,
     )  # fmt: skip
     return table_of(shape, float(np.abs(distance).max()), 1.0).at(distance, distance)[0]
-
-
-METHOD = "bars-forward"
 
 
 @register(
@@ -132,10 +131,10 @@ def bars_forward(
     """
     used = stack if region is None else stack.region(*region)
     where = region or (0, 0, *used.shape[1:])
-    asked = StatedBars(bars=bars, frequency=frequency_cy_per_px)
-    found = measure_bars_in(used, asked, context)
+    stated = StatedBars(bars=bars, frequency=frequency_cy_per_px)
+    found = measure_bars_in(used, stated, context)
     if isinstance(found, BarRefusal):
-        return _nothing(found, where, asked, context)
+        return _nothing(found, where, stated, context)
     doubts = [*found.findings, *posterior_findings(found.posterior.flags)]
     if np.quantile(found.mtf, 0.025) > 1.0:
         doubts.append(misfit_finding(f"the MTF must be at most 1, got {100 * found.mtf.mean() - 100:.1f} % more"))

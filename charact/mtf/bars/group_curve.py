@@ -30,6 +30,15 @@ EXPONENT_PRIOR = (1.6, 0.6)
 GRID = (np.geomspace(0.03, 0.8, 40), np.linspace(0.8, 3.0, 23))
 
 
+METHOD = "bars-joint"
+# Method without errors by harmonics or phase.
+GROUPS_BY = "bars-forward"
+# Half of a 68 % interval in standard deviations.
+HALF68_SD = 0.994458
+# Frequency grid for MTF50, cy/px.
+FINE = np.arange(0.002, 1.2, 0.002)
+
+
 @dataclass(frozen=True, kw_only=True)
 class GroupHaloPrior:
     """Halo of a described intensifier.
@@ -54,13 +63,13 @@ class GroupHaloPrior:
         """Return the halo of the camera; None without a description."""
         if context.sensor is None:
             return None
-        sensor, share = context.sensor, context.sensor.photocathode.halo_fraction
+        sensor, fraction = context.sensor, context.sensor.photocathode.halo_fraction
         column_um = float(sensor.ccd.pitch_x_um) * float(sensor.taper.demagnification)
         return cls(
             diameter_px=4e3 * float(sensor.photocathode.gap_mm) / column_um,
             elastic_share=float(sensor.photocathode.halo_elastic_share),
-            mean=float(share),
-            sd=prior_sd_of(share),
+            mean=float(fraction),
+            sd=prior_sd_of(fraction),
         )
 
 
@@ -122,15 +131,6 @@ class GroupCurveModel:
             far = forms.halo(at, np.array(self.halo.diameter_px), np.array(self.halo.elastic_share))
             core = core * (1.0 - theta[:, 2:3] * (1.0 - far))
         return core * self.known(frequency * np.cos(self.angle_rad), frequency * np.sin(self.angle_rad))
-
-
-METHOD = "bars-joint"
-# Method without errors by harmonics or phase.
-GROUPS_BY = "bars-forward"
-# Half of a 68 % interval in standard deviations.
-HALF68_SD = 0.994458
-# Frequency grid for MTF50, cy/px.
-FINE = np.arange(0.002, 1.2, 0.002)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -244,9 +244,9 @@ def _parallel_groups(sound: Sequence[Measurement], axis_deg: float) -> list[Meas
         [
             m
             for m in near
-            if _angle_between_deg(m.orientation_deg, middle.orientation_deg) <= 0.5 * LIMITS.max_direction_spread_deg
+            if _angle_between_deg(m.orientation_deg, centre.orientation_deg) <= 0.5 * LIMITS.max_direction_spread_deg
         ]
-        for middle in near
+        for centre in near
     ]
     return max(sets, key=len, default=[])
 
@@ -365,12 +365,12 @@ def _posterior(groups: Sequence[Group], form: GroupCurveModel, context: Context)
         safe = np.clip(theta, form.bounds[:, 0], form.bounds[:, 1])
         return np.where(inside, form.log_prior(safe) - 0.5 * squares(safe), -np.inf)
 
-    asked = {"names": form.names, "units": form.units, "seed": context.seed, "bounds": form.bounds}
+    arguments = {"names": form.names, "units": form.units, "seed": context.seed, "bounds": form.bounds}
     start = form.grid[int(np.argmax(log_probability(form.grid)))]
     best, covariance = find_maximum(log_probability, start, form.bounds)
     # Half frequency and exponent have a curved ridge, which a Gaussian approximation misses.
     drawn = (importance_sample if context.quick else sample)(
-        log_probability, start=best, covariance=covariance, **asked
+        log_probability, start=best, covariance=covariance, **arguments
     )
     return drawn, float(squares(best[None])[0])
 

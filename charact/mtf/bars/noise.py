@@ -37,7 +37,7 @@ class BarWindowNoise:
     row_variance: float = 0.0
 
     @property
-    def tied(self) -> float:
+    def correlation_sum(self) -> float:
         """Ratio of the chi squared of correlated pixels to that of independent ones."""
         return max(float(np.abs(self.correlation).sum()), 1.0)
 
@@ -51,9 +51,9 @@ class BarWindowNoise:
         window
             Pixels, shape (row, col).
         """
-        return estimator @ self.shared(estimator, window).T
+        return estimator @ self.covariance_with(estimator, window).T
 
-    def shared(self, estimator: Array, window: Mask) -> Array:
+    def covariance_with(self, estimator: Array, window: Mask) -> Array:
         """Return the covariance of each pixel's noise with linear estimates, shape (estimate, pixel)."""
         from scipy.fft import irfft2, next_fast_len, rfft2
 
@@ -94,8 +94,8 @@ def noise_of(frames: Array, model: Array, window: Mask, *, ground_dn: float, inf
         Variance factor of the mean by image lag.
     """
     left = frames - frames.mean(axis=0)
-    share = len(frames) / (len(frames) - 1.0)
-    variance = variance_of(model, share * np.mean(left[:, window] ** 2, axis=0))
+    fraction = len(frames) / (len(frames) - 1.0)
+    variance = variance_of(model, fraction * np.mean(left[:, window] ** 2, axis=0))
     field = np.zeros((min(len(frames), ACCURACY.max_correlation_frames), *window.shape))
     field[:, window] = left[: len(field), window] / np.sqrt(variance)
     return BarWindowNoise(
@@ -103,7 +103,7 @@ def noise_of(frames: Array, model: Array, window: Mask, *, ground_dn: float, inf
         correlation=correlation_of(field, window),
         inflation=inflation,
         rounding=rounding_shifts(model, variance) if frames.dtype.kind in "ui" else None,
-        row_variance=share * row_offset_variance(left, np.abs(model - ground_dn), window) / len(frames),
+        row_variance=fraction * row_offset_variance(left, np.abs(model - ground_dn), window) / len(frames),
     )
 
 
@@ -144,15 +144,15 @@ def row_offset_variance(left: Array, height: Array, window: Mask) -> float:
     -----
     Distant pixels of a row have only the row offset in common. The mean of each frame's background is subtracted.
     """
-    ground = np.zeros(window.shape, bool)
-    ground[window] = height <= LIMITS.max_background_height * height.max()
-    if np.count_nonzero(ground) < ACCURACY.min_background_pixels:
+    background = np.zeros(window.shape, bool)
+    background[window] = height <= LIMITS.max_background_height * height.max()
+    if np.count_nonzero(background) < ACCURACY.min_background_pixels:
         return 0.0
-    left = np.where(ground, left - left[:, ground].mean(axis=1)[:, None, None], 0.0)
+    left = np.where(background, left - left[:, background].mean(axis=1)[:, None, None], 0.0)
     products = []
     for lag in ACCURACY.row_lags_px:
         last = window.shape[1] - lag
-        pairs = ground[:, :last] & ground[:, lag:]
+        pairs = background[:, :last] & background[:, lag:]
         products.append(np.mean(left[:, :, :last] * left[:, :, lag:], axis=0)[pairs])
     covariances = np.concatenate(products)
     if covariances.size < ACCURACY.min_background_pixels:
@@ -175,8 +175,8 @@ def variance_of(level: Array, square: Array) -> Array:
 def correlation_of(fields: Array, window: Mask) -> Array:
     """Return the correlation of noise fields (field, row, col) between pixels of a window."""
     near = _correlation(fields, window, ACCURACY.correlation_px)
-    middle = ACCURACY.correlation_px
-    if max(near[middle + 1, middle], near[middle, middle + 1]) < LIMITS.long_correlation:
+    centre = ACCURACY.correlation_px
+    if max(near[centre + 1, centre], near[centre, centre + 1]) < LIMITS.long_correlation:
         return near
     return _correlation(fields, window, ACCURACY.long_correlation_px)
 

@@ -47,8 +47,8 @@ class BarNonlinearity(NamedTuple):
 
 def response_of(used: FrameStack, fit: BarFit) -> BarNonlinearity:
     """Return the evidence of a fitted target; without a black level its noise is not used."""
-    ground = fit["pedestal_dn"]
-    dark, bright = sorted((ground, ground + fit["level_dn"]))
+    background = fit["pedestal_dn"]
+    dark, bright = sorted((background, background + fit["level_dn"]))
     black_dn = usable_black_level(used.black_level_dn, dark, bright)
     powers = (None, None) if black_dn is None else noise_powers(used.data, fit, black_dn)
     curvature, sd, lifts = _curvature(fit)
@@ -124,8 +124,8 @@ def _curvature(fit: BarFit) -> tuple[float, float, float]:
     To first order the image of bars u becomes u + c u (1 - u) times their height; the parameters with their priors
     absorb part of the change.
     """
-    share = np.clip((fit.model_dn - fit["pedestal_dn"]) / fit["level_dn"], 0.0, 1.0)
-    bent = abs(fit["level_dn"]) * share * (1.0 - share)
+    fraction = np.clip((fit.model_dn - fit["pedestal_dn"]) / fit["level_dn"], 0.0, 1.0)
+    bent = abs(fit["level_dn"]) * fraction * (1.0 - fraction)
     weight = 1.0 / np.maximum(fit.noise.variance, ACCURACY.min_variance * fit["level_dn"] ** 2)
     known = np.concatenate([(fit.slope * np.sqrt(weight)).T, np.diag(np.sqrt(fit.precision))])
     basis = np.linalg.qr(known)[0]
@@ -160,11 +160,11 @@ def noise_powers(data: NDArray, fit: BarFit, black_dn: float) -> tuple[Power | N
     if not brightest > 0:
         return None, None
     noise = _noise(data.astype(np.float64), light)
-    ground, height = fit["pedestal_dn"] - black_dn, float(np.abs(fit.model_dn - fit["pedestal_dn"]).max())
+    background, height = fit["pedestal_dn"] - black_dn, float(np.abs(fit.model_dn - fit["pedestal_dn"]).max())
     level, product = _products(noise, light, ACCURACY.neighbour_lag_px)
     far = [_products(noise, light, lag) for lag in ACCURACY.distant_lags_px]
     common = np.concatenate(
-        [apart[np.abs(between - ground) < LIMITS.max_flat_height * height] for between, apart in far]
+        [apart[np.abs(between - background) < LIMITS.max_flat_height * height] for between, apart in far]
     )
     product -= common.mean() if common.size else 0.0
     correlation = fit.noise.correlation
@@ -194,9 +194,9 @@ def _shows_noise(data: NDArray, level: Array, square: Array) -> bool:
 def _noise(frames: Array, light: Array) -> Array:
     """Return the residuals of frames, with each frame's offset and flicker subtracted."""
     seen = np.isfinite(light)
-    share = len(frames) / max(len(frames) - 1.0, 1.0)
+    fraction = len(frames) / max(len(frames) - 1.0, 1.0)
     expected = frames.mean(axis=0) if len(frames) > 1 else light - float(np.mean((light - frames[0])[seen]))
-    left = np.sqrt(share) * np.where(seen, frames - expected, 0.0)
+    left = np.sqrt(fraction) * np.where(seen, frames - expected, 0.0)
     shapes = np.stack([np.ones(np.count_nonzero(seen)), light[seen]])
     left[:, seen] -= left[:, seen] @ np.linalg.pinv(shapes) @ shapes
     return left

@@ -19,6 +19,9 @@ Array = NDArray[np.float64]
 TABULATED, PLACE = ("log_attenuation", "form_one"), ("across_px", "along_px")
 
 
+SHAPE = ("log_attenuation", "form_one", "departure")
+
+
 def shape_log_density(fit: BarFit, problem: BarLikelihood) -> Callable[[Array], Array]:
     """Return the log-probability of (log_attenuation, form_one, departure), other parameters marginalised.
 
@@ -28,18 +31,18 @@ def shape_log_density(fit: BarFit, problem: BarLikelihood) -> Callable[[Array], 
     covariance E S E', which includes the correlation between pixels. Level, background, position and departure enter
     linearly and are marginalised exactly; attenuation and exponent are tabulated.
     """
-    picture = BarImageModel(problem, fit.target)
+    image = BarImageModel(problem, fit.target)
     centre = {**fit.values, **{name: 0.0 for name in PLACE if name in fit.names}}
     low, high = _tabulated_range(fit, problem)
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     axis = np.cos(np.pi * (np.arange(ACCURACY.table_points) + 0.5) / ACCURACY.table_points)
-    places = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
+    positions = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
     data = problem.image[problem.window]
     numbers = [
-        fit.estimator @ (data - picture({**centre, **dict(zip(TABULATED, one, strict=True))})[0])
-        for one in (middle + half * places).tolist()
+        fit.estimator @ (data - image({**centre, **dict(zip(TABULATED, one, strict=True))})[0])
+        for one in (middle + half * positions).tolist()
     ]
-    polynomial = np.linalg.lstsq(_powers(places), np.array(numbers), rcond=None)[0]
+    polynomial = np.linalg.lstsq(_powers(positions), np.array(numbers), rcond=None)[0]
     inverse, response, offset = _marginal(fit)
     exponent = fit.names.index("form_one")
     mean, precision = fit.prior_mean[exponent], fit.precision[[exponent, fit.names.index("departure")]]
@@ -91,9 +94,6 @@ def _marginal(fit: BarFit) -> tuple[Array, Array, Array]:
     return inverse, answer[:, fit.names.index("departure")], answer[:, linear] @ drawn
 
 
-SHAPE = ("log_attenuation", "form_one", "departure")
-
-
 def sample_fit(fit: BarFit, problem: BarLikelihood, context: Context, bias: float) -> Posterior:
     """Sample the transfer's shape: attenuation and exponent of the blur model, and the departure at the bar frequency.
 
@@ -104,7 +104,7 @@ def sample_fit(fit: BarFit, problem: BarLikelihood, context: Context, bias: floa
     lifted = bias / fit.shape.mtf / np.exp(fit["log_attenuation"])
     sd = fit.sd("log_attenuation")
     shift = np.array([np.clip(lifted, -sd, sd), 0.0, 0.0])
-    asked = {
+    arguments = {
         "names": SHAPE,
         "units": ("1", "1", "1"),
         "start": fit.value[own] + shift,
@@ -113,9 +113,9 @@ def sample_fit(fit: BarFit, problem: BarLikelihood, context: Context, bias: floa
         "seed": context.seed,
     }
     if context.quick:
-        return laplace(lambda theta: np.zeros(len(theta)), **asked)
+        return laplace(lambda theta: np.zeros(len(theta)), **arguments)
     density = shape_log_density(fit, problem)
-    posterior = sample(lambda theta: density(theta - shift), **asked)
+    posterior = sample(lambda theta: density(theta - shift), **arguments)
     if not _differs_from_fit(posterior, fit, shift):
         return posterior
     return replace(posterior, flags=(*posterior.flags, "model-misfit"))
@@ -147,28 +147,28 @@ def sample_sums(found: Amplitudes, lost: tuple[float, float], context: Context) 
     negative. Student's t likelihood with the degrees of freedom of the estimated covariance.
     """
     inverse = np.linalg.inv(found.covariance)
-    share, share_sd = lost
+    fraction, share_sd = lost
     known = share_sd == 0.0
-    bounds = np.array([(0.0, 2.0), (0.0, LIMITS.max_mtf), (max(0.0, share - 8 * share_sd), share + 8 * share_sd)])
+    bounds = np.array([(0.0, 2.0), (0.0, LIMITS.max_mtf), (max(0.0, fraction - 8 * share_sd), fraction + 8 * share_sd)])
     bounds = bounds[:2] if known else bounds
 
     def log_probability(theta: Array) -> Array:
         light, mtf = theta[:, 0], theta[:, 1]
-        beyond = np.full(len(theta), share) if known else theta[:, 2]
+        beyond = np.full(len(theta), fraction) if known else theta[:, 2]
         inside = np.all((theta >= bounds[:, 0]) & (theta <= bounds[:, 1]), axis=1)
         expected = found.light * light[:, None] * np.stack([1.0 - beyond, 2.0 / np.pi * mtf], axis=1)
         off = np.array([found.light, found.fundamental]) - expected
         chi2 = np.einsum("ni,ij,nj->n", off, inverse, off)
         likelihood = -0.5 * (found.freedom + 2.0) * np.log1p(chi2 / found.freedom)
-        prior = 0.0 if known else -0.5 * ((beyond - share) / share_sd) ** 2
+        prior = 0.0 if known else -0.5 * ((beyond - fraction) / share_sd) ** 2
         return np.where(inside, likelihood + prior, -np.inf)
 
-    ratio = min(np.pi / 2 * found.fundamental / found.light * (1.0 - share), LIMITS.max_mtf - 0.01)
-    start = np.array([1.0 / (1.0 - share), ratio, share])
+    ratio = min(np.pi / 2 * found.fundamental / found.light * (1.0 - fraction), LIMITS.max_mtf - 0.01)
+    start = np.array([1.0 / (1.0 - fraction), ratio, fraction])
     relative = found.covariance / found.light**2
     spread = np.diag([relative[0, 0], (np.pi / 2) ** 2 * relative[1, 1] + ratio**2 * relative[0, 0], share_sd**2])
     count = len(bounds)
-    asked = {
+    arguments = {
         "names": ("light", "mtf", "lost_share")[:count],
         "units": ("1", "1", "1")[:count],
         "start": start[:count],
@@ -176,6 +176,6 @@ def sample_sums(found: Amplitudes, lost: tuple[float, float], context: Context) 
     }
     if context.quick:
         return importance_sample(
-            log_probability, **asked, seed=context.seed, bounds=bounds, enough=ACCURACY.quick_ess, first_draws=1000
+            log_probability, **arguments, seed=context.seed, bounds=bounds, enough=ACCURACY.quick_ess, first_draws=1000
         )
-    return sample_posterior(log_probability, **asked, seed=context.seed, bounds=bounds)
+    return sample_posterior(log_probability, **arguments, seed=context.seed, bounds=bounds)

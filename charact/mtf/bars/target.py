@@ -17,6 +17,9 @@ DIRECTIONS_DEG = np.arange(0.0, 180.0, 10.0)
 RAYLEIGH_TENTH = float(np.sqrt(-2.0 * np.log(0.9)))
 
 
+SD_OF_RANGE = 2.0 * 1.959964
+
+
 @dataclass(frozen=True, kw_only=True)
 class BarTarget:
     """Bars in an image, in column pitches; rows are scaled by the pitch ratio.
@@ -175,9 +178,9 @@ def _fit_length(image: Array, target: BarTarget) -> BarTarget:
     across, along = target.coordinates((image.shape[0], image.shape[1]))
     inside = np.abs(across) < 0.5 * target.width_px
     wave = (image - ground_level(image))[inside] * np.exp(-2j * np.pi * target.frequency * across[inside])
-    place = np.floor(along[inside]).astype(np.intp)
-    first = int(place.min())
-    sums = np.bincount(place - first, wave.real) + 1j * np.bincount(place - first, wave.imag)
+    position = np.floor(along[inside]).astype(np.intp)
+    first = int(position.min())
+    sums = np.bincount(position - first, wave.real) + 1j * np.bincount(position - first, wave.imag)
     whole = np.concatenate([[0.0], np.cumsum(sums)])
     lengths = np.unique(np.round(np.geomspace(max(1.0 / target.frequency, 3.0), sums.size, 60)).astype(np.intp))
     matches = [np.abs(whole[length:] - whole[:-length]) ** 2 / length for length in lengths]
@@ -185,12 +188,12 @@ def _fit_length(image: Array, target: BarTarget) -> BarTarget:
     usual = int(np.argmin(np.abs(lengths - LIMITS.length_over_width / (2.0 * target.frequency))))
     best = usual if gain[usual] > LIMITS.min_length_match * gain.max() else int(np.argmax(gain))
     length = LIMITS.length_over_width / (2.0 * target.frequency) if best == usual else float(lengths[best])
-    middle = first + int(np.argmax(matches[best])) + 0.5 * lengths[best]
+    centre = first + int(np.argmax(matches[best])) + 0.5 * lengths[best]
     return replace(
         target,
         length_px=length,
-        row=target.row + middle * float(np.cos(target.angle_rad)) / target.pitch_ratio,
-        col=target.col - middle * float(np.sin(target.angle_rad)),
+        row=target.row + centre * float(np.cos(target.angle_rad)) / target.pitch_ratio,
+        col=target.col - centre * float(np.sin(target.angle_rad)),
     )
 
 
@@ -216,12 +219,9 @@ def measure_frequency(image: Array, target: BarTarget, margin_px: float) -> floa
     tried = target.frequency * (1.0 + np.linspace(-LIMITS.max_frequency_error, LIMITS.max_frequency_error, 25))
     power = np.zeros(tried.size)
     for order in (target.bars - 1, target.bars + 1):
-        share = order / target.bars
-        power += [abs(amplitude(image - level, target, share * one, window)) ** 2 for one in tried]
+        fraction = order / target.bars
+        power += [abs(amplitude(image - level, target, fraction * one, window)) ** 2 for one in tried]
     return _vertex(tried, -power)
-
-
-SD_OF_RANGE = 2.0 * 1.959964
 
 
 def margin_px(context: Context, frequency: float) -> float:
@@ -268,12 +268,12 @@ def lost_fraction(context: Context, margin: float) -> tuple[float, float]:
     corner = _draw_parameter(sensor.tube.mtf_frequency_lp_per_mm, rng) * pitch_mm
     exponent = _draw_parameter(sensor.tube.mtf_exponent, rng)
     diameter = 4.0 * _draw_parameter(sensor.photocathode.gap_mm, rng) / pitch_mm
-    share = _draw_parameter(sensor.photocathode.halo_fraction, rng)
+    fraction = _draw_parameter(sensor.photocathode.halo_fraction, rng)
     elastic = _draw_parameter(sensor.photocathode.halo_elastic_share, rng)
     f = np.asarray((np.arange(16384) + 0.5) / 8192.0, dtype=np.float64)
     kernel = np.sin(2.0 * np.pi * f * margin) / f * (f[1] - f[0])
     core = np.exp(-((f / corner[:, None]) ** exponent[:, None]))
-    both = core * (1.0 - share[:, None] + share[:, None] * forms.halo(f, diameter, elastic))
+    both = core * (1.0 - fraction[:, None] + fraction[:, None] * forms.halo(f, diameter, elastic))
     outside = 2.0 * (1.0 - 2.0 / np.pi * both @ kernel)
     return float(outside.mean()), float(max(outside.std(), 0.25 * abs(outside.mean())))
 

@@ -28,6 +28,10 @@ REMEDIES = {
 }
 
 
+# Median of chi squared of one degree of freedom.
+CHI2_MEDIAN = 0.455
+
+
 def finding(flag: str, effect: str) -> Finding:
     """Return the finding of a flag with its effect and remedy."""
     return Finding(flag=flag, effect=effect, remedy=REMEDIES[flag])
@@ -64,10 +68,6 @@ def flag_undersampled(found: Iterable[Measurement], window: Window) -> tuple[Mea
         return numbers
     effect = f"MTF50 may lie above {LIMITS.max_mtf50:g} cycles per sample, where it is measured 10 to 30 % low"
     return tuple(one.with_(findings=[finding("aliased", effect)]) for one in numbers)
-
-
-# Median of chi squared of one degree of freedom.
-CHI2_MEDIAN = 0.455
 
 
 def motion_flags(frames: Array, x: Array, y: Array, parity: NDArray[np.bool_]) -> tuple[str, ...]:
@@ -109,9 +109,9 @@ def _has_field_offset(frames: Array, x: Array, y: Array, parity: NDArray[np.bool
 def _drifts(frames: Array, x: Array, y: Array) -> bool:
     """Return whether the source moves steadily along rows or columns."""
     time = np.linspace(-0.5, 0.5, len(frames))
-    for place, _ in _places(frames, x, y):
-        travel = float(time @ place / (time @ time))
-        left = place - place.mean() - travel * time
+    for position, _ in _places(frames, x, y):
+        travel = float(time @ position / (time @ time))
+        left = position - position.mean() - travel * time
         error = float(np.sqrt(left @ left / (len(frames) - 2) / (time @ time)))
         if abs(travel) > max(LIMITS.motion_sd * error, LIMITS.max_drift_px):
             return True
@@ -137,13 +137,13 @@ def _shakes(frames: Array, x: Array, y: Array) -> bool:
     per_light = light.var(ddof=1) / light.mean()
     dark = 0.5 * float(np.median(np.diff(frames[:, ~near], axis=0) ** 2)) / CHI2_MEDIAN if not near.all() else 0.0
     area = light.mean() / max(float(mean.max()), 1e-300) * float(np.diff(x[:2])[0] * np.diff(y[:2])[0])
-    for place, rise in _places(frames, x, y):
+    for position, rise in _places(frames, x, y):
         power = float(np.sum(rise**2))
         if not power > 0:
             # Light in a single pixel: its position is undefined.
             continue
         noise = per_light * float(np.sum(rise**2 * np.maximum(mean, 0.0))) / power**2 + dark / power
-        square = place.var(ddof=1)
+        square = position.var(ddof=1)
         lowered = np.pi * (square - noise) / area
         if (
             lowered > LIMITS.max_motion_loss
@@ -162,6 +162,6 @@ def _places(frames: Array, x: Array, y: Array) -> list[tuple[Array, Array]]:
     found = []
     for slope in (np.gradient(mean, x, axis=1), np.gradient(mean, y, axis=0)):
         rise = np.where(used, slope, 0.0)
-        place = -np.sum((frames - mean) * rise, axis=(1, 2)) / max(float(np.sum(rise**2)), 1e-300)
-        found.append((place, rise))
+        position = -np.sum((frames - mean) * rise, axis=(1, 2)) / max(float(np.sum(rise**2)), 1e-300)
+        found.append((position, rise))
     return found

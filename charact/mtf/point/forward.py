@@ -142,7 +142,7 @@ def _optics(context: Context, pinhole_px: float) -> KnownPointOptics:
 def _posterior(found: PointFit, context: Context) -> Posterior:
     """Sample the posterior, by importance sampling if quick."""
     prior = found.model.prior
-    asked = {
+    arguments = {
         "names": prior.names,
         "units": prior.units,
         "start": found.point,
@@ -152,9 +152,9 @@ def _posterior(found: PointFit, context: Context) -> Posterior:
     }
     if context.quick:
         return importance_sample(
-            found.log_probability, **asked, enough=ACCURACY.quick_ess, first_draws=ACCURACY.quick_first_draws
+            found.log_probability, **arguments, enough=ACCURACY.quick_ess, first_draws=ACCURACY.quick_first_draws
         )
-    return sample_posterior(found.log_probability, **asked, max_steps=ACCURACY.forward_chain_steps)
+    return sample_posterior(found.log_probability, **arguments, max_steps=ACCURACY.forward_chain_steps)
 
 
 @dataclass(frozen=True, kw_only=True)

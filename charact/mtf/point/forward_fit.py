@@ -56,14 +56,14 @@ def pulse_covariance(model: PointModel, point: Array, share: float) -> Array:
         (ACCURACY.near_landing_px, 0.0),
         (ACCURACY.far_landing_px, ACCURACY.near_landing_px[1]),
     ):
-        places = np.arange(-reach, reach + 1e-9, step)
+        positions = np.arange(-reach, reach + 1e-9, step)
         cell = np.sinc(fx * step) * np.sinc(fy * step)
-        along, down = (np.cos(2 * np.pi * np.outer(places, f)) for f in (fx, fy))
+        along, down = (np.cos(2 * np.pi * np.outer(positions, f)) for f in (fx, fy))
         density = down @ (before * cell) @ along.T * (4.0 / ACCURACY.image_period_px**2)
         weight = np.maximum(density, 0.0) * step**2
-        keep = np.maximum(*np.broadcast_arrays(np.abs(places)[:, None], np.abs(places))) > inner - 1e-9
+        keep = np.maximum(*np.broadcast_arrays(np.abs(positions)[:, None], np.abs(positions))) > inner - 1e-9
         keep = keep if inner else np.ones_like(keep)
-        shapes = _shapes(model, point, behind, places, keep)
+        shapes = _shapes(model, point, behind, positions, keep)
         out += (shapes * weight[keep][:, None]).T @ shapes
     return out
 
@@ -121,8 +121,8 @@ def fit_pulse_noise(
     best: tuple[float, PulseNoise] | None = None
     area = float(np.diff(model.y[:2])[0] * np.diff(model.x[:2])[0])
     freedom = len(deviations) - 1
-    for share in shares:
-        pulse = shot_covariance(model, point) if share is None else pulse_covariance(model, point, share)
+    for fraction in shares:
+        pulse = shot_covariance(model, point) if fraction is None else pulse_covariance(model, point, fraction)
         sharp = float(np.trace(pulse)) * area
         values, vectors = np.linalg.eigh(pulse[np.ix_(near, near)] * factor * light)
         gains = GAINS * floor / max(float(values.mean()), 1e-300)
@@ -131,7 +131,7 @@ def fit_pulse_noise(
         fit = -0.5 * (freedom * np.log(variance) + power / variance).sum(axis=1)
         top = int(np.argmax(fit))
         if best is None or fit[top] > best[0]:
-            best = float(fit[top]), PulseNoise(pulse=pulse, gain=float(gains[top]), share=share, sharpness=sharp)
+            best = float(fit[top]), PulseNoise(pulse=pulse, gain=float(gains[top]), share=fraction, sharpness=sharp)
     assert best is not None
     return best[1]
 
@@ -229,10 +229,13 @@ def _fit_other_prior(found: PointFit, prior: PointPrior) -> PointFit:
     """Return the optimum under another prior with the weights of a fit, for comparison."""
     at = {name: float(value[0]) for name, value in found.model.prior.values_by_name(found.point[None]).items()}
     other = replace(found, model=replace(found.model, prior=prior))
-    starts = np.array([
-        [at[name] if name in found.model.prior.free else share * prior.centre[NAMES.index(name)] for name in prior.free]
-        for share in (0.3, 1.0, 2.0)
-    ])  # fmt: skip
+    centre, fitted = dict(zip(NAMES, prior.centre, strict=True)), found.model.prior.free
+    starts = np.array(
+        [
+            [at[name] if name in fitted else fraction * centre[name] for name in prior.free]
+            for fraction in (0.3, 1.0, 2.0)
+        ]
+    )
     start = starts[int(np.argmax(other.log_probability(starts)))]
     point, covariance = find_maximum(other.log_probability, start, prior.bounds[prior.free_index])
     return _fit_at(other, point, covariance, found.noise)
@@ -251,10 +254,10 @@ def _evidence(found: PointFit) -> float:
 def _fit(window: Window, context: Context, optics: KnownPointOptics, prior: PointPrior) -> PointFit | None:
     """Fit a window, noise and transfer in turn; None where no transfer is possible."""
     model = PointModel(optics=optics, prior=prior, x=window.x, y=window.y, ring_px=window.ring_px)
-    memory = image_lag_model(context, window.frames)
+    image_lag = image_lag_model(context, window.frames)
     point = _first(model, window)
     noise = None
-    found = _apply_weights(model, window, point, None, memory)
+    found = _apply_weights(model, window, point, None, image_lag)
     for turn in range(ACCURACY.noise_turns):
         if not np.isfinite(found.log_probability(point[None])[0]):
             return None
@@ -267,10 +270,10 @@ def _fit(window: Window, context: Context, optics: KnownPointOptics, prior: Poin
         if window.frames > 2:
             shares = _shares(context, turn)
             noise = fit_pulse_noise(model, point, max(found.light, 1e-9), window.deviations, window.floor,
-                             window.parity, memory, shares)  # fmt: skip
+                             window.parity, image_lag, shares)  # fmt: skip
         # Pulses are narrower than the image: their noise needs all frequencies.
         found = _apply_weights(
-            model.restrict_frequencies(point, covariance), window, point, noise, memory, light=found.light
+            model.restrict_frequencies(point, covariance), window, point, noise, image_lag, light=found.light
         )
     return found
 

@@ -148,9 +148,9 @@ def _sensor_prior(context: Context, halo_seen: bool) -> PointPrior:
     fibres = float(sensor.taper.fibre_pitch_um) / (4.0 * pitch_um)
     faces = 1e3 / (np.pi * np.sqrt(2.0) * float(sensor.taper.interface_mtf_lp_per_mm) * pitch_um)
     blur = float(np.sqrt(lens**2 + fibres**2 + faces**2))
-    share = sensor.photocathode.halo_fraction
+    fraction = sensor.photocathode.halo_fraction
     halo = halo_diameters_px(context, transposed=False) if halo_seen else None
-    bend = _ln_parabola(float(share), share.low, share.high) if halo_seen else NO_HALO
+    bend = _ln_parabola(float(fraction), fraction.low, fraction.high) if halo_seen else NO_HALO
     gap = sensor.photocathode.gap_mm
     px_per_mm = 4e3 / (pitch_um * demagnification)
     diameter = px_per_mm * np.array([float(gap), *_sides(gap)])
@@ -191,8 +191,8 @@ def _sides(known: Parameter) -> tuple[float, float]:
 def _ln_parabola(value: float, low: float | None, high: float | None) -> tuple[float, float, float]:
     """Return the parabola of ln through the 95 % bounds and the value, the median."""
     low, high = low or 0.3 * value, high or 2.0 * value
-    middle, down, up = np.log([value, low, high])
-    return float(middle), float((up - down) / (2 * TWO_SIDED_95)), float((up + down - 2 * middle) / (2 * 3.841459))
+    centre, down, up = np.log([value, low, high])
+    return float(centre), float((up - down) / (2 * TWO_SIDED_95)), float((up + down - 2 * centre) / (2 * 3.841459))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -329,8 +329,8 @@ class PointModel:
         if self.prior.halo_px is None:
             return np.ones((len(theta), *(1,) * (table.elastic.ndim - 1)))
         p = self.prior.values_by_name(theta)
-        share = self.prior.halo_fraction(p["halo_deviate"])
-        return table(share, p["halo_diameter_px"], p["halo_elastic_share"])
+        fraction = self.prior.halo_fraction(p["halo_deviate"])
+        return table(fraction, p["halo_diameter_px"], p["halo_elastic_share"])
 
     def core(self, theta: Array) -> Array:
         """Return the core's pixels per unit light, shape (n, row, col), 1/px^2."""
@@ -358,15 +358,15 @@ class PointModel:
         """
         walls = self.prior.bounds[self.prior.free_index]
         away = ACCURACY.frequency_margin_sd * covariance_root(covariance).T
-        places = np.clip(np.concatenate([point[None], point + away, point - away]), walls[:, 0], walls[:, 1])
+        positions = np.clip(np.concatenate([point[None], point + away, point - away]), walls[:, 0], walls[:, 1])
         fx, fy = self.grid
-        height = np.abs(self.modulus(places, fx, fy, self.halo_table) * self.aperture_on_grid)
+        height = np.abs(self.modulus(positions, fx, fy, self.halo_table) * self.aperture_on_grid)
         # Height beyond each frequency; the ends of both axes move together.
         beyond = np.maximum(
             np.broadcast_to(fx, height.shape[1:]), np.broadcast_to(fy / ACCURACY.frequency_aspect, height.shape[1:])
         ).ravel()
         order = np.argsort(beyond)
-        lost = np.cumsum(height.reshape(len(places), -1)[:, order][:, ::-1], axis=1)
+        lost = np.cumsum(height.reshape(len(positions), -1)[:, order][:, ::-1], axis=1)
         clear = np.all(lost <= ACCURACY.negligible_amplitude * lost[:, -1:], axis=0)
         top = float(beyond[order][::-1][int(np.argmin(clear))]) + 1e-9
         return self if top >= beyond.max() else replace(self, optics=replace(self.optics, top=top))

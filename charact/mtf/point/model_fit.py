@@ -116,7 +116,7 @@ class WhitenedPixels:
     rounding: Array
     censored: Censored | None = None
 
-    def whitened(self, columns: Array) -> Array:
+    def whiten(self, columns: Array) -> Array:
         """Return columns (value, column) whitened, without the marginalised directions."""
         white = self.root @ columns
         return white - self.basis @ (self.basis.T @ white)
@@ -342,5 +342,5 @@ def _ln_inside(point: Array, covariance: Array, bounds: Array, gradient: Array) 
     sd = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     low, high = (point - bounds[:, 0]) / sd, (bounds[:, 1] - point) / sd
     pull = np.where(low < 1e-6, np.maximum(-gradient, 0.0), np.where(high < 1e-6, np.maximum(gradient, 0.0), 0.0)) * sd
-    share = np.maximum(ndtr(high) - ndtr(-low), 1e-3)
-    return float(np.sum(np.where(pull > 0.0, 0.5 * pull**2 + log_ndtr(-pull), np.log(share))))
+    fraction = np.maximum(ndtr(high) - ndtr(-low), 1e-3)
+    return float(np.sum(np.where(pull > 0.0, 0.5 * pull**2 + log_ndtr(-pull), np.log(fraction))))

@@ -195,10 +195,10 @@ def _fit_extended(
 
 def _rank_by_evidence(found: list[BlurModelFit2D]) -> list[EvidenceWeightedModels2D]:
     evidence = np.array([_weight(fit) for fit in found])
-    share = np.exp(evidence - evidence.max())
-    share /= share.sum()
+    fraction = np.exp(evidence - evidence.max())
+    fraction /= fraction.sum()
     return [
-        EvidenceWeightedModels2D(fit=found[i], share=float(share[i]))
-        for i in np.argsort(-share)
-        if share[i] > ACCURACY.min_model_weight
+        EvidenceWeightedModels2D(fit=found[i], share=float(fraction[i]))
+        for i in np.argsort(-fraction)
+        if fraction[i] > ACCURACY.min_model_weight
     ]

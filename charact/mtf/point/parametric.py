@@ -269,7 +269,7 @@ class _Task:
     def _posterior(self, fitter: PointFitter, one: EvidenceWeightedModels2D, number: int) -> Posterior:
         """Sample the posterior of one blur model, by importance sampling if quick."""
         fit = one.fit
-        asked = {
+        arguments = {
             "names": tuple(fit.form.parameters),
             "units": tuple(unit for unit, _ in fit.form.parameters.values()),
             "start": fit.point,
@@ -283,12 +283,12 @@ class _Task:
             return fitter.log_probability(fit.form, theta)
 
         if self.context.quick:
-            share = max(one.share, ACCURACY.min_quick_effort)
-            enough, first = ACCURACY.quick_ess * share, round(ACCURACY.quick_first_draws * share)
-            return importance_sample(log_probability, **asked, enough=enough, first_draws=first)
+            fraction = max(one.share, ACCURACY.min_quick_effort)
+            enough, first = ACCURACY.quick_ess * fraction, round(ACCURACY.quick_first_draws * fraction)
+            return importance_sample(log_probability, **arguments, enough=enough, first_draws=first)
         return sample_posterior(
             log_probability,
-            **asked,
+            **arguments,
             max_steps=ACCURACY.parametric_chain_steps,
             effort=max(one.share, ACCURACY.min_full_effort),
         )

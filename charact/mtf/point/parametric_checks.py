@@ -114,7 +114,7 @@ def _asymmetry_columns(site: SourcePixels, one, nodes: Array) -> Array:
     tilted = pictures(site.aperture, transfer, *site.axes)[3]
     columns = np.stack([tilted, sharp[1], sharp[2]], axis=1)
     columns = np.concatenate([columns, np.zeros((site.window.ring_dn.size, 3))])
-    return one.whitened(columns[site.value_mask])
+    return one.whiten(columns[site.value_mask])
 
 
 def _blocks(own: list[Array]) -> Array:

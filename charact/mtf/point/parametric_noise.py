@@ -153,7 +153,11 @@ def pulse_covariances(radial: tuple[Array, Array], mean: Array, x: Array, y: Arr
     frequency, transfer = radial
     log = np.log(np.clip(transfer, 1e-12, 1.0))
     whole = _width(frequency, log)
-    laws = [((1.0 - share) * log, _width(frequency, share * log)) for share in ACCURACY.pulse_fractions if share > 0.0]
+    laws = [
+        ((1.0 - fraction) * log, _width(frequency, fraction * log))
+        for fraction in ACCURACY.pulse_fractions
+        if fraction > 0.0
+    ]
     laws += [
         (np.minimum.accumulate(np.minimum(log + 2.0 * (np.pi * frequency * width) ** 2, 0.0)), width)
         for width in whole * WIDTHS
@@ -189,13 +193,14 @@ def _covariance(frequency: Array, log_before: Array, width_px: float, mean: Arra
         * step
         * np.exp(log_before - 0.5 * (np.pi * frequency * ACCURACY.pulse_step_px) ** 2 / 3.0)
     )
-    places = np.arange(-ACCURACY.pulse_extent_px, ACCURACY.pulse_extent_px + 1e-9, ACCURACY.pulse_step_px)
+    positions = np.arange(-ACCURACY.pulse_extent_px, ACCURACY.pulse_extent_px + 1e-9, ACCURACY.pulse_step_px)
     density = (
-        np.interp(np.hypot(places[:, None], places), RADII_PX, np.maximum(landed, 0.0)) * ACCURACY.pulse_step_px**2
+        np.interp(np.hypot(positions[:, None], positions), RADII_PX, np.maximum(landed, 0.0))
+        * ACCURACY.pulse_step_px**2
     )
-    along, down = (_pulse(at, places, width_px) for at in (x, y))
-    columns = (along[:, :, None] * along[:, None, :]).reshape(places.size, -1)
-    rows = (down[:, :, None] * down[:, None, :]).reshape(places.size, -1)
+    along, down = (_pulse(at, positions, width_px) for at in (x, y))
+    columns = (along[:, :, None] * along[:, None, :]).reshape(positions.size, -1)
+    rows = (down[:, :, None] * down[:, None, :]).reshape(positions.size, -1)
     both = (rows.T @ density @ columns).reshape(y.size, y.size, x.size, x.size)
     unit = both.transpose(0, 2, 1, 3).reshape(x.size * y.size, -1)
     return unit * (float(np.maximum(mean, 0.0).sum()) / max(float(np.trace(unit)), 1e-300))

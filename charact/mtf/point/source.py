@@ -91,13 +91,13 @@ def _peaks(steady: Array, level: float, least: float) -> list[tuple[int, int]]:
     rows, cols = np.nonzero((steady == highest) & (steady - level >= least))
     order = np.argsort(-steady[rows, cols], kind="stable")[: ACCURACY.max_peaks]
     peaks = list(zip(rows[order].tolist(), cols[order].tolist(), strict=True))
-    middle = 0.5 * (np.array(steady.shape) - 1.0)
+    centre = 0.5 * (np.array(steady.shape) - 1.0)
     bright = [
         place for place in peaks if steady[place] - level > LIMITS.min_relative_height * (steady[peaks[0]] - level)
     ]
     apart = {place: min([LIMITS.isolated_px, *(float(np.hypot(*np.subtract(place, o))) for o in peaks if o != place)])
              for place in bright}  # fmt: skip
-    row, col = min(bright, key=lambda place: (-apart[place], float(np.hypot(*(np.array(place) - middle)))))
+    row, col = min(bright, key=lambda place: (-apart[place], float(np.hypot(*(np.array(place) - centre)))))
     others = [
         place for place in peaks
         if np.hypot(place[0] - row, place[1] - col) >= LIMITS.min_peak_distance_px

@@ -166,8 +166,8 @@ def _reposition(site: SourcePixels, transfer: Array, sd: Array) -> tuple[SourceP
     """Return a source at the position that fits a transfer best, to first order, and its shift, px."""
     found = _core_residual(site, transfer, sd).coefficients
     move = np.clip(-found[1:3] / max(float(found[0]), 1e-300), -1.0, 1.0)
-    place = (site.place[0] + float(move[0]), site.place[1] + float(move[1]))
-    return replace(site, place=place), float(np.abs(move).max())
+    position = (site.place[0] + float(move[0]), site.place[1] + float(move[1]))
+    return replace(site, place=position), float(np.abs(move).max())
 
 
 def _sd(site: SourcePixels) -> Array:

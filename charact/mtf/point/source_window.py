@@ -159,7 +159,7 @@ def window_of(data: NDArray, row: int, col: int, *, pitch_ratio: float, full_sca
     outside &= own
     reach = min(row * pitch_ratio, (rows - 1 - row) * pitch_ratio, col, cols - 1 - col)
     rings = _rings(mean, radius, outside, row, col, reach, pitch_ratio)
-    places = np.array([(c - col, (r - row) * pitch_ratio) for r, c in neighbours], float).reshape(-1, 2)
+    positions = np.array([(c - col, (r - row) * pitch_ratio) for r, c in neighbours], float).reshape(-1, 2)
     far = outside & (radius > (27.0 if reach > 31 else 0.7 * reach)) & (radius < 48.0)
     values = data[:, far] if far.any() else data.reshape(frames, -1)
     floor = float(values.var(axis=0, ddof=1).mean()) if frames > 1 else float(values.var())
@@ -183,10 +183,10 @@ def window_of(data: NDArray, row: int, col: int, *, pitch_ratio: float, full_sca
         holds_halo=halo_radius_px is not None and reach >= halo_radius_px + 5.0,
         cut=core.shape[1:] != (2 * ACCURACY.half_rows + 1, 2 * ACCURACY.half_cols + 1),
         clipped=is_clipped_at_black(values),
-        neighbours=places,
+        neighbours=positions,
         neighbour_ring_px=np.array(
-            [[_ring_quantiles(np.hypot(*(ring - at[:, None]))) for ring in rings[4]] for at in places]
-        ).reshape(len(places), len(rings[4]), ACCURACY.pixels_per_ring),
+            [[_ring_quantiles(np.hypot(*(ring - at[:, None]))) for ring in rings[4]] for at in positions]
+        ).reshape(len(positions), len(rings[4]), ACCURACY.pixels_per_ring),
     )
 
 
@@ -231,7 +231,7 @@ def _rings(mean: Array, radius: Array, outside: NDArray[np.bool_], row: int, col
            pitch_ratio: float) -> tuple[Array, Array, Array, Array, list[Array]]:  # fmt: skip
     """Return distances, means, variances and correlations of rings, and columns and rows of their pixels."""
     angle = np.arctan2(*np.broadcast_arrays((np.arange(mean.shape[0]) - row)[:, None], np.arange(mean.shape[1]) - col))
-    distances, values, sectors, pixels, lengths, places = [], [], [], [], [], []
+    distances, values, sectors, pixels, lengths, positions = [], [], [], [], [], []
     for low, high in pairwise(ACCURACY.ring_borders_px):
         if high > reach:
             break
@@ -244,11 +244,11 @@ def _rings(mean: Array, radius: Array, outside: NDArray[np.bool_], row: int, col
         pixels.append(float(inside.sum()))
         lengths.append((low, high))
         y, x = np.nonzero(inside)
-        places.append(np.stack([x - col, (y - row) * pitch_ratio]))
+        positions.append(np.stack([x - col, (y - row) * pitch_ratio]))
     if not distances:
         return np.empty((0, ACCURACY.pixels_per_ring)), np.empty(0), np.empty(0), np.empty((0, 0)), []
     variance, correlation = _ring_noise(sectors, np.array(pixels), np.array(lengths))
-    return np.array(distances), np.array(values), variance, correlation, places
+    return np.array(distances), np.array(values), variance, correlation, positions
 
 
 def _ring_quantiles(distances: Array) -> Array:

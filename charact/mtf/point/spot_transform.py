@@ -82,12 +82,12 @@ def point_spread(
     light = spots.sum(axis=(1, 2))
     if light.mean() < LIMITS.min_light_sd * ACCURACY.lag_factor * light.std(ddof=1) / np.sqrt(len(light)):
         return _nothing("no target: the spot's light is not significant over the frames", "no-target", common)
-    places = _places(used.shape[1:], source, context)
+    positions = _places(used.shape[1:], source, context)
     still = [finding(flag, EFFECTS[flag]) for flag in flags if flag in EFFECTS]
     findings = [*still, *motion_findings(tuple(flag for flag in flags if flag not in EFFECTS))]
     found, curves = [], {}
-    for name, angle, place in (("mtf", 0.0, places[1]), ("mtf_vertical", 90.0, places[0])):
-        one, curve = _direction(spots, place, pinhole_px or 0.0, missing, {**common, "orientation_deg": angle})
+    for name, angle, position in (("mtf", 0.0, positions[1]), ("mtf_vertical", 90.0, positions[0])):
+        one, curve = _direction(spots, position, pinhole_px or 0.0, missing, {**common, "orientation_deg": angle})
         found += [number.with_(findings=findings) for number in one]
         curves[name] = curve
     return Result(measurements=tuple(found), curves=curves)
@@ -139,9 +139,11 @@ def _offsets_from_centre(mean: Array, x: Array, y: Array) -> tuple[Array, Array]
 
 def _tail(spots: Array, radius: Array) -> tuple[float, float]:
     """Return the fraction of light at the disc's border and its standard uncertainty."""
-    share = spots[:, (radius >= ACCURACY.border_radius_px) & (radius < ACCURACY.spot_radius_px)].sum(axis=1)
+    fraction = spots[:, (radius >= ACCURACY.border_radius_px) & (radius < ACCURACY.spot_radius_px)].sum(axis=1)
     light = float(spots.sum(axis=(1, 2)).mean())
-    return float(share.mean()) / light, ACCURACY.lag_factor * float(share.std(ddof=1)) / np.sqrt(len(share)) / light
+    return float(fraction.mean()) / light, ACCURACY.lag_factor * float(fraction.std(ddof=1)) / np.sqrt(
+        len(fraction)
+    ) / light
 
 
 def _is_asymmetric(spots: Array, x: Array, y: Array) -> bool:
@@ -149,10 +151,10 @@ def _is_asymmetric(spots: Array, x: Array, y: Array) -> bool:
     mean = spots.mean(axis=0)
     across, down = _offsets_from_centre(mean, x.ravel(), y.ravel())
     for turn in np.deg2rad([0.0, 45.0, 90.0, 135.0]):
-        place = across[None, :] * np.cos(turn) + down[:, None] * np.sin(turn)
+        position = across[None, :] * np.cos(turn) + down[:, None] * np.sin(turn)
         for frequency in ACCURACY.asymmetry_cy_per_px:
             # A shift doubles the phase at twice the frequency; the remainder is asymmetry.
-            wave = np.sin(4.0 * np.pi * frequency * place) - 2.0 * np.sin(2.0 * np.pi * frequency * place)
+            wave = np.sin(4.0 * np.pi * frequency * position) - 2.0 * np.sin(2.0 * np.pi * frequency * position)
             odd = np.tensordot(spots, wave, axes=2)
             error = ACCURACY.lag_factor * float(odd.std(ddof=1)) / np.sqrt(len(odd))
             if abs(odd.mean()) > max(LIMITS.max_asymmetry_sd * error, LIMITS.max_asymmetry * float(mean.sum())):

@@ -84,7 +84,7 @@ def test_a_black_level_lets_the_noise_of_bars_tell_a_gamma(tmp_path: Path) -> No
     np.save(file, scene.frames_drawn(np.random.default_rng(0)).data)
     asked = ("mtf", "bars", file, "--frequency", "0.25", "--quick", "--json")
     told = [json.loads(charact(*asked, *more).stdout)["measurements"][0] for more in ((), ("--black-dn", "12"))]
-    by_noise = [any("noise grows with the power" in note for note in one["notes"]) for one in told]
+    by_noise = [any("noise grows as signal" in note for note in one["notes"]) for one in told]
     assert by_noise == [False, True]
 
 
