@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.fit.predicted_quantities import Values, excess_noise_factor
-from labdata.parameter import Parameter
+from labdata.camera_description import Parameter
 from labdata.sensor import Sensor
 
 Array = NDArray[np.float64]

@@ -20,9 +20,9 @@ from charact.fit.prior import (
     widen_to_products,
 )
 from charact.noise.snr.stated_illumination import UNSTATED_ILLUMINANCE_SD
+from labdata.camera_description import Parameter
 from labdata.errors import BadInput
 from labdata.measurement import Posterior, Result
-from labdata.parameter import Parameter
 from labdata.sensor import Draws, Sensor
 from labdata.session import Session
 
