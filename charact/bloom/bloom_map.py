@@ -140,7 +140,7 @@ def bloom_map(
             # Next to a patch the fraction depends on its edge, which clipping hides to within a pixel.
             variance += 0.12**2 * (_within(rows, cols, PATCH_MARGIN_PX, lattice) & ~clipped)
         if not source.has_known_signal:
-            unknown |= _contaminated_pixels(source, image, spread.centre(), lattice, halo_px)
+            unknown |= _pixels_of_unknown_source(source, image, spread.centre(), lattice, halo_px)
     return BloomMap(
         fraction=np.where(unknown, np.nan, mean).astype(np.float32),
         sd=np.where(unknown, np.nan, np.sqrt(variance)).astype(np.float32),
@@ -271,7 +271,7 @@ def _near_transform(frequency: Array, near_px: float) -> Array:
     return density_matrix(radius) @ (ring[:, None] * j0(2.0 * np.pi * np.outer(radius, frequency)))
 
 
-def _contaminated_pixels(
+def _pixels_of_unknown_source(
     source: ClippedSource, image: NDArray, one: PosteriorPsf, lattice: FrameGrid, halo_px: float
 ) -> Mask:
     """Pixels in which a source of unknown signal may exceed `REACHED` of the total."""

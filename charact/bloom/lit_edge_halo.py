@@ -408,15 +408,15 @@ def _refusal_reason(found: _Found, line: LitEdgeLine) -> str:
 
 
 def _posterior(problem: EdgeHaloLikelihood, peak: EdgeHaloOptimum, context: Context) -> Posterior:
-    asked: dict[str, Any] = {
+    arguments: dict[str, Any] = {
         "names": problem.names, "units": problem.units, "start": peak.point, "covariance": peak.covariance,
         "seed": context.seed, "bounds": problem.bounds,
     }  # fmt: skip
-    return (laplace if context.quick else importance_sample)(problem.log_probability, **asked)
+    return (laplace if context.quick else importance_sample)(problem.log_probability, **arguments)
 
 
 def _average_models(found: _Found, best: Posterior, context: Context) -> tuple[Array, Array]:
-    """Draws of the halo's diameter and share, of each core as many as its weight says, shape (draw,)."""
+    """Draws of the halo's diameter and fraction, averaged over cores by weight, shape (draw,)."""
     weight = np.exp([-0.5 * over for over, _, _ in found.rivals])
     count = np.rint(len(best.draws) * weight / weight.sum()).astype(int)
     parts = [

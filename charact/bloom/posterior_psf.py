@@ -100,12 +100,12 @@ class PosteriorPsf:
         return len(self.halo_diameter_px)
 
     def select(self, draws: ArrayLike) -> "PosteriorPsf":
-        """Return the spread of some draws, by their numbers."""
+        """Return some draws, by their indices."""
         index = np.asarray(draws, int)
         return replace(self, **{name: getattr(self, name)[index] for name in _per_draw()})
 
     def subsample(self, most: int = 30) -> "PosteriorPsf":
-        """Return the spread of at most so many draws, evenly taken."""
+        """Return at most `most` draws, evenly spaced."""
         return self if len(self) <= most else self.select(np.linspace(0, len(self) - 1, most).round())
 
     def centre(self) -> "PosteriorPsf":

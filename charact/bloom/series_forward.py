@@ -236,7 +236,7 @@ def _refuse_halo(reason: str, fields: dict[str, Any]) -> list[Measurement]:
 
 def _posterior(best: FittedHaloModel, context: Context) -> Posterior:
     """Posterior draws of the selected model's parameters."""
-    asked: dict[str, Any] = {
+    arguments: dict[str, Any] = {
         "names": best.form.names,
         "units": best.form.units,
         "start": best.peak.point,
@@ -245,11 +245,11 @@ def _posterior(best: FittedHaloModel, context: Context) -> Posterior:
         "bounds": best.form.bounds,
     }
     if context.quick:
-        gaussian = laplace(best.problem.log_probability, **asked)
+        gaussian = laplace(best.problem.log_probability, **arguments)
         if not _is_cut(best, gaussian):
             return gaussian
     enough = 100.0 if context.quick else 1000.0
-    return importance_sample(best.problem.log_probability, enough=enough, first_draws=2000, **asked)
+    return importance_sample(best.problem.log_probability, enough=enough, first_draws=2000, **arguments)
 
 
 def _is_cut(best: FittedHaloModel, gaussian: Posterior) -> bool:

@@ -106,18 +106,18 @@ class SensorPrior:
         return np.where(logarithmic, exponential, np.where(inverse, turned, coordinates))
 
 
-def prior_of(sensor: Sensor, asked: tuple[str, ...]) -> SensorPrior:
+def prior_of(sensor: Sensor, requested: tuple[str, ...]) -> SensorPrior:
     """Return the prior of the requested parameters that have a range.
 
     Parameters
     ----------
     sensor
         Sensor description whose low..high contain each parameter with 95 % probability.
-    asked
+    requested
         Paths of the parameters on which the session's data depend.
     """
     known = sensor.parameters()
-    rows = [(path, *_row(path, known[path])) for path in asked if _has_range(known[path])]
+    rows = [(path, *_row(path, known[path])) for path in requested if _has_range(known[path])]
     numbers = np.array([row[1:] for row in rows], float).reshape(-1, 6)
     return SensorPrior(
         names=tuple(row[0] for row in rows),
@@ -195,13 +195,13 @@ PRODUCTS = (
 )
 
 
-def products_of(sensor: Sensor, asked: tuple[str, ...]) -> tuple[Product, ...]:
+def products_of(sensor: Sensor, requested: tuple[str, ...]) -> tuple[Product, ...]:
     """Return the products whose carrier and partners are all requested and have ranges."""
     known = sensor.parameters()
     return tuple(
         product
         for product in PRODUCTS
-        if {product.carrier, *product.partners} <= set(asked)
+        if {product.carrier, *product.partners} <= set(requested)
         and all(known[path].low is not None for path in (product.carrier, *product.partners))
     )
 

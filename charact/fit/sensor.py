@@ -82,10 +82,10 @@ class Model:
 
 def model_of(sensor: Sensor, observed: tuple[Observation, ...]) -> Model:
     """Return the model of the parameters that the observations depend on."""
-    asked = tuple(dict.fromkeys(path for one in observed for path in one.speaks_of))
-    products = products_of(sensor, asked)
+    requested = tuple(dict.fromkeys(path for one in observed for path in one.speaks_of))
+    products = products_of(sensor, requested)
     riding = {path for product in products for path in product.partners}
-    prior = prior_of(widen_to_products(sensor, products), tuple(path for path in asked if path not in riding))
+    prior = prior_of(widen_to_products(sensor, products), tuple(path for path in requested if path not in riding))
     return Model(sensor=sensor, products=products, prior=prior, observed=observed)
 
 
