@@ -37,7 +37,7 @@ def series_findings(series: FlatSeries, *, context: Context) -> list[Finding]:
     if series.reference != "dark":
         found.append(("no-darks", f"no darks of two frames or more: signals are measured from the {series.reference}"))
     if series.left_out:
-        found.append((None, f"excluded (different gain):  {', '.join(series.left_out)}"))
+        found.append((None, f"excluded (different gain): {', '.join(series.left_out)}"))
         found += _gain_findings(series)
     if series.single:
         found.append((None, without_noise(series.single)))
