@@ -37,7 +37,7 @@ def series_findings(series: FlatSeries, *, context: Context) -> list[Finding]:
     if series.reference != "dark":
         found.append(("no-darks", f"no darks of two frames or more: signals are measured from the {series.reference}"))
     if series.left_out:
-        found.append((None, f"excluded (different gain):  {', '.join(series.left_out)}"))
+        found.append((None, f"excluded (different gain): {', '.join(series.left_out)}"))
         found += _gain_findings(series)
     if series.single:
         found.append((None, without_noise(series.single)))
@@ -106,7 +106,7 @@ def light_findings(series: FlatSeries) -> list[Finding]:
 
     Dark current missing from a shorter dark is Poisson-distributed like light, so it leaves the slope unbiased.
     """
-    return [*_dark_current_findings(series), *_stated_light_findings(series)]
+    return [*_dark_current_findings(series), *_light_statement_findings(series)]
 
 
 def _dark_current_findings(series: FlatSeries) -> list[Finding]:
@@ -124,7 +124,7 @@ def _dark_current_findings(series: FlatSeries) -> list[Finding]:
     return [flags.Finding(flag="unlike-conditions", effect=effect, remedy="darks of the flats' exposure_s")]
 
 
-def _stated_light_findings(series: FlatSeries) -> list[Finding]:
+def _light_statement_findings(series: FlatSeries) -> list[Finding]:
     """Return the finding of different levels under the same stated light."""
     chosen = np.flatnonzero(series.fitted)
     light = [light_of(series.flats[i].conditions) for i in chosen]
@@ -202,8 +202,10 @@ def bend_allowance(series: FlatSeries) -> float:
     share, sd = (0.0, np.inf) if trend is None else (trend.rise / trend.middle, trend.rise_sd / trend.middle)
     if series.fitted.sum() >= CHECKS.min_levels:
         return min(abs(share), CHECKS.curvature) if abs(share) > CHECKS.curvature_sd * sd else 0.0
-    told = CHECKS.curvature**2 / (CHECKS.curvature**2 + sd**2)
-    return UndetectedEffect(share=told * share, sd=CHECKS.curvature * float(np.sqrt(1.0 - told))).expected
+    shrinkage = CHECKS.curvature**2 / (CHECKS.curvature**2 + sd**2)
+    return UndetectedEffect(
+        share=shrinkage * share, sd=CHECKS.curvature * float(np.sqrt(1.0 - shrinkage))
+    ).posterior_rms
 
 
 def variance_ratio_changes(series: FlatSeries) -> list[Finding]:
@@ -214,10 +216,10 @@ def variance_ratio_changes(series: FlatSeries) -> list[Finding]:
     gain, middle, slope, error = trend.gain, trend.middle, trend.rise, trend.rise_sd
     # Behind a gamma curve variance over signal rises and falls again, which no straight line shows.
     own_sd = np.hypot(trend.sd, trend.shared)
-    astray = bool(np.any(np.abs(gain - middle) > 2.0 * CHECKS.curvature * middle + CHECKS.significant_sd * own_sd))
-    if abs(slope) <= CHECKS.curvature_sd * error and not astray:
+    deviates = bool(np.any(np.abs(gain - middle) > 2.0 * CHECKS.curvature * middle + CHECKS.significant_sd * own_sd))
+    if abs(slope) <= CHECKS.curvature_sd * error and not deviates:
         return []
-    flag = "nonlinear" if abs(slope) > CHECKS.curvature * middle + CHECKS.curvature_sd * error or astray else None
+    flag = "nonlinear" if abs(slope) > CHECKS.curvature * middle + CHECKS.curvature_sd * error or deviates else None
     sentence = f"variance over signal changes from {trend.first:.4g} to {trend.first + slope:.4g} DN along the levels"
     if flag is None:
         return [(None, f"{sentence}; the gain is the slope over all levels, and its interval includes the change")]
@@ -228,7 +230,7 @@ def variance_ratio_changes(series: FlatSeries) -> list[Finding]:
 
 def exposure_findings(exposures: UndetectedEffect) -> list[Finding]:
     """Return findings of correlation between successive exposures, detected or untestable."""
-    if exposures.seen:
+    if exposures.is_detected:
         share = 100 * exposures.share
         return [("lag", f"noise of successive exposures is correlated ({share:.3g} %)")]
     if exposures.is_untestable:
@@ -244,7 +246,7 @@ def exposure_flags(exposures: UndetectedEffect) -> tuple[str, ...]:
 def correlation_findings(neighbours: UndetectedEffect, exposures: UndetectedEffect) -> list[Finding]:
     """Return findings of correlations that lower the variance."""
     found = exposure_findings(exposures)
-    if neighbours.seen:
+    if neighbours.is_detected:
         low = 100.0 * (1.0 - 1.0 / (1.0 + max(neighbours.share, 0.0)))
         effect = f"noise of neighbouring pixels is correlated, so that the slope of EMVA 1288 is {low:.2g} % low"
         found.append(flags.Finding(flag="correlated-noise", effect=effect, remedy="--method covariance-sum"))

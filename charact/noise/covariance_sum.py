@@ -177,7 +177,7 @@ def _floor(
     if not _blur_findings(pooled):
         return []
     floor = floor_of(pooled.series, pooled.posterior, context=context)
-    if not floor.seen:
+    if not floor.is_detected:
         return []
     return [measurement_from_draws("conversion_gain", "DN/e-", floor.draws, flags=flags_of(covariance), **fields)]
 
@@ -273,10 +273,10 @@ def _measure_series(session: Session, series: FlatSeries, context: Context, fiel
     allowance = float(np.hypot(allowance_of(pooled.neighbours, pooled.exposures, tube=tube), bend))
     gains = None if tube and not pooled.white else gain_of(pooled, allowance, context)
     gain = None if gains is None else gains[1]
-    told = _predictive_residuals(session, pooled, gain, context)
+    residuals = _predictive_residuals(session, pooled, gain, context)
     findings = (
         common
-        + findings_of(told)
+        + findings_of(residuals)
         + pooled.findings()
         + (variance_ratio_changes(series) if gains is not None else [])
         + ([] if pooled.white else quantisation_findings(series))
@@ -289,7 +289,7 @@ def _measure_series(session: Session, series: FlatSeries, context: Context, fiel
         measurement_from_draws("blur_factor", "1", fit.posterior["blur_factor"], **own),
     ]
     plain = flags_of(common)
-    slope = common + hidden + findings_of(told)
+    slope = common + hidden + findings_of(residuals)
     out += (
         electron_quantities(pooled, gains, slope, findings, context, fields)
         if gains is not None
@@ -300,7 +300,9 @@ def _measure_series(session: Session, series: FlatSeries, context: Context, fiel
     gain_flags = flags_of(slope if pooled.white else findings)
     out += pattern_quantities(series, None if gain is None else gain.slope, flags=plain, gain_flags=gain_flags,
                               pair_flags=exposure_flags(pooled.exposures), **fields)  # fmt: skip
-    evidence = _figure_data(pooled, gain) | ({"predictive-frames": predictive_figure_data(told)} if told else {})
+    evidence = _figure_data(pooled, gain) | (
+        {"predictive-frames": predictive_figure_data(residuals)} if residuals else {}
+    )
     return Result(measurements=tuple(out), evidence=evidence)
 
 
@@ -318,7 +320,7 @@ def _predictive_residuals(
 def _figure_data(pooled: SingleSetting, gain: emva1288.GainLine | None) -> dict[str, Any]:
     """Return the figure data."""
     series, summary, fit = pooled.series, pooled.summary, pooled.fit
-    spectra = "many" if summary.lag.seen else "few"
+    spectra = "many" if summary.lag.is_detected else "few"
     return {
         "photon-transfer": transfer_figure_data(
             series,

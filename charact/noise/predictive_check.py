@@ -165,9 +165,9 @@ def predictive_residuals(
     return out
 
 
-def findings_of(told: list[PredictiveResidual]) -> list[Finding]:
+def findings_of(residuals: list[PredictiveResidual]) -> list[Finding]:
     """Return findings of significant deviations from frames drawn from the posterior."""
-    odd = [one for one in told if one.chance * len(told) < PREDICTIVE.false_alarm]
+    odd = [one for one in residuals if one.chance * len(residuals) < PREDICTIVE.false_alarm]
     worst = sorted(odd, key=lambda one: one.chance)[:3]
     return [
         (
@@ -179,17 +179,17 @@ def findings_of(told: list[PredictiveResidual]) -> list[Finding]:
     ]
 
 
-def predictive_figure_data(told: list[PredictiveResidual]) -> dict[str, Any]:
+def predictive_figure_data(residuals: list[PredictiveResidual]) -> dict[str, Any]:
     """Return the figure data of the check."""
     return {
         "figure": "predictive-frames",
-        "stack": [one.stack for one in told],
-        "sign": [one.sign for one in told],
-        "measured": [one.measured for one in told],
-        "expected": [one.expected for one in told],
-        "sd": [one.sd for one in told],
-        "harmless": [STATISTICS[one.sign].harmless for one in told],
-        "chance": [one.chance for one in told],
+        "stack": [one.stack for one in residuals],
+        "sign": [one.sign for one in residuals],
+        "measured": [one.measured for one in residuals],
+        "expected": [one.expected for one in residuals],
+        "sd": [one.sd for one in residuals],
+        "harmless": [STATISTICS[one.sign].harmless for one in residuals],
+        "chance": [one.chance for one in residuals],
     }
 
 
@@ -242,7 +242,7 @@ def _stack_residuals(
     drawn = [
         summary_statistics(
             law().frames(light, len(frames), every, rng)
-            + _resampled_dark_noise(change, len(frames), rng)
+            + _resample_dark_noise(change, len(frames), rng)
             + _rounding(frames.shape, steps_dn, rng)
         )
         for _ in range(PREDICTIVE.replicates)
@@ -259,7 +259,7 @@ def _rounding(shape: tuple[int, ...], most_dn: float, rng: np.random.Generator) 
     return height * rng.uniform(-0.5, 0.5, shape)
 
 
-def _resampled_dark_noise(change: Array, count: int, rng: np.random.Generator) -> Array:
+def _resample_dark_noise(change: Array, count: int, rng: np.random.Generator) -> Array:
     """Return dark-noise frames drawn with replacement, mirrored and shifted at random."""
     rows, cols = change.shape[1:]
     out = []

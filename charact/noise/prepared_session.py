@@ -74,13 +74,13 @@ class FrameView:
                     write_values(flat, np.s_[:], at, flat[:, source], change)
                 elif start <= frame < stop:
                     write_values(flat, frame - start, at, flat[frame - start, source], change)
-            return self._scaled(data)
+            return self._in_units(data)
 
         full = None if stack.full_scale_dn is None else stack.full_scale_dn / self.unit_dn
         dtype = stack.dtype if self.unit_dn == 1.0 else np.dtype(np.float32)
         return replace(stack, block=block, full_scale_dn=full, dtype=dtype)
 
-    def _scaled(self, data: NDArray) -> NDArray:
+    def _in_units(self, data: NDArray) -> NDArray:
         if self.unit_dn == 1.0:
             return data
         scaled = data / self.unit_dn

@@ -45,12 +45,12 @@ def _noise_of(variance_dn2: float, place: float) -> float:
     from scipy.optimize import root_scalar
 
     least, most = 1e-4, 1.0
-    if _rounded_variance(least, place) >= variance_dn2:
+    if _variance_after_rounding(least, place) >= variance_dn2:
         return 0.0
-    return root_scalar(lambda sd: _rounded_variance(sd, place) - variance_dn2, bracket=(least, most)).root ** 2
+    return root_scalar(lambda sd: _variance_after_rounding(sd, place) - variance_dn2, bracket=(least, most)).root ** 2
 
 
-def _rounded_variance(sd: float, place: float) -> float:
+def _variance_after_rounding(sd: float, place: float) -> float:
     """Return the variance after rounding of normal noise about a position."""
     from scipy.stats import norm
 

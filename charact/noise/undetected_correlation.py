@@ -31,7 +31,7 @@ class UndetectedEffect:
     sd: float
 
     @property
-    def seen(self) -> bool:
+    def is_detected(self) -> bool:
         """Whether the effect exceeds its noise and matters."""
         return abs(self.share) > CORRELATION.min_effect + CORRELATION.significant_sd * self.sd
 
@@ -48,7 +48,7 @@ class UndetectedEffect:
         return float(np.hypot(min(abs(self.share), CORRELATION.untestable), min(self.sd, CORRELATION.untestable)))
 
     @property
-    def expected(self) -> float:
+    def posterior_rms(self) -> float:
         """Root mean square of the effect under a prior with equal odds of zero and of a uniform distribution up to
         `CORRELATION.max_fraction`."""
         if not self.sd > 0:
@@ -67,7 +67,7 @@ def allowance_of(neighbours: UndetectedEffect, exposures: UndetectedEffect, *, t
 
     Behind a tube, correlations are expected, so everything a test cannot exclude counts.
     """
-    parts = [one.allowance if tube else one.expected for one in (neighbours, exposures)]
+    parts = [one.allowance if tube else one.posterior_rms for one in (neighbours, exposures)]
     return float(np.hypot(parts[0], parts[1]))
 
 
@@ -77,10 +77,10 @@ def spatially_correlated_fraction(series: FlatSeries) -> UndetectedEffect:
     Row and column noise of the dark cancels. Blur is assumed separable: a diagonal correlation is the product of both.
     """
     chosen = np.flatnonzero(series.fitted & (series.variance_dn2 > 0))
-    beside, beside_sd = inverse_variance_mean([light_correlation(series, int(i), "neighbour") for i in chosen])
+    right, right_sd = inverse_variance_mean([light_correlation(series, int(i), "neighbour") for i in chosen])
     below, below_sd = inverse_variance_mean([light_correlation(series, int(i), "below") for i in chosen])
     return UndetectedEffect(
-        share=2.0 * (beside + below + 2.0 * beside * below), sd=2.0 * float(np.hypot(beside_sd, below_sd))
+        share=2.0 * (right + below + 2.0 * right * below), sd=2.0 * float(np.hypot(right_sd, below_sd))
     )
 
 
@@ -111,7 +111,7 @@ def temporally_correlated_fraction(series: FlatSeries) -> UndetectedEffect:
     if most > CORRELATION.few_frames:
         return near
     common = _common_variance_fraction(series, taken)
-    return common if near.is_untestable or (common.seen and not near.seen) else near
+    return common if near.is_untestable or (common.is_detected and not near.is_detected) else near
 
 
 def inverse_variance_mean(pairs: list[tuple[float, float]]) -> tuple[float, float]:

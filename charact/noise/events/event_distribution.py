@@ -222,7 +222,7 @@ class CharacteristicFunctionData:
     covariance: Array
     pixels: float
 
-    def predicted(self, pulses: PulsePopulation) -> Array:
+    def model(self, pulses: PulsePopulation) -> Array:
         """Return the model of pulses, shape (2 filter t,)."""
         pairs = zip(self.filters, self.frequency, strict=True)
         return real_and_imaginary(np.stack([pulses.log_characteristic(one, frequency) for one, frequency in pairs]))

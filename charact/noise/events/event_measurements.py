@@ -215,8 +215,10 @@ def pulse_findings(found: PulseFit) -> list[Finding]:
         out.append(
             ("model-misfit", f"residuals of the pulse fit have chi2 {found.peak.chi2:.0f} of {found.peak.freedom}")
         )
-    if found.spoilt > EVENTS.contaminated_fraction:
-        out.append(("model-misfit", f"{100 * found.spoilt:.0f} % of the values are near ion feedback events"))
+    if found.contaminated_fraction > EVENTS.contaminated_fraction:
+        out.append(
+            ("model-misfit", f"{100 * found.contaminated_fraction:.0f} % of the values are near ion feedback events")
+        )
     if len(found.ion_height_dn):
         size = float(np.mean(found.ion_height_dn)) / best.height_dn
         rate = len(found.ion_height_dn) / sum(change.size for change in frames.changes)
@@ -236,10 +238,10 @@ def _measurements(found: PulseFit, conditions: Conditions, context: Context, fie
     height, spread = posterior["height_dn"], posterior["relative_variance"]
     detected, note = detection(context, rng, len(height))
     out = [measurement_from_draws("detected_photoelectron_gain", "DN", height, posterior=posterior, **fields)]
-    told = {**fields, "notes": (*fields["notes"], note)}
-    out.append(measurement_from_draws("photoelectron_gain", "DN/pe", detected * height, **told))
-    out.append(measurement_from_draws("excess_noise_factor", "1", (1.0 + spread) / detected, **told))
-    return out + _background(posterior["density"] / detected, conditions, context, rng, told)
+    with_note = {**fields, "notes": (*fields["notes"], note)}
+    out.append(measurement_from_draws("photoelectron_gain", "DN/pe", detected * height, **with_note))
+    out.append(measurement_from_draws("excess_noise_factor", "1", (1.0 + spread) / detected, **with_note))
+    return out + _background(posterior["density"] / detected, conditions, context, rng, with_note)
 
 
 def detection(context: Context, rng: np.random.Generator, count: int) -> tuple[Array, str]:

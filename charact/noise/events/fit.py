@@ -98,7 +98,7 @@ class PulseLikelihood:
         return np.array([np.log(pair) if name in LOGARITHMIC else pair for name, *pair in limits])
 
     @cached_property
-    def known(self) -> tuple[Array, Array]:
+    def prior(self) -> tuple[Array, Array]:
         """Prior means and inverse standard deviations, 0 without a prior."""
         prior = [self.priors.get(name, (0.0, np.inf)) for name in self.names]
         return np.array([mean for mean, _ in prior]), np.array([1.0 / sd for _, sd in prior])
@@ -115,9 +115,9 @@ class PulseLikelihood:
         point = [np.log(x) if name in LOGARITHMIC else x for name, x in zip(self.names, value, strict=True)]
         return np.clip(np.array(point), self.walls[:, 0], self.walls[:, 1])
 
-    def predicted(self, point: Array) -> Array:
+    def model(self, point: Array) -> Array:
         """Return the model at a parameter vector, shape (value,)."""
-        return self.observed.predicted(self.pulses(point))
+        return self.observed.model(self.pulses(point))
 
     def derivative(self, point: Array, at: Array) -> Array:
         """Return the derivatives of the model by inward steps, shape (value, parameter)."""
@@ -130,12 +130,12 @@ class PulseLikelihood:
             )
             moved = point.copy()
             moved[index] += step
-            columns.append((self.predicted(moved) - at) / step)
+            columns.append((self.model(moved) - at) / step)
         return np.stack(columns, axis=1)
 
     def noise_alone(self) -> Array:
         """Return the model of noise of unit variance without pulses."""
-        return self.observed.predicted(replace(self.fixed, density=0.0, noise_dn2=1.0))
+        return self.observed.model(replace(self.fixed, density=0.0, noise_dn2=1.0))
 
 
 def whitening(observed: CharacteristicFunctionData, covariance: Array) -> Array:
@@ -172,7 +172,7 @@ def best_guess(problem: PulseLikelihood, covariance: Array, pixel_noise_dn: floa
         for height in EVENT_ACCURACY.start_heights:
             guess = replace(problem.fixed, density=1.0, noise_dn2=0.0, height_dn=height * pixel_noise_dn,
                             column_px=width, row_px=max(width / problem.fixed.row_pitch, 0.1))  # fmt: skip
-            design = np.stack([root @ problem.observed.predicted(guess), noise], axis=1)
+            design = np.stack([root @ problem.observed.model(guess), noise], axis=1)
             density, white = np.maximum(np.linalg.lstsq(design, target, rcond=None)[0], 0.0)
             density, white = max(density, 1e-9), max(white, 1e-3 * pixel_noise_dn**2)
             misfit = float(np.sum((target - design @ [density, white]) ** 2))
@@ -190,13 +190,13 @@ def optimise_pulses(
     Derivatives, optionally given from nearby, are updated after each step (Broyden) and recomputed when progress stops,
     unless `rough`.
     """
-    root, (mean, precision) = whitening(problem.observed, covariance), problem.known
+    root, (mean, precision) = whitening(problem.observed, covariance), problem.prior
 
     def residual(point: Array, predicted: Array) -> Array:
         return np.concatenate([root @ (predicted - problem.observed.value), (point - mean) * precision])
 
     point, damping = problem.point(start), 1e-3
-    predicted = problem.predicted(point)
+    predicted = problem.model(point)
     fresh = derivative is None
     derivative = problem.derivative(point, predicted) if derivative is None else derivative
     at = residual(point, predicted)
@@ -204,7 +204,7 @@ def optimise_pulses(
         slope = np.concatenate([root @ derivative, np.diag(precision)])
         step = _step(slope, at, damping, point, problem.walls)
         moved = np.clip(point + np.clip(step, -1.0, 1.0), problem.walls[:, 0], problem.walls[:, 1])
-        reached, way = problem.predicted(moved), moved - point
+        reached, way = problem.model(moved), moved - point
         there = residual(moved, reached)
         gain = float(at @ at - there @ there)
         if gain > EVENT_ACCURACY.chi2_tolerance:

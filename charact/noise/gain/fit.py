@@ -60,7 +60,7 @@ class SpectrumData:
         whole = np.exp(level) + floor
         return np.array([whole, *falls, exponent, floor / whole if floor else GAIN_PRIORS.few_electrons[0], *BEGIN])
 
-    def expected(self, points: Array) -> Array:
+    def model_values(self, points: Array) -> Array:
         """Return the model of the data, shape (draw, datum), DN."""
         reading, beyond = self.summary.reading, self.summary.beyond
         inside = self.leak * spectrum_at(points, self.column, self.row, reading)
@@ -72,7 +72,7 @@ class SpectrumData:
         """Compute leakage and errors at the parameters (1, parameter)."""
         summary, beyond = self.summary, self.summary.beyond
         self.leak = leakage_ratio(point, self.column, self.row, summary.reading, summary.leak_cy2_per_px2)
-        model, bins = self.expected(point)[0], len(self.column)
+        model, bins = self.model_values(point)[0], len(self.column)
         covariance = np.zeros((len(model), len(model)))
         own = summary.power_sd_dn[self.used] * model[:bins] / np.maximum(self.measured[:bins], 0.2 * model[:bins])
         covariance[np.arange(bins), np.arange(bins)] = own**2
@@ -162,7 +162,7 @@ def form_optima(data: SpectrumData, forms: Sequence[GainBlurModel]) -> list[Gain
     if "spread_share" in best.form.names:
         place = best.form.names.index("spread_share")
         if best.point[place] > GAIN_PRIORS.spread_sd * np.sqrt(best.covariance[place, place]):
-            peaks[at] = _form_optimum(data, best.form.freed, best.form.whole(best.point[None])[0])
+            peaks[at] = _form_optimum(data, best.form.with_free_spread, best.form.whole(best.point[None])[0])
     return peaks
 
 
@@ -172,7 +172,7 @@ def _form_optimum(data: SpectrumData, form: GainBlurModel, begin: Array) -> Gain
 
     log_probability = _log_probability(data, form)
     point, covariance = find_maximum(log_probability, form.part(begin), form.bounds)
-    rest = (data.measured - data.expected(form.whole(point[None]))[0]) @ data.whitened
+    rest = (data.measured - data.model_values(form.whole(point[None]))[0]) @ data.whitened
     chi2, freedom = float(rest @ rest), len(rest) - len(point)
     height = float(log_probability(point[None])[0])
     _, volume = np.linalg.slogdet(2.0 * np.pi * covariance)
@@ -189,7 +189,7 @@ def _log_probability(data: SpectrumData, form: GainBlurModel) -> Callable[[Array
     def log_probability(points: Array) -> Array:
         inside = np.all((points >= bounds[:, 0]) & (points <= bounds[:, 1]), axis=1)
         safe = np.where(inside[:, None], points, centre)
-        residual = (measured - data.expected(form.whole(safe))) @ root
+        residual = (measured - data.model_values(form.whole(safe))) @ root
         return np.where(inside, volume - 0.5 * (residual**2).sum(axis=1) + form.log_prior(safe), -np.inf)
 
     return log_probability
@@ -246,14 +246,14 @@ def _form_draws(peak: GainSpectrumOptimum, number: int, seed: int, quick: bool) 
     Importance sampling, because a chain moves slowly along the curved ridge of strength, falls and exponent.
     """
     form, part = peak.form, number / GAIN.draws
-    told: dict[str, Any] = {
+    settings: dict[str, Any] = {
         "names": form.names, "units": ("1",) * len(form.names), "start": peak.point, "covariance": peak.covariance,
         "seed": seed, "bounds": form.bounds, "draws": number,
     }  # fmt: skip
     if quick:
-        return laplace(peak.log_probability, **told)
+        return laplace(peak.log_probability, **settings)
     drawn = importance_sample(
-        peak.log_probability, **told, enough=part * ENOUGH, first_draws=max(500, round(part * FIRST_DRAWS))
+        peak.log_probability, **settings, enough=part * ENOUGH, first_draws=max(500, round(part * FIRST_DRAWS))
     )
     few = drawn.effective_sample_size[0] < part * GAIN.min_effective_samples
     return replace(drawn, flags=(*drawn.flags, "not-converged")) if few else drawn

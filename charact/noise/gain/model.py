@@ -54,7 +54,7 @@ class PixelReadoutModel:
         )
         return aperture + filtered, aperture * self.row_pitch**2
 
-    def shown(self, ln_power: Callable[[Array, Array], Array], column: Array, row: Array) -> Array:
+    def pixel_power(self, ln_power: Callable[[Array, Array], Array], column: Array, row: Array) -> Array:
         """Return |H|^2 including pixel readout.
 
         Parameters
@@ -76,12 +76,12 @@ class PixelReadoutModel:
         out = np.zeros_like(own)
         for x, across in _orders(column, 1.0):
             for y, down in _orders(row, self.row_pitch):
-                out = out + _bounded_exponential(ln_power(x, y) - own) * across * down
+                out = out + _limited_exponential(ln_power(x, y) - own) * across * down
         out = out * np.exp(own)
         return out if self.video is None else out * np.abs(self.video(column)) ** 2
 
 
-def _bounded_exponential(difference: Array) -> Array:
+def _limited_exponential(difference: Array) -> Array:
     """Return exp of negative values, continued smoothly to a limit of 2 for positive ones."""
     beyond = np.exp(-np.abs(difference))
     return np.where(difference < 0.0, beyond, 2.0 - beyond)
@@ -90,8 +90,8 @@ def _bounded_exponential(difference: Array) -> Array:
 def _orders(frequency: Array, pitch: float) -> list[tuple[Array, Array]]:
     """Return the frequencies aliased to one, cycles per column pitch, and the aperture transfer of each."""
     near, far = (1.0 / pitch + sign * np.abs(frequency) for sign in (-1.0, 1.0))
-    own, beside = np.sinc(frequency * pitch) ** 2, np.sinc(near * pitch) ** 2
-    return [(frequency, own), (near, beside), (far, 1.0 - own - beside)]
+    own, adjacent = np.sinc(frequency * pitch) ** 2, np.sinc(near * pitch) ** 2
+    return [(frequency, own), (near, adjacent), (far, 1.0 - own - adjacent)]
 
 
 NAMES = ("power", "fall_columns", "fall_rows", "strength", "exponent", "electron_share", "tail", "spread_share")
@@ -119,7 +119,7 @@ def transfer(parameters: Array, column: Array, row: Array, reading: PixelReadout
             core = 2.0 * np.log1p(np.maximum(share * np.expm1(0.5 * core), GAIN_PRIORS.min_transfer - 1.0))
         return np.minimum(core - gauss, GAIN_PRIORS.max_log_transfer)
 
-    return reading.shown(before, column, row)
+    return reading.pixel_power(before, column, row)
 
 
 def spectrum_at(parameters: Array, column: Array, row: Array, reading: PixelReadoutModel) -> Array:
@@ -196,7 +196,7 @@ class GainBlurModel:
         return out
 
     @property
-    def freed(self) -> "GainBlurModel":
+    def with_free_spread(self) -> "GainBlurModel":
         """Return the model with the fall of its extended component free up to halfway to the next."""
         fall = (self.strength / GAIN_PRIORS.spread_step, self.strength * GAIN_PRIORS.spread_step)
         return replace(self, priors={**self.priors, "strength": (fall, None)})

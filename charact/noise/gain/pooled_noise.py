@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 KEPT = np.linspace(0.02, 0.9, 45)
 
 
-def untruncated_lag_sum(
+def lag_sum_correction(
     flats: Sequence[StackStatistics], share: Array, lags: NDArray[np.int64], correlation: Array, covariance: Array
 ) -> tuple[float, Array]:
     """Return the missing part of the correlation sum over all lags, and its derivative by the correlations.
@@ -71,9 +71,9 @@ def untruncated_lag_sum(
 
 def _heights(form: Array, correlation: Array, precision: Array) -> tuple[Array, Array]:
     """Return the amplitudes for each decay, shape (height, kept), and their spacing, shape (kept,)."""
-    weighed = form @ precision
-    information = np.einsum("rk,rk->r", weighed, form)
-    height = weighed @ correlation / information
+    weighted = form @ precision
+    information = np.einsum("rk,rk->r", weighted, form)
+    height = weighted @ correlation / information
     width = GAIN.amplitude_sd / np.sqrt(information)
     low, high = np.clip(height - width, 0.0, 1.0), np.clip(np.maximum(height, 0.0) + width, 0.0, 1.0)
     parts = (np.arange(GAIN.amplitudes) + 0.5) / GAIN.amplitudes
@@ -99,7 +99,7 @@ class ImageLag:
         Lags, exposures, shape (lag,), from 1.
     correlation, correlation_sd
         Correlation of the modes at the lags and standard errors, shape (lag,).
-    seen
+    is_detected
         Whether image lag is detected.
     factor, factor_sd
         Sum of the correlation over all lags, positive and negative, and its standard error: 1 without lag.
@@ -114,7 +114,7 @@ class ImageLag:
     lag: NDArray[np.int64]
     correlation: Array
     correlation_sd: Array
-    seen: bool
+    is_detected: bool
     factor: float
     factor_sd: float
     freedom: float
@@ -181,7 +181,7 @@ def pool_noise(series: FlatSeries, sensor: Sensor | None, *, floor: bool = False
     dark = weight @ np.array([d.many.power_dn2[:, 0] for _, d in pairs])
     share = weight * series.signal_dn[chosen]
     lag = lag_of(*_power(pairs, weight, "many"), dark, [flat for flat, _ in pairs], share)
-    name = "many" if lag.seen else "few"
+    name = "many" if lag.is_detected else "few"
     power, _ = _power(pairs, weight, name)
     variance = np.array([getattr(f, name).variance_dn2 - getattr(d, name).variance_dn2 for f, d in pairs])
     by_heights = np.array([_by_heights(flat, count) for (flat, _), count in zip(pairs, exposures, strict=True)])
@@ -245,7 +245,7 @@ def _power(pairs, weight: Array, name: str) -> tuple[Array, NDArray[np.int64]]:
 def _independent(level: StackStatistics, name: str, lag: ImageLag) -> tuple[float, float]:
     """Return the independent exposures of the spectrum and of the variance of a stack."""
     lags = getattr(level, name).lags
-    correlation = lag.correlation if lag.seen else np.empty(0)
+    correlation = lag.correlation if lag.is_detected else np.empty(0)
     spectrum = n_effective_samples(level.time, level.parity, lags, correlation)
     same = rows_lags(lags, level.parity)
     variance = n_effective_samples(level.time, level.parity, same, correlation, within_parity=True)
@@ -284,8 +284,17 @@ def lag_of(power: Array, lags: NDArray[np.int64], dark: Array, flats: list[Stack
     """
     if len(lags) < 2:
         none = np.empty(0)
-        return ImageLag(lag=lags[1:], correlation=none, correlation_sd=none, seen=False, factor=1.0, factor_sd=0.0,
-                   freedom=np.inf, tested=False, open=False)  # fmt: skip
+        return ImageLag(
+            lag=lags[1:],
+            correlation=none,
+            correlation_sd=none,
+            is_detected=False,
+            factor=1.0,
+            factor_sd=0.0,
+            freedom=np.inf,
+            tested=False,
+            open=False,
+        )
     bins = flats[0].bins
     radius = np.hypot(bins.column_cy_per_px, bins.row_cy_per_px)
     smooth = smooth_power(power[:, 0], radius, bins.modes)
@@ -308,11 +317,11 @@ def lag_of(power: Array, lags: NDArray[np.int64], dark: Array, flats: list[Stack
     left = abs(float(value[max(0, reach - 3) : reach].mean())) if seen else 0.0
     errors = error_correlation(flats[0].time, flats[0].parity, lags)[1:, 1:] * np.outer(sd, sd)
     errors *= weight.T @ weight / np.sqrt(np.outer(square, square))
-    lacking, change = untruncated_lag_sum(flats, share, lags, value, errors) if seen else (0.0, np.zeros(len(value)))
+    lacking, change = lag_sum_correction(flats, share, lags, value, errors) if seen else (0.0, np.zeros(len(value)))
     summed = 2.0 * (np.arange(len(value)) < reach)
     own = float(np.sqrt(np.sum((rest @ (summed + change)) ** 2)))
     factor = float(1.0 + summed @ value + lacking)
-    return ImageLag(lag=lags[1:], correlation=value, correlation_sd=sd, seen=seen, factor=factor,
+    return ImageLag(lag=lags[1:], correlation=value, correlation_sd=sd, is_detected=seen, factor=factor,
                factor_sd=float(np.hypot(own, 2.0 * left)),
                freedom=max(2.0, float(1.0 / square[:reach].max() - 1.0)),
                tested=True, open=seen and left > GAIN.open_lag)  # fmt: skip

@@ -54,7 +54,7 @@ class SingleSetting:
     @property
     def white(self) -> bool:
         """Whether no correlation between neighbours is detected."""
-        return not self.neighbours.seen
+        return not self.neighbours.is_detected
 
     @property
     def posterior(self) -> Posterior:
@@ -85,8 +85,8 @@ class SingleSetting:
 
     def departures(self) -> list[Finding]:
         """Return findings of levels whose covariance over signal deviates or rises."""
-        told = self.series, self.levels_dn, self.levels_sd_dn
-        return _level_findings(*told) + ([] if self.white else _rise_findings(*told))
+        levels = self.series, self.levels_dn, self.levels_sd_dn
+        return _level_findings(*levels) + ([] if self.white else _rise_findings(*levels))
 
 
 def fit_single_setting(series: FlatSeries, *, context: Context, quick: bool) -> SingleSetting:
@@ -102,8 +102,8 @@ def fit_single_setting(series: FlatSeries, *, context: Context, quick: bool) -> 
         Whether to omit the Markov chain.
     """
     neighbours = spatially_correlated_fraction(series)
-    summary = pool_noise(series, context.sensor, floor=neighbours.seen and not has_analogue_chain(context))
-    forms = blur_models(blur_exponent(context), blurred=neighbours.seen, floor=summary.beyond is not None)
+    summary = pool_noise(series, context.sensor, floor=neighbours.is_detected and not has_analogue_chain(context))
+    forms = blur_models(blur_exponent(context), blurred=neighbours.is_detected, floor=summary.beyond is not None)
     found = fit_spectrum(summary, seed=context.seed, quick=quick, forms=forms)
     if share := quantisation_fraction(series, summary):
         found = replace(found, posterior=_with_steps(found.posterior, share * summary.variance_dn, context))
@@ -201,7 +201,7 @@ def blur_exponent(context: Context) -> tuple[float, float] | None:
 def _level_gains(series: FlatSeries, summary: PooledNoise, fit: Fit):
     """Return covariance over signal of every flat with the common blur, and its standard error, DN."""
     shape = fit.model_dn / float(np.median(fit.posterior["power"]))
-    name = "many" if summary.lag.seen else "few"
+    name = "many" if summary.lag.is_detected else "few"
     use = fit.used
     gains, errors = [], []
     for flat, dark, signal in zip(series.flats, series.darks, series.signal_dn, strict=True):
@@ -217,9 +217,9 @@ def _level_gains(series: FlatSeries, summary: PooledNoise, fit: Fit):
 
 def _lag_findings(summary: PooledNoise, exposures: UndetectedEffect) -> list[Finding]:
     """Return findings of image lag that was detected and not summed completely."""
-    if summary.lag.seen and summary.lag.open:
+    if summary.lag.is_detected and summary.lag.open:
         return [("lag", f"image lag has not decayed after {summary.lag.lag[-1]} exposures, the end of the lag sum")]
-    if summary.lag.seen:
+    if summary.lag.is_detected:
         return []
     return exposure_findings(exposures)
 
@@ -232,7 +232,7 @@ def _model_findings(summary: PooledNoise, fit: Fit) -> list[Finding]:
     blur = float(np.median(fit.posterior["blur_factor"]))
     if blur < 0.9:
         found.append((None, f"noise is correlated between pixels (blur factor {blur:.3g}); accounted for"))
-    if summary.lag.seen:
+    if summary.lag.is_detected:
         found.append((None, f"image lag (lag factor {summary.lag.factor:.3g}); all lags were summed"))
     low, middle, high = np.quantile(fit.posterior["covariance_gain"], [0.16, 0.5, 0.84])
     if 0.5 * (high - low) > GAIN.max_relative_sd * middle:

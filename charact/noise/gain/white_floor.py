@@ -151,18 +151,18 @@ class Floor:
     ----------
     draws
         Draws of K, shape (draw,), DN per electron.
-    seen
+    is_detected
         Whether the white floor is detected.
     source
         Source of the draws, in words.
-    why_unseen
+    refusal_reason
         Why the floor is not detected.
     """
 
     draws: Array
-    seen: bool
+    is_detected: bool
     source: str
-    why_unseen: str = ""
+    refusal_reason: str = ""
 
 
 def floor_of(series: FlatSeries, posterior: Posterior, *, context: Context) -> Floor:
@@ -185,17 +185,17 @@ def floor_of(series: FlatSeries, posterior: Posterior, *, context: Context) -> F
         draws = draws + GAIN.beyond_band_sd * pulses * rng.standard_normal(len(draws))
         middle = float(np.median(draws))
         if middle > GAIN.floor_sd * float(np.std(draws)) and pulses < GAIN.max_pulse_ratio * middle:
-            return Floor(draws=np.maximum(draws, 0.0), seen=True, source="the white floor of the noise")
+            return Floor(draws=np.maximum(draws, 0.0), is_detected=True, source="the white floor of the noise")
     why = HIDDEN if white else FILTERED
     if context.sensor is not None:
         draws = lognormal_draws(context.sensor.video.conversion_gain_dn_per_e, rng, len(draws))
-        return Floor(draws=draws, seen=False, source="the sensor's conversion gain", why_unseen=why)
+        return Floor(draws=draws, is_detected=False, source="the sensor's conversion gain", refusal_reason=why)
     if not white:
         # A negative covariance gain leaves no room for K.
         draws = rng.uniform(0.0, max(float(np.median(posterior["covariance_gain"])), 0.0), len(draws))
     draws = np.maximum(draws, 0.0)
     source = f"anything up to {float(np.quantile(draws, 0.975)):.2g} DN, as allowed by the spectrum"
-    return Floor(draws=draws, seen=False, source=source, why_unseen=why)
+    return Floor(draws=draws, is_detected=False, source=source, refusal_reason=why)
 
 
 def _transfer_beyond(series: FlatSeries, posterior: Posterior, context: Context) -> float:

@@ -95,14 +95,14 @@ class ResponsivityEstimate:
         Draws of the signal per lux and second, DN; None without illuminance and time.
     note
         Note on the uncertainty of the light.
-    why_not
+    refusal_reason
         Reason for the absence of k.
     """
 
     gain: Array | None = None
     per_lux_s: Array | None = None
     note: str = ""
-    why_not: str = ""
+    refusal_reason: str = ""
 
 
 def separate_gains(series: FlatSeries, posterior: Posterior, *, context: Context, flags: tuple[str, ...],
@@ -125,10 +125,10 @@ def separate_gains(series: FlatSeries, posterior: Posterior, *, context: Context
     noisy = {"flags": covariance_flags, **fields}
     out = [_electrons(floor, **noisy), _pulses(pulses, floor, told, context.seed, **noisy)]
     if response.gain is None:
-        reason = f"k and F2 are not separable: {response.why_not}; {PULSES} would also separate them"
+        reason = f"k and F2 are not separable: {response.refusal_reason}; {PULSES} would also separate them"
         out += [make_refusal(name, unit, reason, **fields) for name, unit in _GAINS]
     else:
-        out += _known_light_gains(
+        out += _gains_from_light(
             response, response.gain, pulses if told else None, context.seed, signal_flags=flags, **noisy
         )
     return [*out, _tube(response, pulses if told else None, context, **noisy)]
@@ -151,7 +151,7 @@ def _pulses(pulses: Array, floor: Floor, told: bool, seed: int, **fields: Any) -
     return make_refusal("pulse_gain", "DN", reason, **fields)
 
 
-def _known_light_gains(
+def _gains_from_light(
     response: ResponsivityEstimate,
     gain: Array,
     pulses: Array | None,
@@ -184,17 +184,17 @@ def spread_of(floor: Floor, posterior: Posterior) -> float:
 
 def _electrons(floor: Floor, **fields: Any) -> Measurement:
     """Return K, if the white-noise floor is detected."""
-    if floor.seen:
+    if floor.is_detected:
         return measurement_from_draws("conversion_gain", "DN/e-", floor.draws, **fields)
     fields.pop("flags")
-    return make_refusal("conversion_gain", "DN/e-", floor.why_unseen, **fields)
+    return make_refusal("conversion_gain", "DN/e-", floor.refusal_reason, **fields)
 
 
 def response_of(series: FlatSeries, count: int, context: Context) -> ResponsivityEstimate:
     """Return k and responsivity from the light of the flats."""
     light = light_of_series(series)
     if isinstance(light, str):
-        return ResponsivityEstimate(why_not=f"{APART} would tell ({light})")
+        return ResponsivityEstimate(refusal_reason=f"{APART} would tell ({light})")
     chosen = series.fitted & (series.signal_dn > 0)
     sd = np.array([signal_sd(f, d) for f, d in zip(series.flats, series.darks, strict=True)])
     rng = np.random.default_rng([context.seed, 3])
@@ -210,11 +210,11 @@ def _of_lux(
 ) -> ResponsivityEstimate:
     """Return k from illuminance, time and luminous sensitivity."""
     if light.seconds is None:
-        return ResponsivityEstimate(why_not="the exposure time is unknown (gate_ns, exposure_s)")
+        return ResponsivityEstimate(refusal_reason="the exposure time is unknown (gate_ns, exposure_s)")
     per_lux_s = per_lux / light.seconds
     if context.sensor is None:
         return ResponsivityEstimate(
-            per_lux_s=per_lux_s, note=light.note, why_not="the photocathode is unknown (name the sensor)"
+            per_lux_s=per_lux_s, note=light.note, refusal_reason="the photocathode is unknown (name the sensor)"
         )
     gain = per_lux_s / photoelectrons_per_lux_s(context, rng, len(per_lux))
     return ResponsivityEstimate(gain=gain, per_lux_s=per_lux_s, note=light.note)
@@ -227,10 +227,12 @@ def _of_photons(
     wavelengths = {flat.conditions.wavelength_nm for flat in series.flats}
     known = next(iter(wavelengths)) if len(wavelengths) == 1 else None
     if context.sensor is None or known is None:
-        return ResponsivityEstimate(why_not="photons need a single wavelength_nm and the photocathode of a sensor")
+        return ResponsivityEstimate(
+            refusal_reason="photons need a single wavelength_nm and the photocathode of a sensor"
+        )
     efficiency = photoelectrons_per_photon(context, known, rng, len(per_photon))
     if np.median(efficiency) <= 0:
-        return ResponsivityEstimate(why_not=f"the photocathode has no efficiency at {known:g} nm")
+        return ResponsivityEstimate(refusal_reason=f"the photocathode has no efficiency at {known:g} nm")
     return ResponsivityEstimate(gain=per_photon / efficiency, note=light.note)
 
 
@@ -239,7 +241,7 @@ def _tube(response: ResponsivityEstimate, pulses: Array | None, context: Context
     name = "tube_snr"
     plain = {key: value for key, value in fields.items() if key != "flags"}
     if response.per_lux_s is None:
-        reason = f"it needs the signal per lux and second: {response.why_not}"
+        reason = f"it needs the signal per lux and second: {response.refusal_reason}"
         return make_refusal(name, "1", reason, **plain)
     if context.sensor is None:
         return make_refusal(name, "1", "it needs the pixel size at the photocathode: name the sensor", **plain)

@@ -61,7 +61,7 @@ class SignalNoiseSeries:
     pattern_sd: float = 0.0
 
     @property
-    def lit(self) -> NDArray[np.bool_]:
+    def is_illuminated(self) -> NDArray[np.bool_]:
         """Whether each level is significantly brighter than its dark, shape (flat,)."""
         return self.signal_dn > SNR.lit_sd * self.signal_sd_dn
 
@@ -190,7 +190,7 @@ NO_LAG = ImageLag(
     lag=np.empty(0, np.int64),
     correlation=np.empty(0),
     correlation_sd=np.empty(0),
-    seen=False,
+    is_detected=False,
     factor=1.0,
     factor_sd=0.0,
     freedom=np.inf,
@@ -216,7 +216,7 @@ def area_levels(series: FlatSeries, lag: ImageLag) -> SignalNoiseSeries:
     return _levels(series, [of(level) for level in _stacks(series)])
 
 
-def unclipped_flats(series: FlatSeries) -> NDArray[np.bool_]:
+def flats_without_clipping(series: FlatSeries) -> NDArray[np.bool_]:
     """Return which flats have unclipped noise: neither at full scale nor beyond the variance peak."""
     whole = np.array([flat.high_fraction <= CLIPPED_SHARE for flat in series.flats])
     return whole & (np.arange(len(whole)) <= (len(whole) if series.peak is None else series.peak))
@@ -264,7 +264,7 @@ def _levels(series: FlatSeries, known: list[tuple[float, float]], **fields) -> S
 def _pixel(level: StackStatistics, lag: ImageLag) -> tuple[float, float]:
     """Return the temporal variance of a pixel and its standard error, DN^2."""
     steps = rounding_sd(level.variance_dn2)[1]
-    if not lag.seen:
+    if not lag.is_detected:
         return level.variance_dn2, float(np.hypot(level.variance_sd_dn2, steps))
     correlation = lag.correlation
     same = rows_lags(level.many.lags, level.parity)
@@ -278,6 +278,6 @@ def _pixel(level: StackStatistics, lag: ImageLag) -> tuple[float, float]:
 
 def _spectrum(level: StackStatistics, lag: ImageLag) -> tuple[BlockSpectrum, float]:
     """Return the spectrum with enough lags, and its independent exposures."""
-    spectrum = level.many if lag.seen else level.few
-    correlation = lag.correlation if lag.seen else np.empty(0)
+    spectrum = level.many if lag.is_detected else level.few
+    correlation = lag.correlation if lag.is_detected else np.empty(0)
     return spectrum, level.runs * n_effective_samples(level.time, level.parity, spectrum.lags, correlation)

@@ -22,9 +22,9 @@ from charact.noise.snr.noise_law import (
     NoiseLaw,
     SignalNoiseSeries,
     area_levels,
+    flats_without_clipping,
     noise_law,
     pixel_levels,
-    unclipped_flats,
 )
 from charact.noise.snr.stated_illumination import StatedIllumination, gathering_s, light_of_series, response_draws
 from charact.noise.stack.stack_statistics import SIDE_PX, StackStatistics
@@ -140,7 +140,7 @@ def _time(light: StatedIllumination) -> str:
 
 def _beyond(amount: Array, levels: SignalNoiseSeries, light: StatedIllumination) -> tuple[str | None, list[Finding]]:
     """Return the reason to refuse an extrapolation, or None, and the findings of a smaller one."""
-    chosen = levels.fitted & levels.lit
+    chosen = levels.fitted & levels.is_illuminated
     low, high = float(light.amount[chosen].min()), float(light.amount[chosen].max())
     if np.mean(~np.isfinite(amount)) > SNR.max_unreached:
         return f"the ratio may stay below {LEAST_SNR:g} at any light", []
@@ -196,7 +196,7 @@ def setting_figure_data(
         amount, per_amount, unit = series.signal_dn, 1.0, "DN"
     else:
         amount, per_amount, unit = light.amount, float(np.median(response)), light.unit
-    shown = scopes[0].levels.lit & unclipped_flats(series)
+    shown = scopes[0].levels.is_illuminated & flats_without_clipping(series)
     return {
         "gain": words,
         "unit": unit,
@@ -296,13 +296,13 @@ def _measure_setting(
     small = _area_obstacle(series)
     lag = NO_LAG if small else pool_noise(series, None).lag
     findings = series_findings(series, context=context)
-    findings += exposure_findings(temporally_correlated_fraction(series)) if not lag.seen else []
+    findings += exposure_findings(temporally_correlated_fraction(series)) if not lag.is_detected else []
     findings += [("lag", "image lag has not decayed at the end of the lag sum")] if lag.open else []
     words = gain_in_words(series.flats[0].conditions)
     findings += [(None, words)] if several else []
     light = light_of_series(series)
     pixel = pixel_levels(series, lag)
-    if not isinstance(light, str) and not (pixel.fitted & pixel.lit).any():
+    if not isinstance(light, str) and not (pixel.fitted & pixel.is_illuminated).any():
         light = f"no flat below saturation is brighter than its dark by {SNR.lit_sd:g} standard errors"
     response = None if isinstance(light, str) else _response(pixel, light, context)
     scopes = [scope_of("", PIXEL, pixel, _reference(series), context)]
@@ -343,27 +343,27 @@ def _reference(series: FlatSeries) -> int:
 
 def _response(levels: SignalNoiseSeries, light: StatedIllumination, context: Context) -> Array:
     """Draws of the signal per recorded light."""
-    chosen = levels.fitted & levels.lit
+    chosen = levels.fitted & levels.is_illuminated
     rng = np.random.default_rng([context.seed, 22])
     return response_draws(light.amount[chosen], levels.signal_dn[chosen], levels.signal_sd_dn[chosen], rng, SNR.draws)
 
 
 def _ratios(series: FlatSeries, scope: Scope, findings: list[Finding], fields: dict[str, Any]) -> list[Measurement]:
     """Return the SNR at every level."""
-    whole, out = unclipped_flats(series), []
+    whole, out = flats_without_clipping(series), []
     own = {"flags": flags_of(findings), "notes": (scope.sentence, *notes_of(findings))}
     for index, flat in enumerate(series.flats):
-        name, told = f"snr{scope.suffix}", {**fields, "stack": flat.label}
+        name, labelled = f"snr{scope.suffix}", {**fields, "stack": flat.label}
         if not whole[index]:
             reason = f"{flat.label} is saturated: clipping lowers the noise"
-            out.append(make_refusal(name, "1", reason, **told))
-        elif not scope.levels.lit[index]:
+            out.append(make_refusal(name, "1", reason, **labelled))
+        elif not scope.levels.is_illuminated[index]:
             reason = f"{flat.label} is not brighter than its dark by {SNR.lit_sd:g} standard errors"
-            out.append(make_refusal(name, "1", reason, **told))
+            out.append(make_refusal(name, "1", reason, **labelled))
         else:
             value, sd = float(scope.levels.snr[index]), float(scope.levels.snr_sd[index])
             flags = own["flags"] + _quantisation_flags(series, index)
-            out.append(measurement_from_sd(name, "1", value, sd, **told, **{**own, "flags": flags}))
+            out.append(measurement_from_sd(name, "1", value, sd, **labelled, **{**own, "flags": flags}))
     return out
 
 

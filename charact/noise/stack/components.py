@@ -75,7 +75,7 @@ def mean_square(rest: NDArray, own: tuple[int, ...], *, fixed: bool) -> MeanSqua
     unit = rest / np.sqrt(total / rest.size)
     spread = correlation_factor(unit, own, count) + 0.5 * excess_kurtosis(unit, count)
     return MeanSquare(
-        value_dn2=total / count, freedom=max(1.0, count / spread / (1.0 + squared_field_correlation(unit, count)))
+        value_dn2=total / count, freedom=max(1.0, count / spread / (1.0 + field_correlation_square(unit, count)))
     )
 
 
@@ -104,7 +104,7 @@ def excess_kurtosis(unit: NDArray, count: float) -> float:
     return max(0.0, float(np.mean(square * square)) - 3.0 - np.sqrt(24.0 / count))
 
 
-def squared_field_correlation(unit: NDArray, count: float) -> float:
+def field_correlation_square(unit: NDArray, count: float) -> float:
     """Return the squared correlation of the two fields; 0 for one field."""
     if len(unit) < 2:
         return 0.0
@@ -304,7 +304,7 @@ def _freedom(pairs: NDArray[np.float32], power: float, count: float) -> float:
     # A difference of two frames halves the fourth cumulant.
     pulses = 2.0 * max(_scatter(blocks) - normal, 0.5 * excess_kurtosis(unit, size) / pixels)
     lag = float(np.clip(1.0 - square / power, 0.0, 0.95))
-    alike = (1.0 + lag**2) / (1.0 - lag**2) * (1.0 + squared_field_correlation(unit, size))
+    alike = (1.0 + lag**2) / (1.0 - lag**2) * (1.0 + field_correlation_square(unit, size))
     return max(1.0, 2.0 * count / ((normal + pulses) * pixels * alike))
 
 

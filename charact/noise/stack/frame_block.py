@@ -174,16 +174,16 @@ def _field_pattern(order: Order, sums: PixelSums, parity: int, least: int) -> Pa
             return Pattern(
                 variance_dn2=found, sd_dn2=float(np.hypot(sd, rest)), settled=rest <= STACK.max_slow_noise * abs(found)
             )
-        beside = (distance >= apart) & ~further
-        if not beside.any():
+        near_pairs = (distance >= apart) & ~further
+        if not near_pairs.any():
             apart *= 2
             continue
-        near, near_sd = _mean(products, beside, spread)
+        near, near_sd = _mean(products, near_pairs, spread)
         far, far_sd = _mean(products, further, spread)
         noise = float(np.hypot(near_sd, far_sd))
         alike = near - far <= STACK.slow_noise_sd * noise + 0.5 * STACK.slow_noise_fraction * abs(far)
         # A possible excess of near pairs adds to the error in proportion to their number.
-        unseen = (max(near - far, 0.0) + noise) * float(beside.sum() / (distance >= apart).sum())
+        unseen = (max(near - far, 0.0) + noise) * float(near_pairs.sum() / (distance >= apart).sum())
         if alike and apart >= least and (not any(excess) or unseen <= STACK.max_slow_noise * abs(found)):
             return Pattern(variance_dn2=found, sd_dn2=float(np.hypot(sd, unseen)), settled=True)
         excess.append(0.0 if alike and not any(excess) else max(near - far, noise))

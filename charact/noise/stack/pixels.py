@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
 # Sums of each block, in this order.
-SUMS = ("power", "beside", "below", "near", "level")
+SUMS = ("power", "right", "below", "near", "level")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +36,7 @@ class PixelSums:
     middle, mean_middle
         For each parity the image centre of the fluctuations of some exposures, shape (exposure, row, col), and of the
         mean image, shape (row, col), DN.
-    power, beside, below
+    power, right, below
         Block means of the sum over exposures of the square, and of the product with the next pixel of the row and of
         the column, shape (block,), DN^2; NaN for a block without such pairs.
     near, pairs
@@ -56,7 +56,7 @@ class PixelSums:
     middle: tuple[NDArray[np.float32], ...]
     mean_middle: tuple[NDArray[np.float32], ...]
     power: Array
-    beside: Array
+    right: Array
     below: Array
     near: Array
     pairs: int
@@ -92,11 +92,11 @@ def pixel_sums(data: NDArray, order: Order, bins: Bins) -> PixelSums:
         modes += [modes_of(along, parity, bins) for along in found.along]
         passes.append(found)
     high, wide = np.diff(row_cuts), np.diff(col_cuts)
-    beside, below = wide.copy(), high.copy()
-    beside[-1] -= 1
+    right, below = wide.copy(), high.copy()
+    right[-1] -= 1
     below[0] -= 1
     plain = np.outer(high, wide)
-    number = (plain, np.outer(high, beside), np.outer(below, wide), plain, plain * len(fields))
+    number = (plain, np.outer(high, right), np.outer(below, wide), plain, plain * len(fields))
     mean = {
         name: np.where(n > 0, part / np.maximum(n, 1), np.nan).ravel()
         for name, part, n in zip(SUMS, total, number, strict=True)
@@ -306,7 +306,7 @@ def _line_power(lines: NDArray[np.float32]) -> float:
 
 def right_neighbour(sums: PixelSums) -> tuple[float, float]:
     """Return the correlation of neighbouring pixels of a row, and its standard error; zeros for rows of one pixel."""
-    return _correlation(sums, sums.beside) if sums.size[1] > 1 else (0.0, 0.0)
+    return _correlation(sums, sums.right) if sums.size[1] > 1 else (0.0, 0.0)
 
 
 def lower_neighbour(sums: PixelSums) -> tuple[float, float]:

@@ -52,11 +52,11 @@ def autocovariance(products: Array, time: NDArray[np.int64], parity: NDArray[np.
 
 def _solution(time, parity, lags, within_parity: bool):
     """Return the pairs of every lag, and the matrix that inverts the centring."""
-    return _cached_solution(tuple(time.tolist()), tuple(parity.tolist()), tuple(lags.tolist()), within_parity)
+    return _solution_of(tuple(time.tolist()), tuple(parity.tolist()), tuple(lags.tolist()), within_parity)
 
 
 @lru_cache(maxsize=64)
-def _cached_solution(time: tuple[int, ...], parity: tuple[int, ...], lags: tuple[int, ...], within_parity: bool):
+def _solution_of(time: tuple[int, ...], parity: tuple[int, ...], lags: tuple[int, ...], within_parity: bool):
     """Return the same from a cache: most stacks of a session have equal exposure times."""
     when, rows = np.array(time), np.array(parity)
     usable = (rows[:, None] == rows[None, :]) if within_parity else np.ones((len(when), len(when)), bool)
@@ -79,16 +79,16 @@ def truncation_bias(time: NDArray[np.int64], parity: NDArray[np.int64], lags: ND
         Bias of the covariance at each lag, shape (lag, distance); negative, because centring removes what exposures
         have in common.
     """
-    return _cached_truncation_bias(tuple(time.tolist()), tuple(parity.tolist()), tuple(lags.tolist()))
+    return _truncation_bias_of(tuple(time.tolist()), tuple(parity.tolist()), tuple(lags.tolist()))
 
 
 @lru_cache(maxsize=64)
-def _cached_truncation_bias(
+def _truncation_bias_of(
     time: tuple[int, ...], parity: tuple[int, ...], lags: tuple[int, ...]
 ) -> tuple[NDArray[np.int64], Array]:
     """Return the same from a cache."""
     when = np.array(time)
-    pairs, solve = _cached_solution(time, parity, lags, False)
+    pairs, solve = _solution_of(time, parity, lags, False)
     apart = np.abs(when[:, None] - when[None, :])
     distance = np.unique(apart[apart > lags[-1]])
     project = centring(np.array(parity))
@@ -116,13 +116,13 @@ def n_effective_samples(
     The estimate is a sum of products with weights M; for normal modes its relative variance is tr(P M P R P M P R).
     """
     known = tuple(np.asarray(correlation, float).tolist())
-    return _cached_n_effective_samples(
+    return _n_effective_samples_of(
         tuple(time.tolist()), tuple(parity.tolist()), tuple(lags.tolist()), known, within_parity
     )
 
 
 @lru_cache(maxsize=64)
-def _cached_n_effective_samples(
+def _n_effective_samples_of(
     time: tuple[int, ...],
     parity: tuple[int, ...],
     lags: tuple[int, ...],
@@ -130,7 +130,7 @@ def _cached_n_effective_samples(
     within_parity: bool,
 ) -> float:
     """Return the same from a cache."""
-    pairs, solve = _cached_solution(time, parity, lags, within_parity)
+    pairs, solve = _solution_of(time, parity, lags, within_parity)
     weight = sum(share * pair / pair.sum() for share, pair in zip(solve[0], pairs, strict=True))
     when = np.array(time)
     distance = np.abs(when[:, None] - when[None, :])
@@ -145,13 +145,13 @@ def error_correlation(time: NDArray[np.int64], parity: NDArray[np.int64], lags: 
 
     Exposures are independent; centring correlates the errors.
     """
-    return _cached_error_correlation(tuple(time.tolist()), tuple(parity.tolist()), tuple(lags.tolist()))
+    return _error_correlation_of(tuple(time.tolist()), tuple(parity.tolist()), tuple(lags.tolist()))
 
 
 @lru_cache(maxsize=64)
-def _cached_error_correlation(time: tuple[int, ...], parity: tuple[int, ...], lags: tuple[int, ...]) -> Array:
+def _error_correlation_of(time: tuple[int, ...], parity: tuple[int, ...], lags: tuple[int, ...]) -> Array:
     """Return the same from a cache."""
-    pairs, solve = _cached_solution(time, parity, lags, False)
+    pairs, solve = _solution_of(time, parity, lags, False)
     project = centring(np.array(parity))
     each = np.array([pair / pair.sum() for pair in pairs])
     weights = (project @ np.tensordot(solve, each, 1) @ project).reshape(len(lags), -1)

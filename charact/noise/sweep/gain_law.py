@@ -119,32 +119,32 @@ def law_of(x: Array, gains: Gains, *, share: tuple[float, float] | None, seed: i
     At equal blur, variances give gain ratios ten times more precisely than covariance sums. S may differ between
     settings by `SWEEP.blur_relative_sd`. ln P = log_gain + rise x + departure.
     """
-    told = _GainLikelihood(gains, x, share is not None)
+    likelihood = _GainLikelihood(gains, x, share is not None)
 
     def log_probability(points: Array) -> Array:
         inside = np.all((points >= bounds[:, 0]) & (points <= bounds[:, 1]), axis=1)
         safe = np.where(inside[:, None], points, start)
-        value = told.log_likelihood(safe) + departure_prior(safe[:, 2])
+        value = likelihood.log_likelihood(safe) + departure_prior(safe[:, 2])
         if share is not None:
             value = value - 0.5 * ((safe[:, -1] - share[0]) / share[1]) ** 2
         return np.where(inside, value, -np.inf)
 
     names, units, free = ["log_gain", "rise", "log_departure"], ["log DN", "1", "1"], (-np.inf, np.inf)
-    walls = [free, free, tuple(LOG_DEPARTURE)]
-    first = [*weighted_line(x, gains.covariance, np.hypot(gains.covariance_sd, 0.02)), np.log(0.02)]
+    limits = [free, free, tuple(LOG_DEPARTURE)]
+    first = [*line_fit(x, gains.covariance, np.hypot(gains.covariance_sd, 0.02)), np.log(0.02)]
     if gains.variance is not None:
-        names, units, walls = [*names, "log_blur"], [*units, "1"], [*walls, free]
+        names, units, limits = [*names, "log_blur"], [*units, "1"], [*limits, free]
         first.append(float(np.median(gains.variance - gains.covariance)))
     if share is not None:
-        names, units, walls = [*names, "electron_share"], [*units, "1"], [*walls, (0.0, told.most_share)]
-        first.append(min(max(share[0], 0.2 * share[1]), 0.5 * told.most_share))
-    bounds, start = np.array(walls, float), np.array(first, float)
+        names, units, limits = [*names, "electron_share"], [*units, "1"], [*limits, (0.0, likelihood.most_share)]
+        first.append(min(max(share[0], 0.2 * share[1]), 0.5 * likelihood.most_share))
+    bounds, start = np.array(limits, float), np.array(first, float)
     posterior = without_bound_flag(
         draw_posterior(log_probability, start, bounds, names=tuple(names), units=tuple(units), seed=seed, quick=quick)
     )
     rng = np.random.default_rng([seed, 7])
-    electrons = told.electrons(posterior.draws)[:, 0]
-    pulses, settings = told.settings(posterior.draws, rng)
+    electrons = likelihood.electrons(posterior.draws)[:, 0]
+    pulses, settings = likelihood.settings(posterior.draws, rng)
     if gains.variance is not None:
         common = _common_error(settings, gains.covariance_sd, rng)
         posterior = _with_common_error(posterior, common)
@@ -177,12 +177,14 @@ class _GainLikelihood:
 
     def __init__(self, gains: Gains, x: Array, electrons: bool) -> None:
         self.x, self.has_electrons = x, electrons
-        self.seen = [(gains.covariance, gains.covariance_sd)]
+        self.observations = [(gains.covariance, gains.covariance_sd)]
         if gains.variance is not None and gains.variance_sd is not None:
-            self.seen.append((gains.variance, np.hypot(gains.variance_sd, SWEEP.blur_relative_sd)))
+            self.observations.append((gains.variance, np.hypot(gains.variance_sd, SWEEP.blur_relative_sd)))
         self.least = float(np.exp(gains.covariance.min()))
         # Electron noise is white: no variance is smaller.
-        self.most_share = SWEEP.max_electron_fraction * min(1.0, float(np.exp(self.seen[-1][0].min())) / self.least)
+        self.most_share = SWEEP.max_electron_fraction * min(
+            1.0, float(np.exp(self.observations[-1][0].min())) / self.least
+        )
 
     def electrons(self, points: Array) -> Array:
         """Return the electron gain, shape (point, 1), DN."""
@@ -190,14 +192,14 @@ class _GainLikelihood:
 
     def _factors(self, points: Array) -> list[Array]:
         """Return ln of the pulse fraction in covariance and variance, shape (point, 1) each."""
-        return [np.zeros((len(points), 1)), points[:, 3:4]][: len(self.seen)]
+        return [np.zeros((len(points), 1)), points[:, 3:4]][: len(self.observations)]
 
     def log_likelihood(self, points: Array) -> Array:
         """Return the log-likelihood, shape (point,)."""
         law = points[:, :1] + points[:, 1:2] * self.x
         log_electrons = np.log(np.maximum(self.electrons(points), 1e-300))
         square, weight, together = np.zeros_like(law), np.zeros_like(law), np.zeros_like(law)
-        for (value, sd), factor in zip(self.seen, self._factors(points), strict=True):
+        for (value, sd), factor in zip(self.observations, self._factors(points), strict=True):
             whole = np.logaddexp(law + factor, log_electrons)
             # Derivative of the total by the departure of the pulses.
             follows, left = np.exp(law + factor - whole), (value - whole) / sd
@@ -211,7 +213,7 @@ class _GainLikelihood:
         law = points[:, :1] + points[:, 1:2] * self.x
         electrons = self.electrons(points)
         weight, own = np.zeros_like(law), np.zeros_like(law)
-        for (value, sd), factor in zip(self.seen, self._factors(points), strict=True):
+        for (value, sd), factor in zip(self.observations, self._factors(points), strict=True):
             whole = np.exp(value)
             part = np.maximum(whole - electrons, 1e-3 * whole)
             surety = (part / (whole * np.maximum(sd, 1e-9))) ** 2
@@ -229,7 +231,7 @@ def without_bound_flag(posterior: Posterior) -> Posterior:
     return replace(posterior, flags=tuple(flag for flag in posterior.flags if flag != "prior-bound"))
 
 
-def weighted_line(x: Array, y: Array, sd: Array) -> Array:
+def line_fit(x: Array, y: Array, sd: Array) -> Array:
     """Return intercept and slope of a weighted line fit."""
     design = np.stack([np.ones_like(x), x], axis=1) / sd[:, None]
     return np.asarray(np.linalg.lstsq(design, y / sd, rcond=None)[0], np.float64)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.noise.findings import Finding, flag_of, note_of
-from charact.noise.sweep.gain_law import Axis, GainLaw, Gains, law_of, line_departure, weighted_line
+from charact.noise.sweep.gain_law import Axis, GainLaw, Gains, law_of, line_departure, line_fit
 from charact.noise.sweep.responsivity import SweepResponsivity, correct_saturation, response_of
 from charact.noise.sweep.settings import Sweep, SweepSetting
 from charact.noise.thresholds import GAIN, SWEEP
@@ -73,7 +73,7 @@ class SweepJointFit:
 def fit_sweep(sweep: Sweep, *, context: Context) -> SweepJointFit:
     """Fit responsivity and gain law to the settings of a sweep, at least two."""
     axis = Axis.of(sweep.knob.place(np.array([s.value for s in sweep.settings])))
-    lit = _lit_indices(sweep.settings)
+    lit = _indices_with_light(sweep.settings)
     response = None
     if len(lit) > 1:
         of_lit = tuple(sweep.settings[i] for i in lit)
@@ -99,7 +99,7 @@ def _gains(settings: tuple[SweepSetting, ...]) -> Gains:
     return Gains(covariance=log_gain, covariance_sd=sd, variance=variance, variance_sd=variance_sd)
 
 
-def _lit_indices(settings: tuple[SweepSetting, ...]) -> tuple[int, ...]:
+def _indices_with_light(settings: tuple[SweepSetting, ...]) -> tuple[int, ...]:
     """Return the indices of settings with light in the most frequent unit."""
     units = [s.light_unit for s in settings if s.light is not None]
     unit = max(sorted(set(units)), key=units.count) if units else ""
@@ -134,10 +134,10 @@ def _law_findings(joint: SweepJointFit) -> list[Finding]:
 def _curvature_findings(joint: SweepJointFit) -> list[Finding]:
     """Return the finding of a curved gain law."""
     x, log_gain, sd = _own_gains(joint)
-    told = line_departure(x, log_gain, sd)
-    if told is None or abs(told[0]) <= SWEEP.curvature_sd * told[1]:
+    departure = line_departure(x, log_gain, sd)
+    if departure is None or abs(departure[0]) <= SWEEP.curvature_sd * departure[1]:
         return []
-    leaves, slope = told[0], weighted_line(x, log_gain, sd)[1] / joint.axis.span
+    leaves, slope = departure[0], line_fit(x, log_gain, sd)[1] / joint.axis.span
     ends = [slope + side * 8.0 * leaves / joint.axis.span for side in (-1.0, 1.0)]
     words = f"from {ends[0]:.3g} at the lowest setting to {ends[1]:.3g} at the highest"
     flag = "nonlinear" if abs(leaves) > SWEEP.curvature else None

@@ -15,7 +15,7 @@ from charact.noise.sweep.gain_law import (
     LOG_DEPARTURE,
     departure_prior,
     draw_posterior,
-    weighted_line,
+    line_fit,
     without_bound_flag,
 )
 from charact.noise.sweep.settings import SweepSetting
@@ -94,7 +94,7 @@ def response_of(settings: tuple[SweepSetting, ...], x: Array, *, seed: int, quic
 
     free = [-np.inf, np.inf]
     bounds = np.array([free, free, SWEEP.loss_bounds, LOG_DEPARTURE, LOG_DEPARTURE])
-    line = weighted_line(levels.x, levels.log_ratio, np.hypot(levels.sd, SWEEP.light_sd))
+    line = line_fit(levels.x, levels.log_ratio, np.hypot(levels.sd, SWEEP.light_sd))
     start = np.array([*line, 0.05, np.log(0.01), np.log(0.02)])
     drawn = draw_posterior(log_probability, start, bounds, names=NAMES, units=UNITS, seed=seed, quick=quick)
     posterior = without_bound_flag(drawn)
@@ -133,7 +133,7 @@ class ResponsivityLevels:
 
     def log_likelihood(self, points: Array) -> Array:
         """Return the log-likelihood, shape (point,), with the levels of each setting as a block."""
-        residual, variance = self._left(points), self.sd**2 + np.exp(2.0 * points[:, 3:4])
+        residual, variance = self._residuals(points), self.sd**2 + np.exp(2.0 * points[:, 3:4])
         departure = np.exp(2.0 * points[:, 4:5])
         weight = (1.0 / variance) @ self.member
         together = (residual / variance) @ self.member
@@ -141,7 +141,7 @@ class ResponsivityLevels:
         square = (residual**2 / variance).sum(axis=1) - (departure * together**2 / spread).sum(axis=1)
         return -0.5 * (square + np.log(variance).sum(axis=1) + np.log(spread).sum(axis=1))
 
-    def _left(self, points: Array) -> Array:
+    def _residuals(self, points: Array) -> Array:
         """Return the residual of ln(S/E) without law and gain loss, shape (point, level)."""
         law = points[:, :1] + points[:, 1:2] * self.x
         return self.log_ratio - law - np.log1p(-points[:, 2:3] * self.share)
@@ -151,7 +151,7 @@ class ResponsivityLevels:
         points = posterior.draws
         variance = self.sd**2 + np.exp(2.0 * points[:, 3:4])
         weight = (1.0 / variance) @ self.member
-        away = (self._left(points) / variance) @ self.member / weight
+        away = (self._residuals(points) / variance) @ self.member / weight
         total = weight + np.exp(-2.0 * points[:, 4:5])
         departure = away * weight / total + rng.standard_normal(away.shape) / np.sqrt(total)
         places = (self.x @ self.member) / self.member.sum(axis=0)
@@ -162,14 +162,14 @@ class ResponsivityLevels:
 def correct_saturation(
     settings: tuple[SweepSetting, ...], lit: tuple[int, ...], response: SweepResponsivity, *, seed: int
 ) -> tuple[SweepSetting, ...]:
-    """Return the settings with their noise corrected to small signals, if MCP saturation was measured.
+    """Return the settings with their noise with_small_signal_noise to small signals, if MCP saturation was measured.
 
     The relative gain loss lowers covariance and variance over signal.
     """
     if not response.bendable:
         return settings
 
-    def corrected(s: SweepSetting) -> SweepSetting:
+    def with_small_signal_noise(s: SweepSetting) -> SweepSetting:
         left = 1.0 - response.lost_per_dn * s.mean_signal_dn
         return replace(
             s,
@@ -178,7 +178,7 @@ def correct_saturation(
             log_variance_sd=float(np.hypot(s.log_variance_sd, np.std(left) / np.median(left))),
         )
 
-    return tuple(corrected(s) if i in lit else s for i, s in enumerate(settings))
+    return tuple(with_small_signal_noise(s) if i in lit else s for i, s in enumerate(settings))
 
 
 def relative_excess(settings: tuple[SweepSetting, ...], pulses_dn: Array, response: SweepResponsivity, *, seed: int
@@ -235,12 +235,12 @@ def saturation_limit(response: SweepResponsivity) -> str:
 
 def bending_findings(settings: tuple[SweepSetting, ...], response: SweepResponsivity) -> list[Finding]:
     """Return the finding on MCP saturation against camera nonlinearity, from the noise."""
-    told = _fall_of_noise(settings, float(np.median(response.lost_per_dn)))
-    if told is None:
+    decline = _fall_of_noise(settings, float(np.median(response.lost_per_dn)))
+    if decline is None:
         return [
             ("nonlinear", "no setting has two levels whose noise separates MCP saturation from camera nonlinearity")
         ]
-    fall, sd = told
+    fall, sd = decline
     plate, camera = (
         abs(fall - SWEEP.mcp_exponent) < SWEEP.agreement_sd * sd,
         abs(fall - SWEEP.camera_exponent) < SWEEP.agreement_sd * sd,

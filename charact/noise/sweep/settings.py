@@ -300,8 +300,8 @@ def _setting(value: float, one: SingleSetting, white: bool, knob: GainControl, c
 
 def _with_quantisation(s: SweepSetting, share: float, least_dn2: float, knob: GainControl) -> SweepSetting:
     """Return a setting with the uncertainty and finding of quantisation noise."""
-    told = f"noise of {np.sqrt(least_dn2):.2g} DN is smaller than the quantisation step, which adds {100 * share:.2g} %"
-    found = (("quantised", f"at {knob.text(s.value)}: {told}"),) if share > SWEEP.max_quantisation else ()
+    note = f"noise of {np.sqrt(least_dn2):.2g} DN is smaller than the quantisation step, which adds {100 * share:.2g} %"
+    found = (("quantised", f"at {knob.text(s.value)}: {note}"),) if share > SWEEP.max_quantisation else ()
     return replace(
         s,
         unsure_dn=share * float(np.exp(s.log_variance)),
