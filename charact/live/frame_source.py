@@ -36,7 +36,7 @@ class SourceFrame:
     of
         Origin: the camera, or the stack of a session.
     full_scale_dn
-        Highest code of the digitiser, DN.
+        Full scale, DN.
     lost_frames
         Frames lost since the start of the capture or stack.
     conditions
