@@ -232,10 +232,11 @@ def report(
     """
     with exit_on_bad_input(str(session), events=events):
         from charact.report import write
+        from charact.validation import load
 
         given = open_session_only(session)
         result = load_or_measure(session, seed=seed, events=events)
-        path = write(given, result, out or session / "report.html", validation=load_validation(given), pdf=pdf)
+        path = write(given, result, out or session / "report.html", validation=load(given.folder), pdf=pdf)
         print(path)
 
 
@@ -290,13 +291,6 @@ def validate_and_save(folder: Path, sensor: str | Path, *, seed: int, events: bo
         done = validation.validate(session, fitted, seed=seed, progress=progress)
     validation.save(done, session.folder)
     return done
-
-
-def load_validation(session: "Session") -> "Validation | None":
-    """Return the validation saved in the session folder, or None."""
-    from charact.validation import load
-
-    return load(session.folder)
 
 
 def print_validation(validation: "Validation", given: Path, *, as_json: bool) -> None:

@@ -200,9 +200,9 @@ class _Stack:
         shown = news[-1:]
         if news and self._first_number is None:
             self._first_number, shown = news[0].frame_number, news[-FIRST_SHOWN:]
-        return tuple(self._seen(entry) for entry in shown)
+        return tuple(self._source_frame(entry) for entry in shown)
 
-    def _seen(self, entry: Acknowledged) -> SourceFrame:
+    def _source_frame(self, entry: Acknowledged) -> SourceFrame:
         frame = self._following.frame(entry)
         return SourceFrame(
             frame=frame,

@@ -104,15 +104,11 @@ def representative(session: Session, measurements: Sequence[Measurement]) -> tup
 
 def _brightest_stack(entries: Sequence[StackEntry]) -> StackEntry:
     """Return the first stack with the most light by its conditions, else by the mean of its frames."""
-    for light in (_photons, _lux_s):
+    for light in (lambda conditions: conditions.photons_per_px, _lux_s):
         stated = [light(entry.conditions) for entry in entries]
         if all(amount is not None for amount in stated):
             return entries[int(np.argmax(np.array(stated, float)))]
     return max(entries, key=lambda entry: entry.read().mean_dn) if len(entries) > 1 else entries[0]
-
-
-def _photons(conditions: Conditions) -> float | None:
-    return conditions.photons_per_px
 
 
 def _lux_s(conditions: Conditions) -> float | None:
