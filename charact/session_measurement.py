@@ -7,11 +7,10 @@ from pathlib import Path
 
 from charact.method import Context
 from charact.method.cluster import Spread
-from labdata.digest import sha256_of
+from labdata.camera_description import Parameter
 from labdata.errors import BadInput
 from labdata.measurement import Measurement, Result
-from labdata.parameter import Parameter
-from labdata.session import MANIFEST, Session, StackEntry, open_session
+from labdata.session import MANIFEST, Session, StackEntry, open_session, sha256_of
 
 Progress = Callable[[str, float], None]
 Task = Callable[[Context], Result]
@@ -104,10 +103,9 @@ def _within(progress: Progress, done: int, tasks: int, sentence: str, share: flo
 def _combine_targets(session: Session, result: Result, context: Context) -> Result:
     """Add the joint MTF of all targets, MTF consistency, MTF uniformity and the MTF budget to a session's result."""
     from charact.mtf.bars.group_curve import session_curves
-    from charact.mtf.session.consistency import mtf_consistency
+    from charact.mtf.session.consistency import mtf_consistency, mtf_uniformity
     from charact.mtf.session.joint import fit_joint_mtf
     from charact.mtf.session.session_budget import add_mtf_budget
-    from charact.mtf.session.uniformity import mtf_uniformity
 
     targets = session.of_kind("edge", "bars", "point")
     kinds = {entry.label: entry.kind for entry in targets}

@@ -46,7 +46,7 @@ def acquire(
     ):
         from charact.cli.benches import acquire_session, load_plan
         from labdata.serialiser import from_toml
-        from simulate.virtual_bench.fault_script import FaultScript
+        from simulate.virtual_bench.rehearsal import FaultScript
 
         session = acquire_session(
             load_plan(plan),
@@ -95,8 +95,8 @@ def safe(
     """
     with exit_on_bad_input(str(plan or "the last bench"), events=events):
         from charact.cli.benches import load_plan
-        from drivers.bench.last_bench import last_bench, with_present_ports
         from drivers.bench.safe_state import make_bench_safe
+        from drivers.bench.setup import last_bench, with_present_ports
 
         wires = last_bench() if plan is None else with_present_ports(load_plan(plan).wires)
         if not any(one.port for one in wires.instruments):

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.cli.output import Frequency, in_cycles_per_pixel
-from labdata.atomic_write import write_atomically
 from labdata.errors import BadInput
+from labdata.file_io import write_atomically
 from labdata.flags import FLAGS
 from labdata.frames import FrameStack
 from labdata.measurement import Measurement, Result

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.cli.output import Progress, print_message
-from labdata.dose_ledger import DoseLedger, ledger_of
 from labdata.errors import BadInput
 from labdata.instrument_config import InstrumentConfig, Role
 from labdata.limits import limits_in_force
@@ -21,7 +20,7 @@ from labdata.plan import Plan, Step
 from labdata.sensor import Sensor
 from labdata.serialiser import from_mapping, from_toml, read_toml
 from labdata.session import Session
-from labdata.tube_dose import warnings
+from labdata.tube_dose import DoseLedger, ledger_of, warnings
 
 if TYPE_CHECKING:
     from drivers.bench.client import BenchClient
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
     from drivers.interface import Camera, Operator
     from drivers.serial_lines.line import InstrumentLine
     from simulate.virtual_bench.bench import VirtualBench
-    from simulate.virtual_bench.fault_script import FaultScript
+    from simulate.virtual_bench.rehearsal import FaultScript
 
 
 SAFETY_LOG = "safety.jsonl"
@@ -337,7 +336,7 @@ class StackWatcher:
             f"DN is known within {half_dn:.2g} DN, requested {until.mean_within_dn:g}"
         )
 
-    def saturated(self) -> bool:
+    def is_saturated(self) -> bool:
         """Whether more than 1 % of the pixels are at full scale."""
         return self._share > SATURATED_FRACTION
 

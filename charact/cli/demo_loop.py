@@ -128,7 +128,7 @@ def bench_truth(folder: Path, session: Session) -> "Truth":
     """
     from labdata.errors import BadInput
     from simulate.iiccd import true_quantities
-    from simulate.virtual_bench.truth_folder import TRUTH, read_truth
+    from simulate.virtual_bench.true_sensor import TRUTH, read_truth
 
     sensor = read_truth(folder / TRUTH).sensor
     voltages = {stack.conditions.mcp_v for stack in session.of_kind("flat")}

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata.errors import BadInput
+from labdata.file_io import require_regular
 from labdata.importers.decompression_limit import require_room
-from labdata.regular_file import require_regular
 
 if TYPE_CHECKING:
     from simulate.radiance.cube import RadianceCube

@@ -188,10 +188,9 @@ def _virtual(
     """Yield the virtual camera with gate and gain fixed at those of the step shown."""
     from charact.live.frame_source import CameraSource
     from labdata.sensors import load_sensor
-    from simulate.virtual_bench.in_process_camera import InProcessCamera
-    from simulate.virtual_bench.operator import VirtualOperator
-    from simulate.virtual_bench.outputs import Outputs
-    from simulate.virtual_bench.truth_folder import TRUTH, load_or_draw_truth
+    from simulate.virtual_bench.in_process import InProcessCamera
+    from simulate.virtual_bench.outputs import Outputs, VirtualOperator
+    from simulate.virtual_bench.true_sensor import TRUTH, load_or_draw_truth
 
     name = plan.sensor if plan and plan.sensor else VIRTUAL_SENSOR
     sensor, step = load_sensor(name), _step(plan)

@@ -13,7 +13,7 @@ from labdata.errors import BadInput
 
 if TYPE_CHECKING:
     from charact.cli.output import FrequencyUnit
-    from charact.mtf.region import Region
+    from charact.mtf.mean_frame import Region
     from labdata.frames import FrameStack
     from labdata.measurement import Result
     from labdata.sensor import Sensor

@@ -12,9 +12,9 @@ from charact.cli import options
 from charact.cli.output import exit_on_bad_input
 
 if TYPE_CHECKING:
-    from drivers.acquisition.forecast import Forecast, StepForecast
+    from drivers.acquisition.plan_check import Forecast, StepForecast
+    from labdata.calibration import GainTable
     from labdata.conditions import Conditions
-    from labdata.gain_table import GainTable
     from labdata.plan import Plan
     from labdata.sensor import Sensor
     from labdata.tube_dose import Dose
@@ -46,9 +46,8 @@ def plan(
     """
     with exit_on_bad_input(str(plan), as_json=as_json):
         from charact.cli.benches import load_plan
-        from drivers.acquisition.forecast import forecast
-        from drivers.acquisition.plan_check import check_plan
-        from labdata.calibrated_gain import in_volts
+        from drivers.acquisition.plan_check import check_plan, forecast
+        from labdata.plan import in_volts
         from labdata.sensors import load_sensor
 
         loaded = load_plan(plan)
@@ -88,7 +87,7 @@ def _document(given: str, plan: "Plan", prediction: "Forecast", sensor: "Sensor 
 
 
 def _step_document(one: "StepForecast", plan: "Plan", table: "GainTable | None") -> dict[str, Any]:
-    from labdata.calibrated_gain import by_calibration
+    from labdata.plan import by_calibration
 
     conditions, gain = one.step.conditions, by_calibration(table, one.step.conditions.mcp_v)
     lit = _lamp_setting(one, plan)
@@ -163,7 +162,7 @@ def _lines(plan: "Plan", prediction: "Forecast", sensor: "Sensor | None", *, eve
 
 
 def _line(one: "StepForecast", plan: "Plan", table: "GainTable | None") -> str:
-    from labdata.calibrated_gain import by_calibration
+    from labdata.plan import by_calibration
 
     conditions = one.step.brightest.conditions
     gain = by_calibration(table, conditions.mcp_v).luminous_gain or 0.0
@@ -191,7 +190,7 @@ def _dose_words(dose: "Dose") -> str:
 
 
 def _before(plan: "Plan") -> "Dose | None":
-    from labdata.dose_ledger import ledger_of
+    from labdata.tube_dose import ledger_of
 
     return None if plan.tube is None else ledger_of(plan.tube).total()
 

@@ -15,8 +15,7 @@ def methods(as_json: options.Json = False) -> None:
 
     Example: charact methods
     """
-    from charact.method.catalogue import MODULES
-    from charact.method.registry import chart_table, methods_of_kind
+    from charact.method.registry import MODULES, chart_table, methods_of_kind
     from charact.method.stopwatch import time_text
 
     rows = []
@@ -49,7 +48,7 @@ def schema(
     """
     with exit_on_bad_input(kind):
         from labdata.serialiser import file_schema
-        from simulate.radiance.outdoor.description.scene import OutdoorScene
+        from simulate.radiance.outdoor.scene import OutdoorScene
         from simulate.radiance.scene import LabScene
 
         found = file_schema(kind, {"scene": OutdoorScene, "bench": LabScene})

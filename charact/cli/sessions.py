@@ -307,7 +307,7 @@ def print_validation(validation: "Validation", given: Path, *, as_json: bool) ->
 def _lines(validation: "Validation") -> Iterator[str]:
     yield from map(_line, validation.statistics)
     for control in validation.controls:
-        yield f"{control.name} control ({control.title}): {'held' if control.held else 'DID NOT HOLD'}"
+        yield f"{control.name} control ({control.title}): {'held' if control.passed else 'DID NOT HOLD'}"
         yield from (f"    {_line(statistic)}" for statistic in control.statistics)
     yield f"validation: {'passed' if validation.passed else 'FAILED'}"
 

@@ -43,7 +43,7 @@ def save_frames(
     progress: Callable[[str, float], None] = lambda sentence, share: None,
 ) -> None:
     """Simulate frames and store them as a session, one frame at a time."""
-    from labdata.atomic_write import write_atomically
+    from labdata.file_io import write_atomically
     from labdata.sensors import save_sensor
     from labdata.store import SessionWriter
 
@@ -70,7 +70,7 @@ def save_frames(
 
 def _save_view(view: "RenderedView", out: Path) -> None:
     """Save the rendering of an outdoor scene: radiance image, auxiliary layers and selected effects."""
-    from labdata.atomic_write import write_atomically
+    from labdata.file_io import write_atomically
 
     out.mkdir(parents=True, exist_ok=True)
     save_radiance(view.picture.cube, view.title, out / "radiance.png")

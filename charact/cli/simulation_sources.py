@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from labdata.solid_state import SolidStateCamera
     from simulate.effect_selection import EffectSelection
     from simulate.outdoor_rendering import OutdoorRendering, RenderedView
-    from simulate.radiance.outdoor.description.scene import OutdoorScene
+    from simulate.radiance.outdoor.scene import OutdoorScene
     from simulate.radiance.scene import LabScene
 
     Description = Sensor | SolidStateCamera
@@ -206,9 +206,9 @@ def _of_scene(
 
 def night_of(request: SimulationRequest, description: "Description", conditions: Conditions) -> "OutdoorRendering":
     """Return the outdoor scene of a request with its camera; another source raises BadInput."""
-    from simulate.cameras import camera_from_description
+    from simulate.iiccd.scene_to_photoelectrons import camera_from_description
     from simulate.outdoor_rendering import OutdoorRendering
-    from simulate.radiance.outdoor.description.scene import OutdoorScene
+    from simulate.radiance.outdoor.scene import OutdoorScene
     from simulate.radiance.scene import load_scene
 
     scene = load_scene(request.source) if is_scene(request.source) else None
@@ -226,8 +226,7 @@ def _of_night(
     conditions: Conditions,
     progress: Progress,
 ) -> Shot:
-    from simulate.cameras import camera_from_description
-    from simulate.iiccd.scene_to_photoelectrons import photoelectrons_from_radiance
+    from simulate.iiccd.scene_to_photoelectrons import camera_from_description, photoelectrons_from_radiance
     from simulate.outdoor_rendering import OutdoorRendering
 
     _require_no_bench_options(request, conditions)
@@ -283,8 +282,7 @@ def _select_effects(
     """Return the camera without the effects that this light does not need, and the fields of the shot."""
     from simulate.effect_selection import EffectSelection
     from simulate.iiccd.camera import IntensifiedCamera
-    from simulate.iiccd.effect_bounds.camera_effects import select_camera_effects
-    from simulate.iiccd.effect_bounds.effects import bound_effects
+    from simulate.iiccd.effect_bounds.camera_effects import bound_effects, select_camera_effects
     from simulate.iiccd.effect_bounds.noise_budget import NoiseBudget, per_pixel
 
     exact = request.tolerance is None
@@ -299,8 +297,7 @@ def _select_effects(
 
 def _of_picture(request: SimulationRequest, description: "Description", conditions: Conditions) -> Shot:
     from charact.cli.image_source import photoelectrons_of
-    from simulate.cameras import camera_from_description
-    from simulate.iiccd.scene_to_photoelectrons import photoelectrons_from_image
+    from simulate.iiccd.scene_to_photoelectrons import camera_from_description, photoelectrons_from_image
 
     camera = camera_from_description(description)
     image, notes = photoelectrons_of(
@@ -318,8 +315,7 @@ def _of_picture(request: SimulationRequest, description: "Description", conditio
 
 def _of_cube(request: SimulationRequest, description: "Description", conditions: Conditions) -> Shot:
     from charact.cli.image_source import cube_of
-    from simulate.cameras import camera_from_description
-    from simulate.iiccd.scene_to_photoelectrons import photoelectrons_from_radiance
+    from simulate.iiccd.scene_to_photoelectrons import camera_from_description, photoelectrons_from_radiance
 
     _require_no_image_options(request)
     camera = camera_from_description(description)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from charact.cli.output import exit_on_bad_input, print_result, progress_bar
 
 if TYPE_CHECKING:
-    from charact.mtf.region import Region
+    from charact.mtf.mean_frame import Region
     from labdata.frames import FrameStack
     from labdata.measurement import Result
     from labdata.session import Session
@@ -28,7 +28,7 @@ def region_in(stack: "FrameStack", region: "Region | None") -> "Region | None":
 
 def in_file_coordinates(result: "Result", stack: "FrameStack") -> "Result":
     """Return the result with regions in coordinates of the file and with the notes of the importer."""
-    from charact.mtf.multiple_targets import REGION_NAME
+    from charact.mtf.dispatch import REGION_NAME
     from labdata.measurement import Result
 
     def shift_region(region: "Region") -> "Region":

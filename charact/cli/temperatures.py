@@ -40,10 +40,10 @@ def temperatures(
     """
     with exit_on_bad_input(str(scene), events=events), progress_bar(events=events) as progress:
         from charact.cli.simulation_sources import load_described_camera
-        from labdata.atomic_write import write_atomically
         from labdata.conditions import Conditions
         from labdata.errors import BadInput
-        from simulate.cameras import camera_from_description
+        from labdata.file_io import write_atomically
+        from simulate.iiccd.scene_to_photoelectrons import camera_from_description
         from simulate.outdoor_rendering import OutdoorRendering
         from simulate.radiance.scene import LabScene, load_scene
         from simulate.thermal.temperatures import temperatures_of
@@ -155,7 +155,7 @@ def _map(kelvin: "np.ndarray", title: str) -> "Figure":
 def _save(figure: "Figure", path: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-    from labdata.atomic_write import write_atomically
+    from labdata.file_io import write_atomically
 
     FigureCanvasAgg(figure)
     content = io.BytesIO()
@@ -166,7 +166,7 @@ def _save(figure: "Figure", path: Path) -> None:
 def _save_map(kelvin: "np.ndarray", path: Path) -> None:
     import numpy as np
 
-    from labdata.atomic_write import write_atomically
+    from labdata.file_io import write_atomically
 
     content = io.BytesIO()
     np.savez_compressed(content, temperature_k=kelvin)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.mtf.region import Region
+from charact.mtf.mean_frame import Region
 from labdata.frames import FrameStack
 from labdata.measurement import Interval
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.region import Region
+from charact.mtf.mean_frame import Region
 from labdata.errors import BadInput
 from labdata.frames import read_only
 

@@ -13,7 +13,7 @@ from charact.live.focus import BestFocus, FocusReader
 from charact.live.frame_source import FrameSource, SourceFrame
 from charact.live.frame_statistics import measure_frame
 from charact.live.live_view import LiveView, render_preview
-from charact.mtf.region import Region
+from charact.mtf.mean_frame import Region
 from drivers.errors import BenchError
 from labdata.capture import Frame
 from labdata.errors import BadInput

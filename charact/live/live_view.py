@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from charact.live.focus import BestFocus, Focus
 from charact.live.frame_source import SourceFrame
 from charact.live.frame_statistics import FrameStatistics
-from charact.mtf.region import Region
+from charact.mtf.mean_frame import Region
 
 SATURATED_BGR = (255, 200, 0)
 

@@ -11,7 +11,7 @@ MODULES: dict[str, dict[str, str]] = {
         "edge-slanted": "charact.mtf.edge.slanted",
     },
     "bars": {
-        "bars-coltman": "charact.mtf.bars.coltman",
+        "bars-coltman": "charact.mtf.bars.contrast",
         "bars-contrast": "charact.mtf.bars.contrast",
         "bars-forward": "charact.mtf.bars.forward",
     },

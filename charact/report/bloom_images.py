@@ -12,8 +12,8 @@ from charact.bloom.posterior_psf import spread_of
 from charact.method import Context
 from charact.report.blooms import EXTENTS
 from charact.report.style import DATA, MODEL, THIRD, WARN, panels
-from labdata.atomic_write import write_atomically
 from labdata.errors import BadInput
+from labdata.file_io import write_atomically
 from labdata.measurement import Result
 from labdata.session import Session, StackEntry
 
@@ -173,7 +173,7 @@ def _predict_diameters(data: dict[str, Any], result: Result) -> dict[str, Any] |
         return None
     posteriors = [m.posterior for m in result.find("halo_diameter") if m.posterior is not None]
     try:
-        spread = spread_of(posteriors[0]).thinned(40) if posteriors else None
+        spread = spread_of(posteriors[0]).subsample(40) if posteriors else None
     except BadInput:
         return None
     if spread is None:
@@ -284,7 +284,7 @@ def write_bloom_map(session: Session, result: Result, context: Context, *, label
     """
     if path.suffix.lower() not in (".png", ".npz"):
         raise BadInput(f"--map must name a .png or .npz file, got {path.name!r}")
-    from charact.bloom.session_bloom_map import evidence_of, map_of
+    from charact.bloom.bloom_map import evidence_of, map_of
 
     found, signal = map_of(session, result, label=label, context=context)
     content = io.BytesIO()

@@ -12,8 +12,8 @@ from charact.report.report_images import aspect_of, representative
 from charact.report.style import PAPER_INK
 from charact.report.tables import emva_summary
 from charact.report.truth import Truth, compare_with_truth
-from labdata.atomic_write import write_atomically
 from labdata.errors import BadInput
+from labdata.file_io import write_atomically
 from labdata.limits import OVERRIDDEN
 from labdata.measurement import Posterior, Result
 from labdata.session import Session

@@ -19,10 +19,10 @@ from charact.report.number_format import (
     short_text,
     value_text,
 )
+from labdata.camera_description import Parameter
 from labdata.conditions import Conditions
 from labdata.flags import FLAGS
 from labdata.measurement import Measurement, Result
-from labdata.parameter import Parameter
 from labdata.quantity import QUANTITIES
 from labdata.sensor import Sensor
 from labdata.session import Session

@@ -64,7 +64,9 @@ def validation_section(validation: Validation, aspect: float = 1.0) -> Section:
         Row pitch over column pitch of the images.
     """
     good = sum(one.passed for one in validation.statistics)
-    words = [f"{control.name} control {'held' if control.held else 'did not hold'}" for control in validation.controls]
+    words = [
+        f"{control.name} control {'held' if control.passed else 'did not hold'}" for control in validation.controls
+    ]
     verdict = "agrees" if validation.passed else "does not agree"
     headline = f"Simulation {verdict}: {good} of {len(validation.statistics)} statistics pass; {', '.join(words)}"
     return Section(
@@ -81,7 +83,8 @@ def validation_section(validation: Validation, aspect: float = 1.0) -> Section:
 
 def _summary(validation: Validation) -> str:
     controls = " ".join(
-        f"The {c.name} control ({CONTROL_WORDS[c.name]}) {'held' if c.held else 'did not hold'}: {c.title.rstrip('.')}."
+        f"The {c.name} control ({CONTROL_WORDS[c.name]}) {'held' if c.passed else 'did not hold'}: "
+        f"{c.title.rstrip('.')}."
         for c in validation.controls
     )
     return (

@@ -14,7 +14,7 @@ from labdata.limits import Override
 from labdata.plan import Plan, Step
 from labdata.sensors import load_sensor, save_sensor
 from labdata.session import open_session
-from simulate.virtual_bench.fault_script import FaultScript, ScriptedFault
+from simulate.virtual_bench.rehearsal import FaultScript, ScriptedFault
 
 FAST = Override(limit="ramp_v_per_s", value=4000.0, reason="a rehearsal has no tube")
 FRAMES = 200  # long enough for a fault that strikes as they begin

@@ -7,7 +7,7 @@ from charact.method import Context
 from charact.mtf.bars.target import BarTarget
 from charact.mtf.blur_models import transfer as forms
 from charact.mtf.known_transfer import halo_diameters_px
-from labdata.parameter import Parameter
+from labdata.camera_description import Parameter
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from charact.method import Context
 from charact.mtf.known_transfer import halo_diameters_px
 from charact.video_filter import VideoFilter
-from labdata.parameter import Parameter
+from labdata.camera_description import Parameter
 
 Array = NDArray[np.float64]
 

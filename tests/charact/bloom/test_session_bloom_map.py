@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from charact.bloom.session_bloom_map import map_of, spread_from
+from charact.bloom.bloom_map import map_of, spread_from
 from charact.method import Context
 from charact.report.bloom_images import write_bloom_map
 from charact.study.bloom.scene import BloomScene, bloom_session
