@@ -92,7 +92,7 @@ def _overlap(one: Box, other: Box) -> float:
     return float(max(height, 0) * max(width, 0))
 
 
-Picture = NDArray[np.uint8]
+Image = NDArray[np.uint8]
 
 # Blue, orange and vermilion, distinct for all colour vision (Okabe and Ito); blue, green, red order.
 COLOURS = {"ok": (230, 170, 70), "suspect": (0, 160, 240), "refused": (60, 80, 235)}
@@ -130,7 +130,7 @@ def require_png(path: Path) -> None:
         raise BadInput(f"--annotate must name a .png file, got {path.name!r}")
 
 
-def render_annotations(stack: FrameStack, result: Result, frequency: Frequency = in_cycles_per_pixel) -> Picture:
+def render_annotations(stack: FrameStack, result: Result, frequency: Frequency = in_cycles_per_pixel) -> Image:
     """Return the annotated image, shape (row, col, 3), blue, green, red.
 
     Every region has an outline in the colour and line style of its status and a caption with the value and its 95 %
@@ -140,21 +140,21 @@ def render_annotations(stack: FrameStack, result: Result, frequency: Frequency =
 
     scale = max(1, int(np.ceil(1500 / stack.shape[2])))
     grey = cv2.resize(_stretch_grey(stack), None, fx=scale, fy=scale, interpolation=cv2.INTER_NEAREST)
-    picture = np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), np.uint8)
+    image = np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), np.uint8)
     shown = _one_per_region(result)
     boxes = [_box(measurement, stack, scale) for measurement in shown]
     for measurement, box in zip(shown, boxes, strict=True):
-        _outline(picture, box, measurement.status)
+        _outline(image, box, measurement.status)
     captions = [_caption(m, frequency, alone=len(shown) == 1) for m in shown]
     sizes = [(LINE_PX * len(lines) + 8, max(_width(line) for line in lines) + 12) for lines in captions]
     for measurement, box, lines, place in zip(
-        shown, boxes, captions, place_captions(boxes, sizes, picture.shape[:2]), strict=True
+        shown, boxes, captions, place_captions(boxes, sizes, image.shape[:2]), strict=True
     ):
-        _write(picture, lines, place, box, measurement.status)
-    return np.concatenate([picture, _legend(shown, frequency, picture.shape[1])])
+        _write(image, lines, place, box, measurement.status)
+    return np.concatenate([image, _legend(shown, frequency, image.shape[1])])
 
 
-def _stretch_grey(stack: FrameStack) -> Picture:
+def _stretch_grey(stack: FrameStack) -> Image:
     mean = stack.data.mean(axis=0)
     low, high = np.percentile(mean, (0.5, 99.5))
     return (np.clip((mean - low) / max(high - low, 1e-12), 0, 1) * 255).astype(np.uint8)
@@ -202,21 +202,21 @@ def _width(text: str) -> int:
     return cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.5, 1)[0][0]
 
 
-def _outline(picture: Picture, box: Box, status: str) -> None:
+def _outline(image: Image, box: Box, status: str) -> None:
     """Outline a region: solid, dashed or crossed out by its status."""
     import cv2
 
     top, left, bottom, right = box
     corners = [(left, top), (right, top), (right, bottom), (left, bottom)]
     for start, end in zip(corners, corners[1:] + corners[:1], strict=True):
-        _line(picture, start, end, COLOURS[status], dashed=status == "suspect")
+        _line(image, start, end, COLOURS[status], dashed=status == "suspect")
     if status == "refused":
-        cv2.line(picture, corners[0], corners[2], COLOURS[status], 1, cv2.LINE_AA)
-        cv2.line(picture, corners[1], corners[3], COLOURS[status], 1, cv2.LINE_AA)
+        cv2.line(image, corners[0], corners[2], COLOURS[status], 1, cv2.LINE_AA)
+        cv2.line(image, corners[1], corners[3], COLOURS[status], 1, cv2.LINE_AA)
 
 
 def _line(
-    picture: Picture, start: tuple[int, int], end: tuple[int, int], colour: tuple[int, int, int], *, dashed: bool
+    image: Image, start: tuple[int, int], end: tuple[int, int], colour: tuple[int, int, int], *, dashed: bool
 ) -> None:
     import cv2
 
@@ -225,11 +225,11 @@ def _line(
     ends = np.minimum(stops + 0.6 * DASH_PX, length) if dashed else np.array([length])
     for first, last in zip(stops / max(length, 1.0), ends / max(length, 1.0), strict=True):
         one, other = ([round(a + share * (b - a)) for a, b in zip(start, end, strict=True)] for share in (first, last))
-        cv2.line(picture, one, other, PAPER, 3)
-        cv2.line(picture, one, other, colour, 2)
+        cv2.line(image, one, other, PAPER, 3)
+        cv2.line(image, one, other, colour, 2)
 
 
-def _write(picture: Picture, lines: list[str], place: tuple[int, int], box: Box, status: str) -> None:
+def _write(image: Image, lines: list[str], place: tuple[int, int], box: Box, status: str) -> None:
     """Write a caption on a dark background, with a leader if it lies outside its region."""
     import cv2
 
@@ -238,18 +238,18 @@ def _write(picture: Picture, lines: list[str], place: tuple[int, int], box: Box,
     middle = ((box[1] + box[3]) // 2, (box[0] + box[2]) // 2)
     if not (left <= middle[0] <= left + width and top <= middle[1] <= top + height):
         nearest = (int(np.clip(middle[0], left, left + width)), int(np.clip(middle[1], top, top + height)))
-        cv2.line(picture, nearest, middle, PAPER, 3, cv2.LINE_AA)
-        cv2.line(picture, nearest, middle, COLOURS[status], 1, cv2.LINE_AA)
-        cv2.circle(picture, middle, 4, PAPER, -1, cv2.LINE_AA)
-        cv2.circle(picture, middle, 3, COLOURS[status], -1, cv2.LINE_AA)
-    cv2.rectangle(picture, (left, top), (left + width, top + height), PAPER, -1)
-    cv2.rectangle(picture, (left, top), (left + width, top + height), COLOURS[status], 1)
+        cv2.line(image, nearest, middle, PAPER, 3, cv2.LINE_AA)
+        cv2.line(image, nearest, middle, COLOURS[status], 1, cv2.LINE_AA)
+        cv2.circle(image, middle, 4, PAPER, -1, cv2.LINE_AA)
+        cv2.circle(image, middle, 3, COLOURS[status], -1, cv2.LINE_AA)
+    cv2.rectangle(image, (left, top), (left + width, top + height), PAPER, -1)
+    cv2.rectangle(image, (left, top), (left + width, top + height), COLOURS[status], 1)
     for number, line in enumerate(lines):
         origin = (left + 6, top + LINE_PX * (number + 1))
-        cv2.putText(picture, line, origin, cv2.FONT_HERSHEY_SIMPLEX, 0.5, INK, 1, cv2.LINE_AA)
+        cv2.putText(image, line, origin, cv2.FONT_HERSHEY_SIMPLEX, 0.5, INK, 1, cv2.LINE_AA)
 
 
-def _legend(shown: list[Measurement], frequency: Frequency, width: int) -> Picture:
+def _legend(shown: list[Measurement], frequency: Frequency, width: int) -> Image:
     """Return the legend below the image: quantities, line styles of the status, and flags."""
     import cv2
 

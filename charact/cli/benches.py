@@ -336,7 +336,7 @@ class StackWatcher:
             f"DN is known within {half_dn:.2g} DN, requested {until.mean_within_dn:g}"
         )
 
-    def saturated(self) -> bool:
+    def is_saturated(self) -> bool:
         """Whether more than 1 % of the pixels are at full scale."""
         return self._share > SATURATED_FRACTION
 

@@ -59,7 +59,7 @@ def demonstrate(out: Path, *, quick: bool, seed: int | None, events: bool) -> bo
 
 
 def max_z(numbers: int) -> float:
-    """Return the |z| that the largest of so many correct values exceeds with probability `CHANCE`."""
+    """Return the |z| that the largest of `numbers` correct values exceeds with probability `CHANCE`."""
     from scipy.special import ndtri
 
     return float(-ndtri(0.5 * -math.expm1(math.log1p(-CHANCE) / max(numbers, 1))))

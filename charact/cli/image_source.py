@@ -49,10 +49,10 @@ def photoelectrons_of(
     if not math.isfinite(black_dn):
         raise BadInput(f"--black-dn must be a number, got {black_dn:g}")
     stack = read_frames(path)
-    picture = stack.data[0].astype(np.float64)
-    if picture.min() < 0.0:
-        raise BadInput(f"an image must have no negative pixel, got {picture.min():g} in {path.name}")
-    above = picture - black_dn
+    image = stack.data[0].astype(np.float64)
+    if image.min() < 0.0:
+        raise BadInput(f"an image must have no negative pixel, got {image.min():g} in {path.name}")
+    above = image - black_dn
     below = int(np.count_nonzero(above < 0.0))
     placed, how = centre_on_frame(np.maximum(above, 0.0) * scale, shape)
     notes = [f"{path.name}: {scale:g} photoelectrons per DN above {black_dn:g} DN, per pixel and exposure", *how]
@@ -71,24 +71,18 @@ def _scale(photoelectrons_per_dn: float | None) -> float:
     return photoelectrons_per_dn
 
 
-def centre_on_frame(
-    picture: NDArray[np.floating], shape: tuple[int, int]
-) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+def centre_on_frame(image: NDArray[np.floating], shape: tuple[int, int]) -> tuple[NDArray[np.float64], tuple[str, ...]]:
     """Return an image centred on a frame, cropped or padded with zeros, and a note if its shape differs."""
     frame = np.zeros(shape)
-    there, here = zip(*(_overlap(size, room) for size, room in zip(picture.shape, shape, strict=True)), strict=True)
-    frame[there] = picture[here]
+    there, here = zip(*(_overlap(size, room) for size, room in zip(image.shape, shape, strict=True)), strict=True)
+    frame[there] = image[here]
     done = [
-        *(["cropped"] if any(size > room for size, room in zip(picture.shape, shape, strict=True)) else []),
-        *(
-            ["padded with darkness"]
-            if any(size < room for size, room in zip(picture.shape, shape, strict=True))
-            else []
-        ),
+        *(["cropped"] if any(size > room for size, room in zip(image.shape, shape, strict=True)) else []),
+        *(["padded with darkness"] if any(size < room for size, room in zip(image.shape, shape, strict=True)) else []),
     ]
     if not done:
         return frame, ()
-    rows, cols = picture.shape
+    rows, cols = image.shape
     return frame, (
         f"the image of {rows} x {cols} pixels is centred on the frame of {shape[0]} x {shape[1]}, {' and '.join(done)}",
     )

@@ -232,10 +232,11 @@ def report(
     """
     with exit_on_bad_input(str(session), events=events):
         from charact.report import write
+        from charact.validation import load
 
         given = open_session_only(session)
         result = load_or_measure(session, seed=seed, events=events)
-        path = write(given, result, out or session / "report.html", validation=load_validation(given), pdf=pdf)
+        path = write(given, result, out or session / "report.html", validation=load(given.folder), pdf=pdf)
         print(path)
 
 
@@ -292,13 +293,6 @@ def validate_and_save(folder: Path, sensor: str | Path, *, seed: int, events: bo
     return done
 
 
-def load_validation(session: "Session") -> "Validation | None":
-    """Return the validation saved in the session folder, or None."""
-    from charact.validation import load
-
-    return load(session.folder)
-
-
 def print_validation(validation: "Validation", given: Path, *, as_json: bool) -> None:
     """Print a validation: one line per statistic, both controls, and the verdict."""
     if as_json:
@@ -313,7 +307,7 @@ def print_validation(validation: "Validation", given: Path, *, as_json: bool) ->
 def _lines(validation: "Validation") -> Iterator[str]:
     yield from map(_line, validation.statistics)
     for control in validation.controls:
-        yield f"{control.name} control ({control.title}): {'held' if control.held else 'DID NOT HOLD'}"
+        yield f"{control.name} control ({control.title}): {'held' if control.passed else 'DID NOT HOLD'}"
         yield from (f"    {_line(statistic)}" for statistic in control.statistics)
     yield f"validation: {'passed' if validation.passed else 'FAILED'}"
 

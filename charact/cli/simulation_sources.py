@@ -388,13 +388,13 @@ def voltage_limit_warnings(camera: Sensor | SolidStateCamera, conditions: Condit
 
 def voltage_of(sensor: Sensor, luminous_gain: float | None) -> float:
     """Return the MCP voltage for a luminous gain, V = V0 (G/G0)^(1/m); None: the reference voltage."""
-    plate = sensor.microchannel_plate
+    mcp = sensor.microchannel_plate
     if luminous_gain is None:
-        return float(plate.reference_v)
-    if not float(plate.gain_exponent) > 0.0:
+        return float(mcp.reference_v)
+    if not float(mcp.gain_exponent) > 0.0:
         raise BadInput(f"--gain needs a tube with a positive gain exponent, got 0 in {sensor.name!r}")
-    return float(plate.reference_v) * (luminous_gain / float(sensor.tube.luminous_gain)) ** (
-        1.0 / float(plate.gain_exponent)
+    return float(mcp.reference_v) * (luminous_gain / float(sensor.tube.luminous_gain)) ** (
+        1.0 / float(mcp.gain_exponent)
     )
 
 

@@ -63,7 +63,7 @@ def software_findings() -> Iterator[Finding]:
             area="packages", says="charact is not installed, its requirements are unknown", fix="pip install charact"
         )
         return
-    yield from package_findings(requires, _installed_version)
+    yield from package_findings(requires, _version_of)
 
 
 def python_finding(version: tuple[int, ...]) -> Finding:
@@ -115,7 +115,7 @@ def _numbers(version: str) -> tuple[int, ...]:
     return tuple(int(part) for part in parts.group().split(".")) if parts else ()
 
 
-def _installed_version(name: str) -> str | None:
+def _version_of(name: str) -> str | None:
     try:
         return metadata.version(name)
     except metadata.PackageNotFoundError:

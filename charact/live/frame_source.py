@@ -36,7 +36,7 @@ class SourceFrame:
     of
         Origin: the camera, or the stack of a session.
     full_scale_dn
-        Highest code of the digitiser, DN.
+        Full scale, DN.
     lost_frames
         Frames lost since the start of the capture or stack.
     conditions
@@ -200,9 +200,9 @@ class _Stack:
         shown = news[-1:]
         if news and self._first_number is None:
             self._first_number, shown = news[0].frame_number, news[-FIRST_SHOWN:]
-        return tuple(self._seen(entry) for entry in shown)
+        return tuple(self._source_frame(entry) for entry in shown)
 
-    def _seen(self, entry: Acknowledged) -> SourceFrame:
+    def _source_frame(self, entry: Acknowledged) -> SourceFrame:
         frame = self._following.frame(entry)
         return SourceFrame(
             frame=frame,

@@ -52,15 +52,15 @@ def render_preview(frame: NDArray, meters: FrameStatistics, *, full_scale_dn: fl
     black, white = _levels(meters)
     small = frame[::step, ::step].astype(np.float32)
     grey = cv2.convertScaleAbs(np.maximum(small - black, 0.0), alpha=255.0 / (white - black))
-    picture = grey
+    preview = grey
     if meters.saturated_px:
-        picture = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
-        picture[_any_in_blocks(frame >= full_scale_dn, step)] = SATURATED_BGR
+        preview = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
+        preview[_any_in_blocks(frame >= full_scale_dn, step)] = SATURATED_BGR
     # Full colour resolution, so that the mark of a single pixel is visible.
     finest = [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
-    written, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 80, *finest])
+    written, jpeg = cv2.imencode(".jpg", preview, [cv2.IMWRITE_JPEG_QUALITY, 80, *finest])
     if not written:
-        raise RuntimeError(f"a preview of {picture.shape} must be encoded as JPEG, and was not")
+        raise RuntimeError(f"a preview of {preview.shape} must be encoded as JPEG, and was not")
     return PreviewImage(jpeg=jpeg.tobytes(), step=step, black_dn=black, white_dn=white)
 
 

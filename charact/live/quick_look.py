@@ -153,7 +153,7 @@ def watch_stacks(
     while True:
         # The log is read before the stacks, so that a stack finished in between is not missed.
         ended = run_outcome(folder)
-        for session, entry in _finished_stacks(folder):
+        for session, entry in _stacks_on_disk(folder):
             if entry.label not in seen:
                 seen.add(entry.label)
                 yield session, entry
@@ -182,7 +182,7 @@ def run_outcome(folder: Path) -> str | None:
     return "" if runs[-1].get("whole") else str(runs[-1].get("reason", "no reason was logged"))
 
 
-def _finished_stacks(folder: Path) -> Iterator[tuple[Session, StackEntry]]:
+def _stacks_on_disk(folder: Path) -> Iterator[tuple[Session, StackEntry]]:
     form = from_toml(folder / MANIFEST, SessionFile)
     if not form.stack:
         return

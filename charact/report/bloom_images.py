@@ -173,7 +173,7 @@ def _predict_diameters(data: dict[str, Any], result: Result) -> dict[str, Any] |
         return None
     posteriors = [m.posterior for m in result.find("halo_diameter") if m.posterior is not None]
     try:
-        spread = spread_of(posteriors[0]).thinned(40) if posteriors else None
+        spread = spread_of(posteriors[0]).subsample(40) if posteriors else None
     except BadInput:
         return None
     if spread is None:

@@ -84,7 +84,7 @@ def as_jpeg(frame: NDArray, limits: tuple[float, float], quality: int = 72) -> s
     return base64.b64encode(held.getvalue()).decode("ascii")
 
 
-def picture_of(frame: NDArray, title: str, caption: str = "", *, unit: str = "DN", aspect: float = 1.0) -> ReportImage:
+def image_of(frame: NDArray, title: str, caption: str = "", *, unit: str = "DN", aspect: float = 1.0) -> ReportImage:
     """Return an image of one frame, shape (row, col), with its grey scale in the caption."""
     low, high = grey_limits(frame)
     scale = f"Black {low:.4g} {unit}, white {high:.4g} {unit}."
@@ -104,15 +104,11 @@ def representative(session: Session, measurements: Sequence[Measurement]) -> tup
 
 def _brightest_stack(entries: Sequence[StackEntry]) -> StackEntry:
     """Return the first stack with the most light by its conditions, else by the mean of its frames."""
-    for light in (_photons, _lux_s):
+    for light in (lambda conditions: conditions.photons_per_px, _lux_s):
         stated = [light(entry.conditions) for entry in entries]
         if all(amount is not None for amount in stated):
             return entries[int(np.argmax(np.array(stated, float)))]
     return max(entries, key=lambda entry: entry.read().mean_dn) if len(entries) > 1 else entries[0]
-
-
-def _photons(conditions: Conditions) -> float | None:
-    return conditions.photons_per_px
 
 
 def _lux_s(conditions: Conditions) -> float | None:
@@ -132,7 +128,7 @@ def _picture(session: Session, entry: StackEntry, measurements: Sequence[Measure
         row, col, height, width = bright_region(stack.data.mean(axis=0))
         caption += f" Rows {row}–{row + height - 1}, cols {col}–{col + width - 1}."
     cut = frame[row : row + height, col : col + width]
-    found = picture_of(cut, f"{entry.label} ({entry.kind})", caption, unit=stack.unit, aspect=aspect_of(session))
+    found = image_of(cut, f"{entry.label} ({entry.kind})", caption, unit=stack.unit, aspect=aspect_of(session))
     whole = (height, width) == frame.shape
     return replace(found, boxes=_boxes(entry, measurements) if whole else ())
 

@@ -83,7 +83,8 @@ def validation_section(validation: Validation, aspect: float = 1.0) -> Section:
 
 def _summary(validation: Validation) -> str:
     controls = " ".join(
-        f"The {c.name} control ({CONTROL_WORDS[c.name]}) {'held' if c.passed else 'did not hold'}: {c.title.rstrip('.')}."
+        f"The {c.name} control ({CONTROL_WORDS[c.name]}) {'held' if c.passed else 'did not hold'}: "
+        f"{c.title.rstrip('.')}."
         for c in validation.controls
     )
     return (

@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from labdata.adaptive import StopCriterion
 
 from charact.cli.benches import SaturationJudge, half_interval_dn
 from labdata.conditions import Conditions
-from labdata.plan import Step, StopCriterion
+from labdata.plan import Step
 
 SHAPE = (20, 30)
 
@@ -59,7 +60,7 @@ def test_every_saturated_pixel_counts():
     frame = np.zeros(SHAPE)
     frame.flat[:3] = 4095.0
     watcher.see(frame)
-    assert watcher.complaint() == "0.5 % of all pixels are at the highest code 4095 DN"
+    assert watcher.complaint() == "0.5 % of all pixels are at full scale, 4095 DN"
     assert not watcher.is_saturated()
     frame.flat[:60] = 4095.0
     watcher.see(frame)

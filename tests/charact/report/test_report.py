@@ -12,7 +12,7 @@ from charact.report import compare_with_truth, fragment, page, write
 from charact.report.corner import corner_svg, varying
 from charact.report.figure_registry import FIGURES, figure_of
 from charact.report.number_format import plus_minus, round_to_spread
-from charact.report.report_images import bright_region, grey_limits, picture_of, representative
+from charact.report.report_images import bright_region, grey_limits, image_of, representative
 from charact.report.tables import quantity_groups
 from charact.study.flats.flat_cases import InMemoryStack
 from labdata.conditions import Conditions
@@ -157,7 +157,7 @@ def test_a_corner_plot_names_its_parameters_with_units_and_skips_those_that_do_n
 
 def test_the_grey_scale_of_a_picture_is_stated_even_where_all_pixels_are_equal():
     assert grey_limits(np.full((8, 8), 7)) == (7.0, 8.0)
-    assert "Black 7 DN, white 8 DN." in picture_of(np.full((8, 8), 7), "flat").caption
+    assert "Black 7 DN, white 8 DN." in image_of(np.full((8, 8), 7), "flat").caption
 
 
 def test_a_region_is_drawn_with_the_worst_verdict_of_its_numbers(made):
