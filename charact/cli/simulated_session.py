@@ -20,7 +20,7 @@ def preview_into(
     out: Path, asked: SimulationRequest, description: "Description", conditions: Conditions, *, explain: bool
 ) -> tuple[str, ...]:
     """Keep what a scene out of doors shows in seconds, print its plan if asked for, and return what it leaves out."""
-    view = night_of(asked, description, conditions).seen(tolerance=asked.tolerance, seed=asked.seed, preview=True)
+    view = night_of(asked, description, conditions).render(tolerance=asked.tolerance, seed=asked.seed, preview=True)
     if explain:
         print(view.plan.text())
     _save_view(view, out)

@@ -237,7 +237,7 @@ def _of_night(
         sentence = f"light, about {seconds / 60.0:.0f} min" if seconds > LONG_S else "light"
         progress(sentence, 0.0)
 
-    view = OutdoorRendering(scene, camera, conditions).seen(
+    view = OutdoorRendering(scene, camera, conditions).render(
         tolerance=asked.tolerance,
         seed=asked.seed,
         progress=lambda share: progress(sentence, share),
@@ -264,9 +264,9 @@ def _of_bench(asked: SimulationRequest, scene: "LabScene", description: "Descrip
     _require_matching_target(asked.target, kind)
     target = as_stood(kind, asked.target)
     conditions, bench = _with_bench_light(conditions, kind), LabBench(description, scene)
-    _, planned = _select_effects(bench.camera, bench.freed(kind, target, conditions), conditions, asked)
+    _, planned = _select_effects(bench.camera, bench.photoelectrons(kind, target, conditions), conditions, asked)
     bench = bench.without(planned["plan"].names)
-    light = bench.photoelectrons(kind, target, conditions)
+    light = bench.mcp_input(kind, target, conditions)
     return Shot(camera=bench.camera, light=light, kind=kind, conditions=conditions, target=target, **planned)
 
 

@@ -1,4 +1,4 @@
-"""Blooming in the CCD: charge beyond the full well goes down the drain, and what the drain leaves along the column."""
+"""Column blooming: charge beyond the full well drains, and the remainder spreads along its column."""
 
 import numpy as np
 from numba import njit

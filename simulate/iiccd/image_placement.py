@@ -1,4 +1,4 @@
-"""Where a picture lies on the chip: its pixels laid on cells, so that every pixel as read gets its own light."""
+"""Placement of images on cells: resampling to the lattice, radial distortion and other static displacements."""
 
 from dataclasses import dataclass
 
@@ -15,18 +15,18 @@ def place_on_cells(image: NDArray, grid: Grid, *, row_pairs: bool) -> NDArray[np
     Parameters
     ----------
     image
-        A quantity per area, shape (row, col), which covers the picture exactly.
+        A quantity per area, shape (row, col), which covers the image exactly.
     grid
         Cells.
     row_pairs
         True where row r of a frame sums rows r and r + 1 of the chip, which has one row more than the frame. The
-        picture then reaches from the middle of the chip's first row to the middle of its last, so that every row of it
+        image then reaches from the middle of the chip's first row to the middle of its last, so that every row of it
         is centred on the row of the frame that reads it; half the light of that row comes from it and a quarter from
         each neighbour.
 
     Notes
     -----
-    Beyond its border the picture goes on as it ends there.
+    Beyond its border the image goes on as it ends there.
     """
     first, rows = (0.5, grid.rows - 1) if row_pairs else (0.0, grid.rows)
     down = _overlaps(image.shape[0], grid.shape[0], (grid.margin_rows + first) * grid.per_row, rows * grid.per_row)
@@ -37,7 +37,7 @@ def place_on_cells(image: NDArray, grid: Grid, *, row_pairs: bool) -> NDArray[np
 
 
 def _overlaps(pixels: int, cells: int, start: float, length: float):
-    """Share of each cell that each pixel covers, a sparse matrix (cell, pixel), for pixels that fill start..+length."""
+    """Fraction of each cell covered by each pixel, sparse (cell, pixel), for pixels that fill start..start + length."""
     from scipy.sparse import csr_array
 
     borders = start + length * np.arange(pixels + 1) / pixels
@@ -83,7 +83,7 @@ class Radial:
 
         Notes
         -----
-        Area ratio 1 / ((1 + D s^2)(1 + 3 D s^2)), s = r/R: light per area thins out where the picture is stretched.
+        Area ratio 1 / ((1 + D s^2)(1 + 3 D s^2)), s = r/R: light per area thins out where the image is stretched.
         """
         came = np.linspace(0.0, FARTHEST, STEPS)
         lands = came * (1.0 + self.fraction * came**2)
@@ -95,7 +95,7 @@ class Radial:
 
 
 def cell_centres(grid: Grid) -> tuple[Array, Array]:
-    """Return x (1, col) and y (row, 1) of cell centres about the middle of the picture, mm at the photocathode."""
+    """Return x (1, col) and y (row, 1) of cell centres about the middle of the image, mm at the photocathode."""
     rows, columns = grid.shape
     x = (np.arange(columns) + 0.5) / grid.per_column - grid.margin_columns - 0.5 * grid.columns
     y = (np.arange(rows) + 0.5) / grid.per_row - grid.margin_rows - 0.5 * grid.rows
@@ -103,7 +103,7 @@ def cell_centres(grid: Grid) -> tuple[Array, Array]:
 
 
 def corner_mm(grid: Grid) -> float:
-    """Return the distance of the picture's corner from its middle, mm at the photocathode."""
+    """Return the distance of the image's corner from its middle, mm at the photocathode."""
     return 0.5 * float(np.hypot(grid.columns * grid.pitch_x_mm, grid.rows * grid.pitch_y_mm))
 
 
@@ -117,7 +117,7 @@ def resample_image(image: NDArray, grid: Grid, x_mm: Array, y_mm: Array, *, orde
     grid
         Its cells.
     x_mm, y_mm
-        Where each cell's light comes from, about the middle of the picture, shape (row, col), mm.
+        Where each cell's light comes from, about the middle of the image, shape (row, col), mm.
     order
         1: linear, never below zero; loses up to 8 % of the contrast at an eighth of a cycle per cell. 3: cubic splines,
         for images without sharp steps.

@@ -1,4 +1,4 @@
-"""The lens from the scene's side: absolute spectral radiance becomes photons on the photocathode, cell by cell."""
+"""Lens: blur and veiling glare of stated illuminance, and spectral radiance to photons on the photocathode."""
 
 from dataclasses import dataclass
 
@@ -23,7 +23,7 @@ class Optics(NoiselessStage):
     blur
         Its blur.
     veiling_glare_fraction
-        Share of the light that is spread evenly over the picture, dimensionless.
+        Fraction of the light that is spread evenly over the image, dimensionless.
     """
 
     blur: StageBlur
@@ -33,12 +33,12 @@ class Optics(NoiselessStage):
     emits: str = "photons"
 
     def mean(self, light: StageImage) -> StageImage:
-        """Return (1 - v) E + v mean(E), owing the blur; the light per cell keeps its sum."""
-        return light.with_values(add_veiling_glare(light.values, self.veiling_glare_fraction)).blurred(self.blur)
+        """Return (1 - v) E + v mean(E), with the blur pending; the sum over cells is conserved."""
+        return light.with_values(add_veiling_glare(light.values, self.veiling_glare_fraction)).with_blurs(self.blur)
 
 
 def add_veiling_glare(image: NDArray, fraction: float) -> NDArray:
-    """Return (1 - v) E + v mean(E): a share of the light spread evenly."""
+    """Return (1 - v) E + v mean(E): a fraction of the light spread evenly."""
     level = image.mean(axis=(-2, -1), keepdims=True, dtype=np.float64)
     return (1.0 - fraction) * image + np.asarray(fraction * level, image.dtype)
 
@@ -66,9 +66,9 @@ class RadiometricLens(NoiselessStage):
     focal_shift_um, focus_nm
         How far 925 nm focuses behind 500 nm, linear in wavelength, and the wavelength in focus.
     veiling_glare_fraction
-        Share of the light that is spread evenly over the picture.
+        Fraction of the light that is spread evenly over the image.
     vignetting_fraction
-        Share of the light lost at the picture's corner beyond cos^4; it grows with the square of the distance from the
+        Fraction of the light lost at the image's corner beyond cos^4; it grows with the square of the distance from the
         axis.
     distortion_fraction
         Radial displacement at the corner, positive for pincushion.
@@ -77,12 +77,12 @@ class RadiometricLens(NoiselessStage):
     grid
         Cells on which the photons arrive.
     row_pairs
-        Whether a frame's row sums two rows of the chip: where the picture lies, see `image_placement.spread`.
+        Whether a frame's row sums two rows of the chip: where the image lies, see `image_placement.spread`.
 
     Notes
     -----
     E = pi tau L / (4 N^2 (1 + m)^2) per wavelength on the axis, times cos^4(theta), tan(theta) = r / (f (1 + m)), and
-    vignetting (Born and Wolf, Principles of Optics, 4.8.3). Light per area follows distortion: where the picture is
+    vignetting (Born and Wolf, Principles of Optics, 4.8.3). Light per area follows distortion: where the image is
     stretched, the same light covers more of it, so light is conserved and a flat scene darkens where it is stretched.
     It emits photons per s and cell *referred to the wavelength of peak efficiency*: a photon that is detected half as
     well counts half. All bands can then travel on as one image. Each band is blurred by its own diffraction and
@@ -250,8 +250,8 @@ def few_transfers(
     Returns
     -------
     shares, shapes
-        (shape, band) and (shape, frequency): transfers = shares.T @ shapes within `TRANSFER_ERROR`. The first shape is
-        the mean transfer, with shares of 1; all others vanish at zero frequency, so that no light is won or lost.
+        (shape, band) and (shape, frequency): transfers = fractions.T @ shapes within `TRANSFER_ERROR`. The first shape
+        is the mean transfer, with fractions of 1; all others vanish at zero frequency, so that no light is won or lost.
     """
     mean = np.average(transfers, axis=0, weights=weight if weight.sum() > 0.0 else None)
     left, size, right = np.linalg.svd(transfers - mean, full_matrices=False)

@@ -1,4 +1,4 @@
-"""A camera without a tube, plain or electron-multiplying: the same stages as behind a tube, fed by the scene itself."""
+"""Camera without a tube: CCD or EMCCD."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -63,8 +63,8 @@ class Silicon(NoiselessStage):
 class SiliconCamera(SensorGeometryCamera):
     """A CCD or EMCCD camera built from its description.
 
-    Its methods are those of `simulate.iiccd.camera.IntensifiedCamera`; its light "at the plate" is photoelectrons in
-    the chip. No stage remembers earlier frames.
+    Its methods are those of `simulate.iiccd.camera.IntensifiedCamera`; its light "at the MCP input" is photoelectrons
+    in the chip. No stage remembers earlier frames.
 
     Parameters
     ----------
@@ -75,12 +75,12 @@ class SiliconCamera(SensorGeometryCamera):
     description: SolidStateCamera
 
     @property
-    def described(self) -> SolidStateCamera:
+    def camera_description(self) -> SolidStateCamera:
         """The description."""
         return self.description
 
     @property
-    def interlaced(self) -> bool:
+    def is_interlaced(self) -> bool:
         """Never: such cameras are progressive."""
         return False
 
@@ -171,7 +171,7 @@ class SiliconCamera(SensorGeometryCamera):
             prnu=float(ccd.prnu),
             smear_fraction=float(ccd.smear_fraction),
             clamped=False,
-            specimen=self.specimen,
+            pattern_seed=self.pattern_seed,
             takes="photoelectrons in the wells",
             emits="charge in the wells",
         )
@@ -205,7 +205,7 @@ class SiliconCamera(SensorGeometryCamera):
         """Return the expected photoelectrons in the chip, per cell of `cells` and exposure, of photons on it."""
         return self.silicon(conditions).mean(photons_per_s)
 
-    def freed(self, photons_per_s: StageImage, conditions: Conditions) -> StageImage:
+    def photoelectrons(self, photons_per_s: StageImage, conditions: Conditions) -> StageImage:
         """Return the photoelectrons that light frees in the chip, expected per cell of `scene_cells` and exposure."""
         silicon = self.silicon(conditions)
         return photons_per_s.with_values(
@@ -218,7 +218,7 @@ class SiliconCamera(SensorGeometryCamera):
 
     def mean_frame(self, in_chip: StageImage, conditions: Conditions) -> NDArray[np.float32]:
         """Return the noiseless frame of expected photoelectrons on `cells`, shape (row, col), DN."""
-        return self.chain(conditions).part("pixels", "video").mean(in_chip).values
+        return self.chain(conditions).between("pixels", "video").mean(in_chip).values
 
     def frames(
         self, in_chip: StageImage, conditions: Conditions, *, seed: int, first_frame: int = 0
@@ -228,7 +228,7 @@ class SiliconCamera(SensorGeometryCamera):
         A frame depends on the seed and its own number alone.
         """
         chain = self.chain(conditions)
-        pixels = chain.part("pixels", "ccd").without("ccd").mean(in_chip)
-        readout = chain.part("ccd", "video")
+        pixels = chain.between("pixels", "ccd").without("ccd").mean(in_chip)
+        readout = chain.between("ccd", "video")
         for frame in count(first_frame):
             yield readout.draw(pixels, np.random.default_rng([seed, 1, frame])).values

@@ -1,4 +1,4 @@
-"""Transfer functions of the stages: each blur is a small value that knows its own Fourier transform."""
+"""Transfer functions of the stages."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -74,7 +74,7 @@ class Defocus:
 
 @dataclass(frozen=True, kw_only=True)
 class GapSpread:
-    """Sideways flight across the proximity gap: exp(-(pi f rho)^2), rho its radius in um at the plate."""
+    """Sideways flight across the proximity gap: exp(-(pi f rho)^2), rho its radius in um at the MCP input."""
 
     radius_um: float
 
@@ -85,25 +85,25 @@ class GapSpread:
 
 @dataclass(frozen=True, kw_only=True)
 class TubeShare:
-    """The share of a tube's blur that acts on one side of the gain: exp(-share (f/fc)^n) (Johnson's form)."""
+    """The fraction of a tube's blur that acts on one side of the gain: exp(-fraction (f/fc)^n) (Johnson's form)."""
 
     share: float
     frequency_lp_per_mm: float
     exponent: float
 
     def transfer(self, fx_per_mm: Array, fy_per_mm: Array) -> Array:
-        """Transfer of this share, dimensionless."""
+        """Transfer of this fraction, dimensionless."""
         frequency = np.hypot(fx_per_mm, fy_per_mm)
         return np.exp(-self.share * (frequency / self.frequency_lp_per_mm) ** self.exponent)
 
 
 @dataclass(frozen=True, kw_only=True)
 class HaloBlur:
-    """Photoelectrons that bounce off the plate and land again, up to twice the gap away.
+    """Photoelectrons that bounce off the MCP and land again, up to twice the gap away.
 
     Notes
     -----
-    An electron that leaves the plate at angle t with the share e of the gap's energy lands at r = 2 e d sin(2t). For
+    An electron that leaves the MCP at angle t with the fraction e of the gap's energy lands at r = 2 e d sin(2t). For
     cosine emission r/(2 e d) = x has the density x/sqrt(1 - x^2), whose plane transform is sin(a)/a, a = 4 pi e d f.
     Elastic electrons have e = 1; energies uniform in 0..1 give Si(a)/a at e = 1.
     """
@@ -243,7 +243,7 @@ class VideoFilter:
     A pixel's value is held for one clock period T; the digitiser samples at the period's end. With the step response
     s(t) of the analog filter the sampled impulse response is h[n] = s((n + 1) T) - s(n T). Aperture correction adds
     what a line differs from the mean of itself one clock before and one after, 1 + 2 c (1 - cos(2 pi f T)): the MTF may
-    then exceed 1. Its delay line holds the picture back by one clock.
+    then exceed 1. Its delay line holds the image back by one clock.
     """
 
     bandwidth_mhz: float
@@ -268,9 +268,9 @@ class VideoFilter:
         response = response / response.sum()
         if self.aperture_correction_db == 0.0:
             return response
-        beside = 0.5 * (10.0 ** (self.aperture_correction_db / 20.0) - 1.0)
-        beside /= 1.0 - np.cos(2.0 * np.pi * CORRECTED_MHZ / self.pixel_clock_mhz)
-        return np.convolve(response, [-beside, 1.0 + 2.0 * beside, -beside])
+        side_tap = 0.5 * (10.0 ** (self.aperture_correction_db / 20.0) - 1.0)
+        side_tap /= 1.0 - np.cos(2.0 * np.pi * CORRECTED_MHZ / self.pixel_clock_mhz)
+        return np.convolve(response, [-side_tap, 1.0 + 2.0 * side_tap, -side_tap])
 
     def transfer(self, frequency_cy_per_px: Array) -> NDArray[np.complex128]:
         """Complex transfer along a line at frequencies in cycles per pixel, 1 at zero."""

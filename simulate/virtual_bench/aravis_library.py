@@ -88,7 +88,7 @@ class FakeCamera:
         self._call("arv_fake_camera_write_memory", self._registers, MODEL_NAME, len(text), text)
 
     def lose_packets(self, share: float) -> None:
-        """Lose a share of the packets of each frame on the wire."""
+        """Lose a fraction of the packets of each frame on the wire."""
         gobject = ctypes.CDLL("libgobject-2.0.so.0")
         gobject.g_object_set.argtypes = (c_void_p, c_char_p, c_double, c_void_p)
         gobject.g_object_set(self._camera, b"gvsp-lost-ratio", share, None)

@@ -1,4 +1,4 @@
-"""The virtual camera's own process: a GigE Vision camera on loopback whose frames are drawn as they are exposed."""
+"""Virtual GigE Vision camera on loopback, in a process of its own, and its start and stop."""
 
 import argparse
 import contextlib
@@ -69,21 +69,21 @@ def main(arguments: list[str]) -> int:
 class VirtualCamera:
     """A camera that exposes as long as a client asks for frames.
 
-    Frames are drawn here, at the pace of drawing, and handed to the wire's own thread, which never waits for a
-    drawing and so answers its client at any time.
+    Frames are drawn in this thread. The wire's own thread takes them without waiting, and so answers its client at any
+        time.
 
-    Parameters
-    ----------
-    tube
-        What it sees.
-    serial
-        Its serial number.
-    description
-        File to which its GenICam description is written.
-    lost_packet_share
-        Share of the packets that get lost on the wire, dimensionless.
-    faults
-        Faults provoked from the simulator's side.
+        Parameters
+        ----------
+        tube
+            What it sees.
+        serial
+            Its serial number.
+        description
+            File to which its GenICam description is written.
+        lost_packet_share
+            Fraction of the packets that get lost on the wire, dimensionless.
+        faults
+            Faults provoked from the simulator's side.
     """
 
     def __init__(
@@ -203,15 +203,15 @@ def hold_loopback(parent: int, *, folder: Path | None = None) -> IO[bytes]:
     """
     lock = _open_lock((folder or Path(tempfile.gettempdir())) / f"charact-virtual-camera-{os.getuid()}.lock")
     until_s = time.monotonic() + LOCK_WAIT_S
-    told = False
+    reported = False
     while True:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             return lock
         except OSError:
-            if not told:
+            if not reported:
                 tell({"waiting": "another virtual camera holds the loopback"})
-                told = True
+                reported = True
         if os.getppid() != parent or time.monotonic() > until_s:
             lock.close()
             raise BadInput(f"one virtual camera runs on a machine at a time, waited {LOCK_WAIT_S:g} s for another")
@@ -248,24 +248,24 @@ STOP_S = 3.0
 class CameraProcess:
     """The virtual camera on its loopback wire, between `with` and the end of its block.
 
-    It lives in a session of its own, so that Ctrl-C at the terminal does not unplug it, and ends when the process
-    that started it is gone.
+        It lives in a session of its own, so that Ctrl-C at the terminal does not unplug it, and ends when the process
+        that started it is gone.
 
-    Parameters
-    ----------
-    folder
-        Folder of the bench: its truth, and what its operator placed.
-    wires
-        Folder where the instruments publish what they put out.
-    lost_packet_share
-        Share of the packets that get lost on the wire, dimensionless.
-    say
-        Told in a sentence what is waited for.
+        Parameters
+        ----------
+        folder
+            Folder of the bench: its truth, and what its operator placed.
+        wires
+            Folder where the instruments publish what they put out.
+        lost_packet_share
+            Fraction of the packets that get lost on the wire, dimensionless.
+        say
+    Called with a sentence on what is awaited.
 
-    Raises
-    ------
-    BadInput
-        On entering: if the camera cannot start.
+        Raises
+        ------
+        BadInput
+            On entering: if the camera cannot start.
     """
 
     def __init__(

@@ -245,15 +245,13 @@ class Dg535:
         mode = self._values["OM", AB]
         if mode == OutputMode.VAR:
             return self._values["OO", AB], self._values["OO", AB] + self._values["OA", AB]
-        low_v, high_v = {OutputMode.TTL: (0.0, 4.0), OutputMode.NIM: (-0.8, 0.0), OutputMode.ECL: (-1.8, -0.8)}[
-            int(mode)
-        ]
+        levels_v = {OutputMode.TTL: (0.0, 4.0), OutputMode.NIM: (-0.8, 0.0), OutputMode.ECL: (-1.8, -0.8)}
+        low_v, high_v = levels_v[OutputMode(int(mode))]
         return (low_v, high_v) if self._values["OP", AB] else (high_v, low_v)
 
     def _trigger_hz(self) -> float:
-        return {TriggerMode.INTERNAL: self._values["TR", 0], TriggerMode.LINE: LINE_HZ}.get(
-            int(self._values["TM", 0]), 0.0
-        )
+        rates_hz = {TriggerMode.INTERNAL: self._values["TR", 0], TriggerMode.LINE: LINE_HZ}
+        return rates_hz.get(TriggerMode(int(self._values["TM", 0])), 0.0)
 
     def _busy_s(self) -> float:
         return max(self._after_trigger_s(edge) for edge in EDGES) + DEAD_S

@@ -32,7 +32,7 @@ class Faults:
     stalled
         The camera answers, and sends no frame.
     lost_packet_share
-        Share of the camera's packets that get lost, dimensionless.
+        Fraction of the camera's packets that get lost, dimensionless.
     clock_jump_s
         How far the camera's clock is off its time, s.
     panel

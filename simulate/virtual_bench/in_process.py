@@ -1,4 +1,4 @@
-"""The virtual instruments inside this process, behind ports of bytes, where there are no pseudo-terminals."""
+"""Virtual instruments and camera in this process, without pseudo-terminals and without Aravis."""
 
 import copy
 import threading
@@ -199,7 +199,7 @@ class InProcessCamera:
         return None
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
-        """Set what is not None and return every setting; the picture's size and format are the sensor's own."""
+        """Set what is not None and return every setting; the image's size and format are the sensor's own."""
         given = {item.name: value for item in fields(settings) if (value := getattr(settings, item.name)) is not None}
         for name in ("rows", "columns", "pixel_format"):
             own = getattr(self._settings, name)

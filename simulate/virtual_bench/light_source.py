@@ -48,10 +48,10 @@ class LightSource:
             return None
         name, asks, value = match.groups()
         if asks:
-            return self._asked(name) if value is None else self._complain(UNKNOWN)
+            return self._answer_query(name) if value is None else self._complain(UNKNOWN)
         return self._complain(UNKNOWN) if value is None else self._set(name, int(value))
 
-    def _asked(self, name: str) -> str | None:
+    def _answer_query(self, name: str) -> str | None:
         if name == "e":
             code, meaning = self._errors.popleft() if self._errors else (0, "no error")
             return f"ERROR {code}: {meaning}"

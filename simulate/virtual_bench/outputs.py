@@ -1,4 +1,4 @@
-"""The electrical wires of the virtual bench: what the instruments put out now, where the virtual tube can read it."""
+"""State files of the virtual bench: outputs of its instruments, and the target placed by its operator."""
 
 import json
 import math
@@ -182,7 +182,7 @@ class VirtualOperator:
     def __init__(self, folder: Path) -> None:
         self._folder = Path(folder)
         self.while_waiting: Callable[[], None] = lambda: None
-        """Never called: nobody is waited for."""
+        """Never called: the virtual operator acts at once."""
 
     def place(
         self, *, kind: Kind, target: Target, illuminance_lux: float, filter_density: float | None = None

@@ -12,7 +12,7 @@ from simulate.virtual_bench.outputs import replace_file
 
 IDENTITY = "Thorlabs,PM101R,M00654321,1.2.0"
 LUX_PER_W = 1.6e5
-"""Illuminance on the photocathode for a watt on the head: 1 cm2 of light of 16 lm/W beside the tube."""
+"""Illuminance on the photocathode for a watt on the head: 1 cm2 of light of 16 lm/W next to the tube."""
 
 NOISE_W = 2e-12
 READINGS_PER_S = 3000.0
@@ -94,5 +94,5 @@ class PowerMeter:
             self._published = True
 
     def connect_light(self, light: Callable[[], float]) -> None:
-        """Take what falls on its head from the bench around it, lux on the photocathode."""
+        """Connect the head to the light of the bench, lux on the photocathode."""
         self._light = light

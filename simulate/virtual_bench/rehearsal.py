@@ -1,4 +1,4 @@
-"""A rehearsal: a script of faults strikes a running virtual bench, each at its time, and never twice."""
+"""Injection of scripted faults."""
 
 import json
 import threading
@@ -72,7 +72,7 @@ class ScriptedFault:
     for_s
         How long it lasts, s; a power cycle is over at once.
     value
-        For late answers how late, s; for packet loss the share lost; for a clock jump how far, s; for room light the
+        For late answers how late, s; for packet loss the fraction lost; for a clock jump how far, s; for room light the
         illuminance on the photocathode, lux.
     panel
         For the front panel: what is entered there, in the instrument's own language.
@@ -173,23 +173,23 @@ STRUCK = "fault strikes"
 class Rehearsal:
     """Strikes as long as its `with` block lasts, in a thread of its own; on leaving all is healed.
 
-    Parameters
-    ----------
-    script
-        The faults.
-    provoke
-        Gives an instrument its faults, see `VirtualBench.provoke`.
-    steps
-        Log of the session, which tells which step begins.
-    log
-        File that remembers what struck: a resumed run goes on with the rest of the script.
-    say
-        Told in a sentence what strikes.
+        Parameters
+        ----------
+        script
+            The faults.
+        provoke
+            Gives an instrument its faults, see `VirtualBench.provoke`.
+        steps
+            Log of the session, which tells which step begins.
+        log
+            File that remembers what struck: a resumed run goes on with the rest of the script.
+        say
+    Called with a sentence on each fault.
 
-    Raises
-    ------
-    BadInput
-        On entering, if the script strikes an instrument that `provoke` does not know.
+        Raises
+        ------
+        BadInput
+            On entering, if the script strikes an instrument that `provoke` does not know.
     """
 
     def __init__(
@@ -209,8 +209,8 @@ class Rehearsal:
         self._thread = threading.Thread(target=self._strike, daemon=True)
 
     def __enter__(self) -> Self:
-        told = read_events(self._log_path) if self._log_path.exists() else []
-        struck = {each["number"] for each in told if each["event"] == STRUCK}
+        logged = read_events(self._log_path) if self._log_path.exists() else []
+        struck = {each["number"] for each in logged if each["event"] == STRUCK}
         self._left = {number: one for number, one in enumerate(self._script.fault) if number not in struck}
         for instrument in {one.instrument for one in self._script.fault}:
             self._provoke(instrument, Faults())

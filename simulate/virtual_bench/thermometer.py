@@ -45,7 +45,7 @@ class Thermometer:
         """The room is kept at one temperature."""
 
     def publish(self, folder: Path) -> None:
-        """Let the tube be as warm as the sensor beside it."""
+        """Publish the temperature of the tube."""
         if not self._published:
             replace_file(folder / OUTPUT, json.dumps({"temperature_c": TEMPERATURE_C}))
             self._published = True

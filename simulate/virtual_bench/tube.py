@@ -1,4 +1,4 @@
-"""The virtual tube: frame after frame of what stands before it, under the voltages on its wires at that moment."""
+"""Virtual tube: frames under the present target, light, voltage and gate of the virtual bench."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -20,7 +20,7 @@ CLOCKS_DIFFER = 2e-5
 """Relative difference between the clock of a gate generator and that of a camera, two ordinary crystals."""
 
 STEPS = 32
-"""Open times are told apart to this share of one opening: each is a light of its own to be drawn."""
+"""Open times are rounded to this fraction of one opening, since each is drawn as a scene of its own."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +72,7 @@ class Fields:
 
 
 GATE_EXTINCTION = 1e-7  # light that a closed gate lets through, over an open one: 1e6 to 1e7 to one in the visible
-MCP_FLOOR_V = 1.0  # a plate without voltage multiplies by next to nothing
+MCP_FLOOR_V = 1.0  # an MCP without voltage multiplies by next to nothing
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,7 +111,7 @@ class VirtualTube:
 
     @property
     def sensor(self) -> Sensor:
-        """The specimen."""
+        """The device."""
         return self._truth.sensor
 
     def scene(self, *, exposure_s: float, gain_db: float) -> Scene:
@@ -143,8 +143,8 @@ class VirtualTube:
         return Scene(placement=placement, conditions=conditions, fields=beating)
 
     def prepare(self, scene: Scene) -> None:
-        """Render the picture of what stands before the camera, so that its first frame does not wait for it."""
-        self._bench.photoelectrons(scene.placement.kind, scene.placement.target, scene.conditions)
+        """Render the image of what stands before the camera, so that its first frame does not wait for it."""
+        self._bench.mcp_input(scene.placement.kind, scene.placement.target, scene.conditions)
 
     def expose(self, scene: Scene) -> NDArray:
         """Expose one frame of a scene, shape (row, col), DN."""
@@ -152,7 +152,7 @@ class VirtualTube:
             return self._woven(scene, scene.fields)
         if scene != self._scene:
             same_placement = self._scene is not None and scene.placement.number == self._scene.placement.number
-            # What the screen remembers is drawn anew at the start of a segment: a changed scene begins with one.
+            # The lag of the phosphor is drawn again at the start of a segment: a changed scene begins with one.
             self._frame = -(-self._frame // SEGMENT_FRAMES) * SEGMENT_FRAMES if same_placement else 0
             self._scene = scene
             self._frames = self._bench.stream(

@@ -116,7 +116,7 @@ def test_edge_turned_by_a_small_angle_leans_to_lower_columns_further_down(bench,
 def test_blur_keeps_the_light(plain, full, bench):
     dark, signal = full
     image = (bench.mean("point", Target(pinhole_px=6.0), LUX) - dark) / signal
-    plate = bench.photoelectrons("point", Target(pinhole_px=6.0), LUX)
+    plate = bench.mcp_input("point", Target(pinhole_px=6.0), LUX)
     q = true_quantities.true_quantities(bench.camera.sensor)
     # A pixel as read is two rows high and holds eight cells.
     lit = plate.values.sum(dtype=float) - plate.values.size * q["ebi_per_field"] / 8.0
@@ -130,7 +130,7 @@ def test_paid_blur_keeps_the_sum_and_makes_no_light(bench):
     values = np.zeros(grid.shape, np.float32)
     values[40:60, 50:70] = 100.0
     blurred = (
-        StageImage(values=values, grid=grid).blurred(*true_quantities._after_gain(bench.camera)).with_blurs_applied()
+        StageImage(values=values, grid=grid).with_blurs(*true_quantities._after_gain(bench.camera)).with_blurs_applied()
     )
     assert blurred.values.sum(dtype=float) == pytest.approx(values.sum(), rel=1e-5)
 

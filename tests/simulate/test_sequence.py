@@ -95,7 +95,7 @@ def test_channels_recover_after_a_flash(plain, seed):
     )
     camera = IntensifiedCamera(replace(sensor, video=replace(sensor.video, interlaced=False)), local_depletion=True)
     flash, probe = (mcp_input_from_photoelectrons(camera, np.full(camera.shape, level), NONE) for level in (3e4, 20.0))
-    plate = camera.plate(NONE)
+    plate = camera.mcp(NONE)
     load = plate.depletion.load(plate.gain * flash.in_whole_rows().values, flash.in_whole_rows().grid)
     memory = replace(initial_state(camera, NONE), depletion=load)
     frames = np.stack(list(sequence(camera, [probe] * 8, NONE, seed=seed, memory=memory))).astype(float) - 400.0

@@ -58,7 +58,7 @@ def test_a_row_has_the_skewness_and_kurtosis_of_the_compound_law(shape, mean):
 def _kernels(sensor, divisions):
     camera = IntensifiedCamera(sensor)
     stages = prepare.CameraStages.of(camera.chain(Conditions()), camera.fields_per_frame)
-    blurs = stages.behind_plate.mean(StageImage(values=np.zeros((1, 1), np.float32))).pending_blurs
+    blurs = stages.behind_mcp.mean(StageImage(values=np.zeros((1, 1), np.float32))).pending_blurs
     known = kernel.DIVISIONS
     try:
         kernel.DIVISIONS = (divisions,)
@@ -120,7 +120,7 @@ def test_single_pulses_light_pixels_as_the_continuous_blur_does(name):
     """Sums of powers of what a pixel sees of pulses anywhere, and of all it sees: integrals over the plane."""
     camera = IntensifiedCamera(load_sensor(name))
     stages = prepare.CameraStages.of(camera.chain(Conditions()), camera.fields_per_frame)
-    blurs = stages.behind_plate.mean(StageImage(values=np.zeros((1, 1), np.float32))).pending_blurs
+    blurs = stages.behind_mcp.mean(StageImage(values=np.zeros((1, 1), np.float32))).pending_blurs
     made = kernel.pulse_kernel(blurs, camera.cells, stages.height)
     places = made.shares.shape[0] * made.shares.shape[1]
     assert made.shares.sum() / places + made.wing.sum() * kernel.COARSE**2 == pytest.approx(stages.height, rel=1e-5)
@@ -204,7 +204,7 @@ def test_single_pulses_arrive_evenly_while_the_gate_is_open(plain, seed):
     camera = IntensifiedCamera(plain(64, 64, photocathode__ebi_lm_per_cm2=0.0))
     light = _made(camera, StageImage(values=np.full(camera.cells.shape, 0.05, np.float32), grid=camera.cells)).light
     assert isinstance(light, SparseEventSampler)
-    pulses = light.screen(seed)._drawn(0, np.float32(1.0))
+    pulses = light.phosphor_sampler(seed)._draw_pulses(0, np.float32(1.0))
     own = 1.0 - pulses.later.sum(axis=0) / pulses.charge
     truth = camera.afterglow(Conditions()).pulse_shares[:, 0]
     for power in (1, 2):

@@ -1,4 +1,4 @@
-"""The charge of a cell as a table: quantiles of a Poisson number of gamma pulses, at any mean, looked up in one step.
+"""Charge distribution of a cell: tabulated quantiles of a Poisson sum of gamma pulses.
 
 A cell that expects N detected photoelectrons holds the sum of Poisson(N) pulses of mean 1 and gamma shape k. The sum is
 zero with probability exp(-N); given that it is not, its standardised law changes slowly with N. That law is kept as

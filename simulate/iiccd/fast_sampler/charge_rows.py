@@ -1,4 +1,4 @@
-"""The compiled pass over rows of pixels: noise of the cells spread over them, the mean and the charge's own added."""
+"""Compiled passes over rows of pixels: random numbers, spread of the noise, charge and readout."""
 
 import numpy as np
 from numba import njit

@@ -1,4 +1,4 @@
-"""How the light of a cell spreads over pixels: a kernel on the lattice with the covariance of the continuous blur.
+"""Kernel that spreads the light of cells over pixels with the covariance of the continuous blur.
 
 Pulses fall anywhere; cells gather them on a lattice. Sampled on the lattice, the blur's transfer H would lose or gain
 variance (an eighth at a blur of half a pixel). The kernel is therefore the transform of sqrt(sum_m |H(f + m)|^2), whose
@@ -18,7 +18,7 @@ from simulate.iiccd.transfer import PixelAperture, StageBlur, fold_transfer
 
 # Half-width of the compact part, pixels; what reaches farther goes by the coarse lattice.
 REACH = 5
-# Half-width of single pulses that are compact, pixels, and the share of their light that may lie beyond.
+# Half-width of single pulses that are compact, pixels, and the fraction of their light that may lie beyond.
 NEAR, LEFT_TO_WING = 3, 0.02
 # Pixels on one side of a coarse cell.
 COARSE = 8
@@ -26,9 +26,9 @@ COARSE = 8
 SIDE, FINEST = 128, 8
 # Cells per row and per column of the chip, coarsest first.
 DIVISIONS = ((1, 1), (1, 2), (2, 2))
-# Share of the squared kernel's transfer below which light is not sharpened.
+# Fraction of the squared kernel's transfer below which light is not sharpened.
 FAINT = 0.05
-# Share of the kernel's square that separable parts may leave out.
+# Fraction of the kernel's square that separable parts may leave out.
 LEFT_OUT = 2e-6
 
 
@@ -78,10 +78,11 @@ class PulseKernel:
     height
         Rows of the chip in a pixel as read.
     shares
-        Share of a pulse's light on pixels, shape (row of the place, col of the place, row, col). A place in row R and
-        column C of the chip, counted from `reach` before the first, lights the pixels that end with row R, column C.
+        Fraction of a pulse's light on pixels, shape (row of the place, col of the place, row, col). A place in row R
+        and column C of the chip, counted from `reach` before the first, lights the pixels that end with row R, column
+        C.
     reach
-        Half-width of the shares, pixels: `NEAR` where what lies beyond is little, else `REACH`.
+        Half-width of the fractions, pixels: `NEAR` where what lies beyond is little, else `REACH`.
     wing
         What reaches farther than `REACH`, as in `Kernel`.
     """
@@ -234,7 +235,7 @@ def _shift(
 
 
 def _places(height: int, divisions: tuple[int, int]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Rows and columns of the kernel's lattice on which cells within `REACH` pixels have their shares."""
+    """Rows and columns of the kernel's lattice on which cells within `REACH` pixels have their fractions."""
     down, along = divisions
     rows = np.arange(-REACH * down, (REACH + height) * down)
     columns = np.arange(-REACH * along, (REACH + 1) * along)
@@ -289,7 +290,7 @@ def _fit_wing(rest: NDArray[np.float64], height: int, unseen: tuple[slice, ...] 
     Parameters
     ----------
     rest
-        Share of a cell by its distance from the pixel, -SIDE/2 pixels first, shape (SIDE, SIDE).
+        Fraction of a cell by its distance from the pixel, -SIDE/2 pixels first, shape (SIDE, SIDE).
     height
         Rows of the chip in a pixel as read.
     unseen
