@@ -18,14 +18,14 @@ DEFAULT_TOLERANCE = 0.1
 class OptionalEffect:
     """Effect that a model may neglect.
 
-        Parameters
-        ----------
-        name
-    Name of the effect.
-        influence
-            Bound on the largest change that leaving it out makes, in the unit of the tolerance.
-        setup_s, frame_s
-            Estimated time that it costs once and for each frame, s.
+    Parameters
+    ----------
+    name
+        Name of the effect.
+    influence
+        Bound on the largest change that leaving it out makes, in the unit of the tolerance.
+    setup_s, frame_s
+        Estimated time that it costs once and for each frame, s.
     """
 
     name: str
@@ -42,12 +42,12 @@ class OptionalEffect:
 class EffectSelection:
     """Retained and neglected effects.
 
-        Parameters
-        ----------
-        tolerance
-    Limit of the summed influence of the neglected effects, in the unit of their influence.
-        kept, left_out
-            The effects, the least influence first.
+    Parameters
+    ----------
+    tolerance
+        Limit of the summed influence of the neglected effects, in the unit of their influence.
+    kept, left_out
+        The effects, the least influence first.
     """
 
     tolerance: float
@@ -94,12 +94,12 @@ def _percent(share: float) -> str:
 def select_effects(effects: Iterable[OptionalEffect], tolerance: float = DEFAULT_TOLERANCE) -> EffectSelection:
     """Neglect effects in the order of their influence while the sum stays within the tolerance.
 
-        Parameters
-        ----------
-        effects
-    Optional effects.
-        tolerance
-    Limit of the sum, in the unit of the influences; 0 neglects only effects without influence.
+    Parameters
+    ----------
+    effects
+        Optional effects.
+    tolerance
+        Limit of the sum, in the unit of the influences; 0 neglects only effects without influence.
     """
     if not tolerance >= 0.0:
         raise BadInput(f"a tolerance must not be negative, got {tolerance:g}")

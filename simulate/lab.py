@@ -41,7 +41,7 @@ class LabBench:
     scene
         The bench: a `LabScene`, the name of a shipped one or a TOML file; the shipped bench if None.
     left_out
-        Effects of the camera that are left out, see `simulate.iiccd.effect_bounds`.
+        Neglected effects of the camera, see `simulate.iiccd.effect_bounds`.
 
     Notes
     -----
@@ -69,7 +69,7 @@ class LabBench:
         seed: int,
         first_frame: int = 0,
     ) -> FrameStack:
-        """Take frames.
+        """Simulate frames of a target.
 
         Parameters
         ----------
@@ -110,7 +110,7 @@ class LabBench:
     def stream(
         self, kind: Kind, target: Target, conditions: Conditions, *, seed: int, first_frame: int = 0
     ) -> Iterator[NDArray[np.unsignedinteger]]:
-        """Return the frames one by one, without end; arguments as for `expose`."""
+        """Yield frames; never ends. Arguments as for `expose`."""
         at_mcp = self.mcp_input(kind, target, conditions)
         return self.camera.frames(at_mcp, conditions, seed=seed, first_frame=first_frame)
 
@@ -119,7 +119,7 @@ class LabBench:
         return self.camera.mean_frame(self.mcp_input(kind, target, conditions), conditions)
 
     def mcp_input(self, kind: Kind, target: Target, conditions: Conditions) -> StageImage:
-        """Return the expected photoelectrons at the plate, per cell and exposure, dark ones included."""
+        """Return the expected photoelectrons at the MCP input, per cell and exposure, dark ones included."""
         camera = self.camera
         cathode = camera.photocathode(conditions)
         dark = cathode.ebi_per_s_cm2 * camera.cells.cell_area_cm2 * cathode.open_s
@@ -129,11 +129,11 @@ class LabBench:
         return StageImage(values=lit + np.float32(dark), grid=camera.cells)
 
     def without(self, left_out: frozenset[str]) -> "LabBench":
-        """Return the same bench with effects of the camera left out."""
+        """Return the bench with neglected camera effects."""
         return LabBench(self.camera.sensor, self.scene, left_out=left_out)
 
     def photoelectrons(self, kind: Kind, target: Target, conditions: Conditions) -> StageImage:
-        """Return the photoelectrons that light frees from the cathode, per scene cell and exposure, before any blur."""
+        """Return the expected photoelectrons from the cathode, per scene cell and exposure, before any blur."""
         cells = self.camera.scene_cells
         if kind == "dark":
             return StageImage(values=np.zeros(cells.shape, np.float32), grid=cells)
@@ -141,7 +141,7 @@ class LabBench:
         return self.camera.photoelectrons(StageImage(values=self._photons(kind, target) * lux, grid=cells), conditions)
 
     def _picture(self, kind: Kind, target: Target) -> NDArray[np.float32]:
-        """Photoelectrons at the plate per s and cell at 1 lux, shape of the camera's cells."""
+        """Photoelectrons at the MCP input per s and cell at 1 lux, shape of the camera's cells."""
         key = (kind, target)
         if key not in self._pictures:
             scene_light = StageImage(values=self._photons(kind, target), grid=self.camera.scene_cells)

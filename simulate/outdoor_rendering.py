@@ -28,7 +28,7 @@ STEP_NM = 5.0
 
 
 def render_sensor_of(camera: IntensifiedCamera | SiliconCamera, conditions: Conditions) -> RenderSensor:
-    """Return what a pixel on the axis makes of radiance, in photoelectrons an exposure.
+    """Return the response of a pixel on the axis to radiance, in photoelectrons per exposure, and its noise.
 
     Notes
     -----
@@ -111,18 +111,18 @@ class RenderedView:
 
     @property
     def chance(self) -> float:
-        """Error of the pixels by chance over their grain, root mean square, by the scatter of their own rays."""
+        """Monte Carlo error of the pixels over their noise floor, root mean square."""
         grain = self.eye.grain(self.picture.signal)
         return float(np.sqrt(np.mean(np.nan_to_num(self.picture.variance) / grain**2)))
 
     @property
     def short(self) -> bool:
-        """Whether chance is more than the plan was to leave, as far as rays grow in steps: the limit of rays."""
+        """Whether the Monte Carlo error exceeds that of the render settings because of the limit of rays."""
         return self.chance > STEP * self.plan.chance
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a reader of the frames should know."""
+        """Notes for the user of the frames."""
         out = ", ".join(sorted(self.plan.plan.names)) or "nothing"
         below = self.picture.below_zero
         return (
@@ -164,7 +164,7 @@ class OutdoorRendering:
 
     @property
     def view(self) -> Viewpoint:
-        """Where the camera looks: the frame through a lens without distortion, which the camera's own lens adds."""
+        """Viewpoint of the camera without distortion, which the camera's lens adds."""
         lens, cells, stands = self.camera.lens(), self.camera.cells, self.scene.camera
         if stands.distortion_fraction and lens.distortion_fraction:
             raise BadInput(
@@ -195,21 +195,21 @@ class OutdoorRendering:
     ) -> RenderedView:
         """Render the scene for the camera.
 
-                Parameters
-                ----------
-                tolerance
-                    What leaving out and chance may change together, as a fraction of a pixel's noise in one frame;
-                    None: nothing is left out.
-                seed
-                    Seed of all rays.
-                preview
-                    Few pixels, so that it takes seconds.
-                threads
-                    Threads that share the work; None: one for each of up to two processors.
-                progress
-        Called with the fraction done.
-                announce
-        Called with the estimated time of the rendering, s, before it begins.
+        Parameters
+        ----------
+        tolerance
+            What leaving out and chance may change together, as a fraction of a pixel's noise in one frame;
+            None: nothing is left out.
+        seed
+            Seed of all rays.
+        preview
+            Few pixels, so that it takes seconds.
+        threads
+            Threads that share the work; None: one for each of up to two processors.
+        progress
+            Called with the fraction done.
+        announce
+            Called with the estimated time of the rendering, s, before it begins.
         """
         view, eye = self.view, render_sensor_of(self.camera, self.conditions)
         if preview:

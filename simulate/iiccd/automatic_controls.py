@@ -17,7 +17,7 @@ SET_LEVEL = 0.4
 
 @dataclass(frozen=True, kw_only=True)
 class AutomaticState:
-    """State of both controls: factors of the MCP gain and of the video gain, dimensionless; 1 is the initial state."""
+    """State of both controls: factors of MCP gain and video gain, dimensionless, initially 1."""
 
     brightness: float = 1.0
     gain: float = 1.0
@@ -25,22 +25,22 @@ class AutomaticState:
 
 @dataclass(frozen=True, kw_only=True)
 class AutomaticGain:
-    """The camera's automatic gain, on the video's mean level above black.
+    """Automatic gain of the camera, controlled by the mean level above black.
 
-        Parameters
-        ----------
-        set_level_dn
-    Set point of the mean level above black, DN.
-        range_db
-            Highest over lowest gain, 20 log10; the lowest is 1.
-        time_constant_s
-            Time in which an error of the level falls to 1/e.
-        step_s
-            Time from one reading of the meter to the next, s.
+    Parameters
+    ----------
+    set_level_dn
+        Set point of the mean level above black, DN.
+    range_db
+        Highest over lowest gain, 20 log10; the lowest is 1.
+    time_constant_s
+        Time in which an error of the level falls to 1/e.
+    step_s
+        Time from one reading of the meter to the next, s.
 
-        Notes
-        -----
-        g <- clip(g [1 + a (set - S)/set], 1, 10^(range/20)), a = 1 - exp(-step/tau).
+    Notes
+    -----
+    g <- clip(g [1 + a (set - S)/set], 1, 10^(range/20)), a = 1 - exp(-step/tau).
     """
 
     set_level_dn: float
@@ -68,21 +68,21 @@ class AutomaticGain:
 
 @dataclass(frozen=True, kw_only=True)
 class BrightnessControl:
-    """The tube supply's brightness control, on the mean current that the MCP sends to the phosphor.
+    """Automatic brightness control of the tube, controlled by the mean phosphor current.
 
-        Parameters
-        ----------
-        limit_e_per_s_cm2
-    Limit of the mean output of the MCP, electrons per s and cm2.
-        attack_s
-            Time constant, s.
-        step_s
-            Time from one reading to the next, s.
+    Parameters
+    ----------
+    limit_e_per_s_cm2
+        Limit of the mean output of the MCP, electrons per s and cm2.
+    attack_s
+        Time constant, s.
+    step_s
+        Time from one reading to the next, s.
 
-        Notes
-        -----
-        g <- min(1, g (limit/J)^a), a = 1 - exp(-step/tau): ln J approaches ln limit with the time constant, from any
-        overload. Below the limit the gain is given back as fast.
+    Notes
+    -----
+    g <- min(1, g (limit/J)^a), a = 1 - exp(-step/tau): ln J approaches ln limit with the time constant, from any
+    overload. Below the limit the gain is given back as fast.
     """
 
     limit_e_per_s_cm2: float

@@ -24,7 +24,7 @@ class IntensifiedCamera(DescribedCamera):
     """
 
     def chain(self, conditions: Conditions, *, cathode_lux: float = 0.0) -> Chain:
-        """Return the whole chain under conditions; its light is in photons per s and cell, see `photocathode`.
+        """Return the complete chain under conditions; its input is in photons per s and cell, see `photocathode`.
 
         Parameters
         ----------
@@ -51,7 +51,7 @@ class IntensifiedCamera(DescribedCamera):
         return Chain(stages)
 
     def photoelectrons(self, photons_per_s: StageImage, conditions: Conditions) -> StageImage:
-        """Return the photoelectrons that light frees from the cathode, expected per cell and exposure.
+        """Return the expected photoelectrons from the cathode, per cell and exposure.
 
         Parameters
         ----------
@@ -70,7 +70,7 @@ class IntensifiedCamera(DescribedCamera):
         return self.to_mcp_input(self.photoelectrons(photons_per_s, conditions), conditions)
 
     def cathode_lux(self, photoelectrons: StageImage) -> float:
-        """Illuminance of 2856 K light, averaged over cathode and time, that frees these per cell and exposure, lux."""
+        """Mean illuminance of 2856 K light over cathode and time, from photoelectrons per cell and exposure, lux."""
         per_s_cm2 = photoelectrons.values.mean(dtype=float) / self.scene_cells.cell_area_cm2 / self.field_s
         return per_s_cm2 / (tube_photometry.photoelectrons_per_lumen_s(self.sensor) * 1e-4)
 
@@ -95,7 +95,7 @@ class IntensifiedCamera(DescribedCamera):
     def automatic_states(
         self, at_mcp: StageImage, conditions: Conditions, state: AutomaticState | None = None
     ) -> Iterator[AutomaticState]:
-        """Yield where the automatic controls stand in frames 0, 1, ... of a steady scene; never ends.
+        """Yield the states of the automatic controls in frames 0, 1, ... of a static scene; never ends.
 
         Parameters
         ----------
@@ -109,7 +109,7 @@ class IntensifiedCamera(DescribedCamera):
         Notes
         -----
         Meters read the mean frame: they average over a frame, so that noise is small compared with the mean, and a
-        frame follows from its number alone. """
+        frame follows from its number alone."""
         control, gain = self.brightness_control(conditions), self.automatic_gain(conditions)
         state = AutomaticState() if state is None else state
         cm2_s = at_mcp.values.size * self.cells.cell_area_cm2 * self.field_s
@@ -126,7 +126,7 @@ class IntensifiedCamera(DescribedCamera):
             state = AutomaticState(brightness=brightness, gain=factor)
 
     def automatic_state_of(self, at_mcp: StageImage, conditions: Conditions) -> Callable[[int], AutomaticState]:
-        """Return where the automatic controls stand in a frame of a steady scene, by its number."""
+        """Return the state of the automatic controls as a function of the frame number of a static scene."""
         if not (conditions.automatic_gain or conditions.brightness_control):
             return lambda frame: AutomaticState()
         coming = self.automatic_states(at_mcp, conditions)
@@ -142,7 +142,7 @@ class IntensifiedCamera(DescribedCamera):
     def mean_frame(
         self, at_mcp: StageImage, conditions: Conditions, state: AutomaticState | None = None
     ) -> NDArray[np.float32]:
-        """Return the noiseless frame of a steady scene, shape (row, col), DN.
+        """Return the noiseless frame of a static scene, shape (row, col), DN.
 
         Parameters
         ----------
@@ -170,7 +170,7 @@ class IntensifiedCamera(DescribedCamera):
         return sampler_choice.generate_frames(self, at_mcp, conditions, seed=seed, first_frame=first_frame)
 
     def mcp_to_pixels(self, conditions: Conditions, state: AutomaticState | None = None) -> Chain:
-        """Return the chain from the MCP to the pixels, with the brightness control where it stands."""
+        """Return the chain from the MCP to the pixels in a state of the brightness control."""
         screen = self.chain(conditions).between("microchannel plate", "pixels")
         if state is None or state.brightness == 1.0:
             return screen
@@ -178,7 +178,7 @@ class IntensifiedCamera(DescribedCamera):
         return Chain((replace(plate, gain=plate.gain * state.brightness), *screen.stages[1:]))
 
     def readout(self, conditions: Conditions, state: AutomaticState | None = None) -> Chain:
-        """Return the chain from the scan to the digitiser, with the automatic gain where it stands."""
+        """Return the chain from the scan to the digitiser in a state of the automatic gain."""
         readout = self.chain(conditions).between("scan", "video")
         if state is None or state.gain == 1.0:
             return readout

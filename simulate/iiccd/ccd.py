@@ -60,7 +60,7 @@ class Ccd:
             raise BadInput(f"full_well_e must be positive, got {self.full_well_e:g}")
 
     def mean(self, light: StageImage) -> StageImage:
-        """Return the charge without noise, e-; wells clip the mean, not the average of clipped draws."""
+        """Return the noiseless charge, e-; the full well clips the mean, not single draws."""
         charge = self.mean_charge(light.values)
         if self.dsnu_e > 0.0 and self.dark_e > 0.0:
             charge = charge + (self.dark(charge.shape[-2:]) - np.float32(self.dark_e))
@@ -85,7 +85,7 @@ class Ccd:
         return np.float32(self.dark_e)
 
     def mean_charge(self, photons: NDArray) -> NDArray[np.float32]:
-        """Return the mean charge of the light, e-, with smear; where an image ripples below zero there is no charge."""
+        """Return the mean charge of the light, e-, with smear; negative values of an image count as zero."""
         charge = np.maximum(photons, 0.0).astype(np.float32) * np.float32(self.quantum_efficiency)
         if self.prnu > 0.0:
             charge *= pattern.prnu_map(charge.shape[-2:], self.prnu, self.pattern_seed)
@@ -95,7 +95,7 @@ class Ccd:
         return charge
 
     def limit_to_full_well(self, charge: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the charge that the wells hold, e-, each field on its own."""
+        """Return the charge after column blooming, e-, field by field."""
         if not (charge > self.full_well_e).any():
             return charge
         from simulate.iiccd.column_blooming import apply_column_blooming

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata.errors import BadInput
+from simulate.iiccd.accuracy import ACCURACY
 from simulate.iiccd.grid import Grid
 
 
@@ -50,9 +51,6 @@ def _overlaps(pixels: int, cells: int, start: float, length: float):
 
 Array = NDArray[np.floating]
 
-# Distances from the axis, in corner radii, over which a distortion is inverted.
-FARTHEST, STEPS = 2.0, 4096
-
 
 @dataclass(frozen=True, kw_only=True)
 class Radial:
@@ -68,14 +66,15 @@ class Radial:
     Raises
     ------
     BadInput
-        If the map would fold: D must lie above -1/12, so that r' grows with r out to `FARTHEST` corner radii.
+        If the map would fold: D must lie above -1/12, so that r' grows with r out to `Accuracy.max_distortion_radius`
+        corner radii.
     """
 
     fraction: float
     corner_mm: float
 
     def __post_init__(self) -> None:
-        if not -1.0 / (3.0 * FARTHEST**2) < self.fraction < 1.0:
+        if not -1.0 / (3.0 * ACCURACY.max_distortion_radius**2) < self.fraction < 1.0:
             raise BadInput(f"a distortion must lie between -1/12 and 1 at the corner, got {self.fraction:g}")
 
     def source(self, x_mm: Array, y_mm: Array) -> tuple[Array, Array, Array]:
@@ -85,7 +84,7 @@ class Radial:
         -----
         Area ratio 1 / ((1 + D s^2)(1 + 3 D s^2)), s = r/R: light per area thins out where the image is stretched.
         """
-        came = np.linspace(0.0, FARTHEST, STEPS)
+        came = np.linspace(0.0, ACCURACY.max_distortion_radius, ACCURACY.n_distortion_steps)
         lands = came * (1.0 + self.fraction * came**2)
         landed = np.hypot(x_mm, y_mm) / self.corner_mm
         s = np.interp(landed, lands, came).astype(landed.dtype)

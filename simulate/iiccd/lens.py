@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from labdata.errors import BadInput
 from labdata.sensor import Optics as OpticsDescription
 from simulate.iiccd import image_placement, tube_photometry
+from simulate.iiccd.accuracy import ACCURACY
 from simulate.iiccd.grid import Grid, irfft_image, rfft_image
 from simulate.iiccd.stage_image import NoiselessStage, StageImage
 from simulate.iiccd.transfer import Defocus, Lens, StageBlur
@@ -45,8 +46,6 @@ def add_veiling_glare(image: NDArray, fraction: float) -> NDArray:
 
 # Wavelengths between which the focal shift is stated.
 FOCUS_SPAN_NM = (500.0, 925.0)
-# Largest error of a band's transfer where bands share a few transforms, and places where transfers are compared.
-TRANSFER_ERROR, FREQUENCIES = 1e-4, 1500
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,7 +85,7 @@ class RadiometricLens(NoiselessStage):
     stretched, the same light covers more of it, so light is conserved and a flat scene darkens where it is stretched.
     It emits photons per s and cell *referred to the wavelength of peak efficiency*: a photon that is detected half as
     well counts half. All bands can then travel on as one image. Each band is blurred by its own diffraction and
-    defocus; as these vary smoothly, few images suffice for any number of bands (`TRANSFER_ERROR`).
+    defocus; as these vary smoothly, few images suffice for any number of bands (`Accuracy.band_transfer_error`).
     """
 
     f_number: float
@@ -184,7 +183,7 @@ class RadiometricLens(NoiselessStage):
         """
         refuse_impossible(light)
         weight = self._photons_per_radiance(light)
-        frequency = np.linspace(0.0, self._highest_frequency(), FREQUENCIES)
+        frequency = np.linspace(0.0, self._highest_frequency(), ACCURACY.n_band_frequencies)
         transfers = np.stack([self.transfer(nm, frequency) for nm in light.wavelength_nm])
         shares, shapes = few_transfers(transfers, weight)
         radiance = light.radiance.astype(np.float32, copy=False)
@@ -250,13 +249,16 @@ def few_transfers(
     Returns
     -------
     shares, shapes
-        (shape, band) and (shape, frequency): transfers = fractions.T @ shapes within `TRANSFER_ERROR`. The first shape
-        is the mean transfer, with fractions of 1; all others vanish at zero frequency, so that no light is won or lost.
+        (shape, band) and (shape, frequency): transfers = fractions.T @ shapes within `Accuracy.band_transfer_error`.
+        The first shape is the mean transfer, with fractions of 1; all others vanish at zero frequency, so that no light
+        is won or lost.
     """
     mean = np.average(transfers, axis=0, weights=weight if weight.sum() > 0.0 else None)
     left, size, right = np.linalg.svd(transfers - mean, full_matrices=False)
     kept = 0
-    while kept < len(size) and np.abs((left[:, kept:] * size[kept:]) @ right[kept:]).max() > TRANSFER_ERROR:
+    while (
+        kept < len(size) and np.abs((left[:, kept:] * size[kept:]) @ right[kept:]).max() > ACCURACY.band_transfer_error
+    ):
         kept += 1
     shares = np.concatenate([np.ones((1, len(transfers))), (left[:, :kept] * size[:kept]).T])
     return shares, np.concatenate([mean[None], right[:kept]])

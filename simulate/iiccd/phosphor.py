@@ -8,13 +8,9 @@ from numpy.typing import NDArray
 
 from labdata.errors import BadInput
 from simulate.iiccd import pattern
+from simulate.iiccd.accuracy import ACCURACY
 from simulate.iiccd.stage_image import NoiselessStage, StageImage
 from simulate.iiccd.transfer import StageBlur
-
-# Fraction of the light, at most, that is emitted after the last lag field.
-FORGOTTEN = 1e-3
-# Pulses over which fractions are averaged.
-PULSES = 2000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,18 +91,17 @@ class PhosphorDecay(NoiselessStage):
     def pulse_shares(self) -> NDArray[np.float64]:
         """Fractions of the light of pulses at evenly spaced times, shape (pulse, field), each summing to 1.
 
-        Field 0 is the pulse's own. What comes later than the last field is on average less than `FORGOTTEN` and is
-        added to it.
-        """
+        Field 0 is the pulse's own. What comes later than the last field is on average less than
+        `Accuracy.max_lag_fraction` and is added to it."""
         # A phosphor without decay is one whose decay is far below any gate.
         tau = np.maximum(np.array([self.fast_decay_ms, self.slow_decay_ms]) * 1e-3, 1e-12)
         share = np.array([self.fast_fraction, 1.0 - self.fast_fraction]) * tau
-        arrival = self.gate_s * (np.arange(PULSES) + 0.5) / PULSES
+        arrival = self.gate_s * (np.arange(ACCURACY.n_arrival_times) + 0.5) / ACCURACY.n_arrival_times
         # The slowest component alone has faded below what is forgotten after so many fields.
-        longest = int(np.ceil(tau.max() / self.field_s * np.log(1.0 / FORGOTTEN))) + 2
+        longest = int(np.ceil(tau.max() / self.field_s * np.log(1.0 / ACCURACY.max_lag_fraction))) + 2
         ends = self.field_s * np.arange(1.0, longest + 1)
         late = np.exp(-(ends[None, :, None] - arrival[:, None, None]) / tau) @ (share / share.sum())
-        last = int(np.argmax(late.mean(axis=0) < FORGOTTEN))
+        last = int(np.argmax(late.mean(axis=0) < ACCURACY.max_lag_fraction))
         late[:, last:] = 0.0
         return -np.diff(late[:, : last + 1], axis=1, prepend=1.0)
 

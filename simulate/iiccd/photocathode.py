@@ -70,14 +70,14 @@ class Photocathode(NoiselessStage):
 class ProximityGap(NoiselessStage):
     """Proximity gap between cathode and MCP, with the halo of backscattered electrons.
 
-        Parameters
-        ----------
-        spread, halo
-    Blur of the direct electrons and of those backscattered from the MCP.
-        grid
-            Cells on which the MCP receives them.
-        protection
-            Blur that protection from a bright source adds; None without.
+    Parameters
+    ----------
+    spread, halo
+        Blur of the direct electrons and of those backscattered from the MCP.
+    grid
+        Cells on which the MCP receives them.
+    protection
+        Blur that protection from a bright source adds; None without.
     """
 
     spread: StageBlur
@@ -89,7 +89,7 @@ class ProximityGap(NoiselessStage):
     emits: str = "photoelectrons at the plate"
 
     def mean(self, light: StageImage) -> StageImage:
-        """Return the expected photoelectrons per cell of the MCP, all blurs so far computed."""
+        """Return the expected photoelectrons per cell of the MCP, pending blurs applied."""
         further = () if self.protection is None else (self.protection,)
         landing = light.with_blurs(self.spread, self.halo, *further)
         return landing.with_blurs_applied() if light.grid == self.grid else landing.resample_to(self.grid)

@@ -15,16 +15,16 @@ from simulate.iiccd.transfer import PixelAperture, StageBlur, fold_transfer, pro
 class Collection(NoiselessStage):
     """The pixels' aperture, summed over row pairs where fields are integrated.
 
-        Parameters
-        ----------
-        row_pairs
-            True: every frame row sums two rows of the chip. False: it is one row of the chip.
+    Parameters
+    ----------
+    row_pairs
+        True: every frame row sums two rows of the chip. False: it is one row of the chip.
 
-        Notes
-        -----
+    Notes
+    -----
     The pending blurs and the aperture are applied in one transform, and the transform is folded
-        onto the pixels before it is inverted: the samples are exact, aliases included. Takes two cells per column, and
-        two per row for exact means. Cells one row high are for draws, see `pixel_transfer`.
+    onto the pixels before it is inverted: the samples are exact, aliases included. Takes two cells per column, and
+    two per row for exact means. Cells one row high are for draws, see `pixel_transfer`.
     """
 
     row_pairs: bool

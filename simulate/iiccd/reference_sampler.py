@@ -24,25 +24,25 @@ from simulate.iiccd.stage_image import StageImage
 def steady_frames(
     camera: IntensifiedCamera, at_mcp: StageImage, conditions: Conditions, *, seed: int, first_frame: int = 0
 ) -> Iterator[NDArray[np.unsignedinteger]]:
-    """Yield the frames of a steady scene, one after the other, shape (row, col), DN; never ends.
+    """Yield the frames of a static scene, shape (row, col), DN; never ends.
 
-        Parameters
-        ----------
-        camera
-            The camera.
-        at_mcp
-            Expected photoelectrons at the MCP input per cell and exposure, on the camera's cells.
-        conditions
-            Gate, voltage, temperature, and which automatic controls were on.
-        seed
-            Seed of the run.
-        first_frame
-            Number of the first frame.
+    Parameters
+    ----------
+    camera
+        The camera.
+    at_mcp
+        Expected photoelectrons at the MCP input per cell and exposure, on the camera's cells.
+    conditions
+        Gate, voltage, temperature, and which automatic controls were on.
+    seed
+        Seed of the run.
+    first_frame
+        Number of the first frame.
 
-        Notes
-        -----
+    Notes
+    -----
     Phosphor decay: the lag fields of a frame are drawn again. Pulses are drawn on cells one row
-        high; what those blur away of the scene is added without noise, so that frames average to `mean_frame`.
+    high; what those blur away of the scene is added without noise, so that frames average to `mean_frame`.
     """
     glow = camera.afterglow(conditions)
     coarse = at_mcp.in_whole_rows()
@@ -73,7 +73,7 @@ def frame_rng(seed: int, frame: int) -> np.random.Generator:
 
 
 class _Stages:
-    """The stages that a steady run passes, frame by frame: always the same unless automatic controls are on."""
+    """Stages of a static scene, cached by the state of the automatic controls."""
 
     def __init__(
         self, camera: IntensifiedCamera, at_mcp: StageImage, coarse: StageImage, conditions: Conditions
@@ -161,25 +161,25 @@ def sequence(
 ) -> Iterator[NDArray[np.unsignedinteger]]:
     """Yield a frame, shape (row, col), DN, for every scene, or for every two where fields are interlaced.
 
-        Parameters
-        ----------
-        camera
-            The camera.
-        scenes
-            Expected photoelectrons at the MCP input per cell and exposure, on the camera's cells, one for each exposure
-            in the order of time. Taken one frame at a time, so that a run of any length needs the memory of one.
-        conditions
-            Gate, voltage, temperature, and which automatic controls were on.
-        seed
-            Seed of the run.
-        memory
-    State of the camera at the start; the initial state if None.
+    Parameters
+    ----------
+    camera
+        The camera.
+    scenes
+        Expected photoelectrons at the MCP input per cell and exposure, on the camera's cells, one for each exposure
+        in the order of time. Taken one frame at a time, so that a run of any length needs the memory of one.
+    conditions
+        Gate, voltage, temperature, and which automatic controls were on.
+    seed
+        Seed of the run.
+    memory
+        State of the camera at the start; the initial state if None.
 
-        Notes
-        -----
-        Here a frame does depend on those before it: through the phosphor's glow, through depleted channels of a camera
-        with local depletion, and through automatic controls. With the `ChainState` from before a frame it can be drawn
-        alone.
+    Notes
+    -----
+    Here a frame does depend on those before it: through the phosphor's glow, through depleted channels of a camera
+    with local depletion, and through automatic controls. With the `ChainState` from before a frame it can be drawn
+    alone.
     """
     memory = initial_state(camera, conditions) if memory is None else memory
     coming: list[StageImage] = []
@@ -196,14 +196,14 @@ def next_frame(
 ) -> tuple[NDArray[np.unsignedinteger], ChainState]:
     """Return the next frame, shape (row, col), DN, and the state after it.
 
-        Parameters
-        ----------
-        camera, conditions, seed
-            As for `sequence`.
-        scenes
-            One for each exposure of the frame.
-        memory
-    State before the frame.
+    Parameters
+    ----------
+    camera, conditions, seed
+        As for `sequence`.
+    scenes
+        One for each exposure of the frame.
+    memory
+        State before the frame.
     """
     if len(scenes) != camera.fields_per_frame:
         raise BadInput(f"a frame must have {camera.fields_per_frame} exposures, got {len(scenes)}")

@@ -34,7 +34,7 @@ def generate_frames(
     tier: Tier | None = None,
     threads: int = 1,
 ) -> Frames:
-    """Yield the frames of a steady scene, one after the other, shape (row, col), DN; never ends.
+    """Yield the frames of a static scene, shape (row, col), DN; never ends.
 
     Parameters
     ----------

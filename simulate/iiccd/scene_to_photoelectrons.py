@@ -33,7 +33,7 @@ def mcp_input_from_radiance(
     *,
     distance_m: float | None = None,
 ) -> StageImage:
-    """Return the expected photoelectrons at the MCP input, or in a chip without a tube, of a scene of known radiance.
+    """Return the expected photoelectrons at the MCP input, or in the chip of a camera without a tube, from radiance.
 
     Arguments as for `photoelectrons_from_radiance`; dark photoelectrons are added, the gap spreads all.
     """
@@ -45,7 +45,7 @@ def mcp_input_from_radiance(
 def mcp_input_from_photoelectrons(
     camera: IntensifiedCamera | SiliconCamera, image_pe: NDArray[np.floating], conditions: Conditions
 ) -> StageImage:
-    """Return the expected photoelectrons at the MCP input, or in a chip without a tube, of an image in photoelectrons.
+    """Return the expected photoelectrons at the MCP input, or in the chip, from an image in photoelectrons.
 
     Arguments as for `photoelectrons_from_image`; gate and temperature decide the dark emission that is added.
     """
@@ -59,7 +59,7 @@ def photoelectrons_from_radiance(
     *,
     distance_m: float | None = None,
 ) -> StageImage:
-    """Return the photoelectrons that a scene of known radiance frees, expected per cell of `scene_cells` and exposure.
+    """Return the expected photoelectrons of a scene of known radiance, per cell of `scene_cells` and exposure.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def photoelectrons_from_radiance(
 
 
 def photoelectrons_from_image(camera: IntensifiedCamera | SiliconCamera, image_pe: NDArray[np.floating]) -> StageImage:
-    """Return the photoelectrons of an image in photoelectrons, expected per cell of `scene_cells` and exposure.
+    """Return an image in photoelectrons as photoelectrons per cell of `scene_cells` and exposure.
 
     Parameters
     ----------

@@ -54,7 +54,7 @@ class Silicon(NoiselessStage):
             raise BadInput(f"exposure_s must be positive, got {self.exposure_s:g}")
 
     def mean(self, light: StageImage) -> StageImage:
-        """Return photoelectrons per exposure and cell, all blurs so far computed."""
+        """Return photoelectrons per exposure and cell, pending blurs applied."""
         counted = light.values * np.asarray(self.quantum_efficiency * self.exposure_s, light.values.dtype)
         return light.with_values(counted).resample_to(self.grid)
 
@@ -81,7 +81,7 @@ class SiliconCamera(SensorGeometryCamera):
 
     @property
     def is_interlaced(self) -> bool:
-        """Never: such cameras are progressive."""
+        """Always False: these cameras are progressive."""
         return False
 
     @property
@@ -104,7 +104,7 @@ class SiliconCamera(SensorGeometryCamera):
         return min(shortest, self.frame_s)
 
     def em_gain(self, conditions: Conditions) -> float:
-        """Gain of the register: that of the conditions, or the highest it has; a tube's gain is refused."""
+        """Gain of the register: that of the conditions, by default its maximum; tube gain is rejected."""
         if conditions.mcp_v is not None or conditions.gain_control is not None:
             raise BadInput(
                 f"mcp_v and gain_control must be left out of a camera without a tube, "
@@ -177,7 +177,7 @@ class SiliconCamera(SensorGeometryCamera):
         )
 
     def register(self, conditions: Conditions) -> Register:
-        """Return the register, and what is in each well besides light."""
+        """Return the register with dark charge and clock-induced charge."""
         register = self.description.register
         return Register(
             gain=self.em_gain(conditions),
@@ -189,7 +189,7 @@ class SiliconCamera(SensorGeometryCamera):
         )
 
     def video(self, conditions: Conditions) -> Video:
-        """Return the digitiser; automatic gain that was on is refused, as such cameras have none."""
+        """Return the digitiser; automatic controls are rejected."""
         if conditions.automatic_gain or conditions.brightness_control:
             raise BadInput(f"automatic controls must be off, as {self.description.name!r} has none; got one on")
         video = self.description.video
@@ -206,14 +206,14 @@ class SiliconCamera(SensorGeometryCamera):
         return self.silicon(conditions).mean(photons_per_s)
 
     def photoelectrons(self, photons_per_s: StageImage, conditions: Conditions) -> StageImage:
-        """Return the photoelectrons that light frees in the chip, expected per cell of `scene_cells` and exposure."""
+        """Return the expected photoelectrons in the chip, per cell of `scene_cells` and exposure."""
         silicon = self.silicon(conditions)
         return photons_per_s.with_values(
             photons_per_s.values * np.float32(silicon.quantum_efficiency * silicon.exposure_s)
         )
 
     def to_mcp_input(self, photoelectrons: StageImage, conditions: Conditions) -> StageImage:
-        """Return them of the expected photoelectrons of one exposure on `scene_cells`."""
+        """Return the expected photoelectrons on `cells` from those of one exposure on `scene_cells`."""
         return photoelectrons.resample_to(self.cells)
 
     def mean_frame(self, in_chip: StageImage, conditions: Conditions) -> NDArray[np.float32]:
@@ -223,7 +223,7 @@ class SiliconCamera(SensorGeometryCamera):
     def frames(
         self, in_chip: StageImage, conditions: Conditions, *, seed: int, first_frame: int = 0
     ) -> Iterator[NDArray[np.unsignedinteger]]:
-        """Yield the frames of a steady scene, shape (row, col), DN; never ends.
+        """Yield the frames of a static scene, shape (row, col), DN; never ends.
 
         A frame depends on the seed and its own number alone.
         """

@@ -10,29 +10,26 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from simulate.iiccd.accuracy import ACCURACY
 from simulate.iiccd.grid import Grid, irfft_image, rfft_image
 from simulate.iiccd.transfer import StageBlur, product
 
 Quantity = Literal["photons", "photoelectrons", "electrons", "photoelectrons at the plate", "screen photons", "DN"]
 Image = NDArray[np.float32]
 
-# Up to this frequency, in cycles per pixel, resampling is exact; beyond it fades to nothing at one cycle per pixel, so
-# that a point does not ring across the image.
-EXACT_CY_PER_PX = 0.6
-
 
 @dataclass(frozen=True, kw_only=True)
 class StageImage:
     """Image between two stages.
 
-        Parameters
-        ----------
-        values
-            Amount per cell or per pixel, shape (..., row, col).
-        grid
-            The lattice of cells; None once the image stands on the image's own pixels.
-        pending_blurs
-    Blurs that are not yet applied to the values.
+    Parameters
+    ----------
+    values
+        Amount per cell or per pixel, shape (..., row, col).
+    grid
+        The lattice of cells; None once the image stands on the image's own pixels.
+    pending_blurs
+        Blurs that are not yet applied to the values.
     """
 
     values: NDArray
@@ -63,10 +60,10 @@ class StageImage:
         return replace(self, values=np.maximum(parts.sum(axis=-2), 0.0), grid=self.grid.whole_rows())
 
     def resample_to(self, grid: Grid) -> "StageImage":
-        """Return box-integrated cells as point samples on half as many cells per pixel, blurs computed.
+        """Return point samples on half as many cells per pixel, pending blurs applied.
 
-        The average over a cell, which the finer cells hold, is undone up to `EXACT_CY_PER_PX`; amounts stay per cell.
-        """
+        The average over a cell, which the finer cells hold, is undone up to `Accuracy.resampling_exact_cy_per_px`;
+        amounts stay per cell."""
         fine = self.grid
         if fine is None or fine.per_column != 2 * grid.per_column:
             raise ValueError("light is resampled to half as many cells per pixel")
@@ -112,5 +109,7 @@ def _resampling(pending: tuple[StageBlur, ...], fine: Grid, per_pixel: int) -> N
 
 
 def _fade(frequency_cy_per_px: NDArray[np.floating]) -> NDArray[np.float64]:
-    beyond = (np.abs(frequency_cy_per_px) - EXACT_CY_PER_PX) / (1.0 - EXACT_CY_PER_PX)
+    beyond = (np.abs(frequency_cy_per_px) - ACCURACY.resampling_exact_cy_per_px) / (
+        1.0 - ACCURACY.resampling_exact_cy_per_px
+    )
     return np.cos(np.pi / 2.0 * np.clip(beyond, 0.0, 1.0)) ** 2

@@ -73,7 +73,7 @@ def stage_images(
 
 
 def _before_the_draw(camera: IntensifiedCamera | SiliconCamera, cube: RadianceCube, conditions: Conditions):
-    """Stages up to the MCP or the chip, which see expectations; returns the light that leaves them."""
+    """Noiseless stages up to the MCP or the chip; returns the image behind them."""
     names = [stage.name for stage in camera.chain(conditions).stages]
     last = names[names.index("silicon" if isinstance(camera, SiliconCamera) else "microchannel plate") - 1]
     photons_per_s = camera.lens().mean(cube)

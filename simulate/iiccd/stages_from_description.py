@@ -35,7 +35,7 @@ class DescribedCamera(SensorGeometryCamera):
     local_depletion
         Whether an MCP's gain falls place by place under its own load; otherwise all of the MCP falls alike.
     left_out
-        Names of effects that are left out, see `simulate.iiccd.effect_bounds`.
+        Names of neglected effects, see `simulate.iiccd.effect_bounds`.
     """
 
     sensor: Sensor
@@ -44,7 +44,7 @@ class DescribedCamera(SensorGeometryCamera):
     left_out: frozenset[str] = frozenset()
 
     def _unless(self, effect: str, value: Parameter | float) -> float:
-        """The value of an effect that is kept, nothing of one that is left out."""
+        """The value of a retained effect, 0 for a neglected one."""
         return 0.0 if effect in self.left_out else float(value)
 
     @property
@@ -135,7 +135,7 @@ class DescribedCamera(SensorGeometryCamera):
         )
 
     def bright_source_protection(self) -> BrightSourceProtection:
-        """Return what the cathode's supply does in bright light."""
+        """Return the bright-source protection of the cathode."""
         cathode = self.sensor.photocathode
         return BrightSourceProtection(
             gap_v=float(cathode.gap_v),

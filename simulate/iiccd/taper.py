@@ -51,7 +51,7 @@ class Taper(NoiselessStage):
 
 @dataclass(frozen=True, kw_only=True)
 class FibreGeometry(NoiselessStage):
-    """Where the taper's fibres bring the light of each place.
+    """Displacement of light by the fibres of the taper.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ class FibreGeometry(NoiselessStage):
     emits: str = "photoelectrons at the plate"
 
     def mean(self, light: StageImage) -> StageImage:
-        """Return the expected photoelectrons where their pulses will be seen, shape (row, col)."""
+        """Return the expected photoelectrons at the displaced positions, shape (row, col)."""
         grid = light.grid
         if grid is None or (self.distortion_fraction == 0.0 and self.shear_um == 0.0):
             return light

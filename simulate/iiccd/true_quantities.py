@@ -25,7 +25,7 @@ DEGREES = {"horizontal": 0.0, "vertical": 90.0}
 def true_mtf(
     sensor: Sensor, frequency_cy_per_px: ArrayLike, direction: Direction = "horizontal"
 ) -> NDArray[np.float64]:
-    """Return the MTF of the whole camera, normalised to the light that entered, veiling glare left out.
+    """Return the MTF of the camera without veiling glare, 1 at zero frequency.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def true_mtf(
 def post_gain_mtf(
     sensor: Sensor, frequency_cy_per_px: ArrayLike, direction: Direction = "horizontal"
 ) -> NDArray[np.float64]:
-    """Return the MTF of all that comes after the gain, which shapes its noise; as `true_mtf`, whose part it is."""
+    """Return the MTF of the stages after the gain, which shape the noise; arguments as for `true_mtf`."""
     camera = IntensifiedCamera(sensor)
     return _transfer(camera, _after_gain(camera), frequency_cy_per_px, direction)
 
@@ -86,7 +86,7 @@ def true_crossing_frequency(sensor: Sensor, level: float, direction: Direction =
 
 
 def true_quantities(sensor: Sensor, conditions: Conditions | None = None) -> dict[str, float]:
-    """Return the truths that a session can be judged by.
+    """Return the true quantities with which measurements of a session can be compared.
 
     Parameters
     ----------
@@ -175,7 +175,7 @@ def pulse_correlation(
 
 
 def _midpoints(count: int, end: float = 4.0) -> NDArray[np.floating]:
-    """Midpoints of even steps from zero to so many cycles per pixel, beyond which no camera has transfer left."""
+    """Midpoints of equal steps from zero to `end` cycles per pixel, beyond which transfer is negligible."""
     return (np.arange(count) + 0.5) * (end / count)
 
 

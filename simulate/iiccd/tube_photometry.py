@@ -34,7 +34,7 @@ def quantum_efficiency(sensor: Sensor, wavelength_nm: ArrayLike) -> NDArray[np.f
 def detection_weights(
     wavelength_nm: ArrayLike, table_nm: ArrayLike, efficiency: ArrayLike, *, averaged: bool = False
 ) -> NDArray[np.float64]:
-    """Return what turns spectral irradiance at bands into detected photons, per m2, s and W m-2 nm-1, shape (band,).
+    """Return detected photons per spectral irradiance of each band, per m2, s and W m-2 nm-1, shape (band,).
 
     Parameters
     ----------

@@ -26,30 +26,30 @@ SILENCE_S = 15.0  # drawing one frame may take long on a busy machine; a dead ca
 class VirtualBench:
     """A virtual bench, running within its `with` block.
 
-        Parameters
-        ----------
-        folder
-            Folder of the bench, apart from every session; made where it is missing, gone on with where it is not.
-        sensor
-            Description from whose ranges the device is drawn.
-        seed
-            Seed of the device and of every frame.
-        wires
-            Which instruments stand at the bench, and where they live. "virtual": camera and instruments are processes
-            on real wires, save those whose port is named, which are real; where Aravis cannot be had, the camera's wire
-            is left out and said to be. "in-process": everything inside this process; `inside` then holds the
-            instruments.
-        lamp
-            Calibration of the light source that the wires name; what the lamp truly makes is drawn within it.
-        time_scale
-            How much faster than life high voltage and filter wheel move, dimensionless.
-        say
-    Called with a sentence on what is omitted or awaited.
+    Parameters
+    ----------
+    folder
+        Folder of the bench, apart from every session; made where it is missing, gone on with where it is not.
+    sensor
+        Description from whose ranges the device is drawn.
+    seed
+        Seed of the device and of every frame.
+    wires
+        Which instruments stand at the bench, and where they live. "virtual": camera and instruments are processes
+        on real wires, save those whose port is named, which are real; where Aravis cannot be had, the camera's wire
+        is left out and said to be. "in-process": everything inside this process; `inside` then holds the
+        instruments.
+    lamp
+        Calibration of the light source that the wires name; what the lamp truly makes is drawn within it.
+    time_scale
+        How much faster than life high voltage and filter wheel move, dimensionless.
+    say
+        Called with a sentence on what is omitted or awaited.
 
-        Raises
-        ------
-        BadInput
-            On entering: if the camera cannot start.
+    Raises
+    ------
+    BadInput
+        On entering: if the camera cannot start.
     """
 
     silence_s = SILENCE_S

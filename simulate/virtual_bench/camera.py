@@ -70,20 +70,20 @@ class VirtualCamera:
     """A camera that exposes as long as a client asks for frames.
 
     Frames are drawn in this thread. The wire's own thread takes them without waiting, and so answers its client at any
-        time.
+    time.
 
-        Parameters
-        ----------
-        tube
-            What it sees.
-        serial
-            Its serial number.
-        description
-            File to which its GenICam description is written.
-        lost_packet_share
-            Fraction of the packets that get lost on the wire, dimensionless.
-        faults
-            Faults provoked from the simulator's side.
+    Parameters
+    ----------
+    tube
+        What it sees.
+    serial
+        Its serial number.
+    description
+        File to which its GenICam description is written.
+    lost_packet_share
+        Fraction of the packets that get lost on the wire, dimensionless.
+    faults
+        Faults provoked from the simulator's side.
     """
 
     def __init__(
@@ -107,13 +107,13 @@ class VirtualCamera:
         video, ccd = tube.sensor.video, tube.sensor.ccd
         field_rate_hz, fields = float(video.field_rate_hz), 2 if video.interlaced else 1
         for register, value in {
-            aravis.SENSOR_WIDTH: ccd.columns,
-            aravis.SENSOR_HEIGHT: ccd.rows,
-            aravis.WIDTH: ccd.columns,
-            aravis.HEIGHT: ccd.rows,
-            aravis.PIXEL_FORMAT: aravis.MONO_8 if video.bit_depth <= 8 else aravis.MONO_16,
-            aravis.EXPOSURE_US: field_us,
-            aravis.FRAME_PERIOD_US: round(1e6 * fields / field_rate_hz),
+            aravis.Register.SENSOR_WIDTH: ccd.columns,
+            aravis.Register.SENSOR_HEIGHT: ccd.rows,
+            aravis.Register.WIDTH: ccd.columns,
+            aravis.Register.HEIGHT: ccd.rows,
+            aravis.Register.PIXEL_FORMAT: aravis.MONO_8 if video.bit_depth <= 8 else aravis.MONO_16,
+            aravis.Register.EXPOSURE_US: field_us,
+            aravis.Register.FRAME_PERIOD_US: round(1e6 * fields / field_rate_hz),
         }.items():
             self._wire.write(register, value)
         self._wire.send_when_triggered(field_rate_hz / fields, self._next_pixels)
@@ -128,7 +128,7 @@ class VirtualCamera:
         if wrong.stalled:
             self._take_back()
             time.sleep(IDLE_S)
-        elif not self._wire.read(aravis.ACQUISITION):
+        elif not self._wire.read(aravis.Register.ACQUISITION):
             self._take_back()
             self._prepare(scene)
             time.sleep(IDLE_S)
@@ -148,7 +148,8 @@ class VirtualCamera:
 
     def _scene(self) -> Scene:
         return self._tube.scene(
-            exposure_s=self._wire.read(aravis.EXPOSURE_US) * 1e-6, gain_db=float(self._wire.read(aravis.GAIN_RAW))
+            exposure_s=self._wire.read(aravis.Register.EXPOSURE_US) * 1e-6,
+            gain_db=float(self._wire.read(aravis.Register.GAIN_RAW)),
         )
 
     def _prepare(self, scene: Scene) -> None:
@@ -176,9 +177,11 @@ class VirtualCamera:
 
     def _as_sent(self, frame: NDArray) -> bytes:
         """Return the frame's window in the pixel format; 8-bit pixels of a deeper digitiser are its upper bits."""
-        row, col = self._wire.read(aravis.Y_OFFSET), self._wire.read(aravis.X_OFFSET)
-        pixels = frame[row : row + self._wire.read(aravis.HEIGHT), col : col + self._wire.read(aravis.WIDTH)]
-        pixel_format = self._wire.read(aravis.PIXEL_FORMAT)
+        row, col = self._wire.read(aravis.Register.Y_OFFSET), self._wire.read(aravis.Register.X_OFFSET)
+        pixels = frame[
+            row : row + self._wire.read(aravis.Register.HEIGHT), col : col + self._wire.read(aravis.Register.WIDTH)
+        ]
+        pixel_format = self._wire.read(aravis.Register.PIXEL_FORMAT)
         if pixel_format == aravis.MONO_16:
             return pixels.astype("<u2").tobytes()
         if pixel_format == aravis.MONO_8:
@@ -248,24 +251,24 @@ STOP_S = 3.0
 class CameraProcess:
     """The virtual camera on its loopback wire, between `with` and the end of its block.
 
-        It lives in a session of its own, so that Ctrl-C at the terminal does not unplug it, and ends when the process
-        that started it is gone.
+    It lives in a session of its own, so that Ctrl-C at the terminal does not unplug it, and ends when the process
+    that started it is gone.
 
-        Parameters
-        ----------
-        folder
-            Folder of the bench: its truth, and what its operator placed.
-        wires
-            Folder where the instruments publish what they put out.
-        lost_packet_share
-            Fraction of the packets that get lost on the wire, dimensionless.
-        say
-    Called with a sentence on what is awaited.
+    Parameters
+    ----------
+    folder
+        Folder of the bench: its truth, and what its operator placed.
+    wires
+        Folder where the instruments publish what they put out.
+    lost_packet_share
+        Fraction of the packets that get lost on the wire, dimensionless.
+    say
+        Called with a sentence on what is awaited.
 
-        Raises
-        ------
-        BadInput
-            On entering: if the camera cannot start.
+    Raises
+    ------
+    BadInput
+        On entering: if the camera cannot start.
     """
 
     def __init__(

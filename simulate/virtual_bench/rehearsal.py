@@ -173,23 +173,23 @@ STRUCK = "fault strikes"
 class Rehearsal:
     """Strikes as long as its `with` block lasts, in a thread of its own; on leaving all is healed.
 
-        Parameters
-        ----------
-        script
-            The faults.
-        provoke
-            Gives an instrument its faults, see `VirtualBench.provoke`.
-        steps
-            Log of the session, which tells which step begins.
-        log
-            File that remembers what struck: a resumed run goes on with the rest of the script.
-        say
-    Called with a sentence on each fault.
+    Parameters
+    ----------
+    script
+        The faults.
+    provoke
+        Gives an instrument its faults, see `VirtualBench.provoke`.
+    steps
+        Log of the session, which tells which step begins.
+    log
+        File that remembers what struck: a resumed run goes on with the rest of the script.
+    say
+        Called with a sentence on each fault.
 
-        Raises
-        ------
-        BadInput
-            On entering, if the script strikes an instrument that `provoke` does not know.
+    Raises
+    ------
+    BadInput
+        On entering, if the script strikes an instrument that `provoke` does not know.
     """
 
     def __init__(

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from labdata.phosphors import load_phosphor
-from simulate.iiccd.phosphor import FORGOTTEN, PhosphorDecay
+from simulate.iiccd.accuracy import ACCURACY
+from simulate.iiccd.phosphor import PhosphorDecay
 
 
 def _glow(name: str, field_s: float, gate_s: float | None = None) -> PhosphorDecay:
@@ -66,7 +67,7 @@ def test_every_screen_gives_all_its_light_at_any_rate(name, field_s):
     assert glow.weights.min() >= 0.0
     # What is remembered reaches as far as the slow component does.
     exact = _late(glow, glow.memory + 1)
-    assert exact < FORGOTTEN
+    assert exact < ACCURACY.max_lag_fraction
 
 
 def _late(glow: PhosphorDecay, fields: int) -> float:
@@ -82,7 +83,7 @@ def _late(glow: PhosphorDecay, fields: int) -> float:
 def test_gates_shorter_than_a_decay_leave_what_the_closed_integral_says(name, gate_s):
     glow = _glow(name, 0.01668, gate_s)
     for fields in range(1, min(glow.memory, 5) + 1):
-        assert glow.residuals(5)[fields - 1] == pytest.approx(_late(glow, fields), abs=1e-4 + FORGOTTEN)
+        assert glow.residuals(5)[fields - 1] == pytest.approx(_late(glow, fields), abs=1e-4 + ACCURACY.max_lag_fraction)
 
 
 def test_p43_leaves_video_fields_almost_free_and_p20_not():

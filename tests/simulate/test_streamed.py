@@ -10,6 +10,7 @@ from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.sensors import load_sensor
 from simulate.iiccd import sampler_choice, true_quantities
+from simulate.iiccd.accuracy import ACCURACY
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.fast_sampler import charge_distribution, frame_generator, kernel, prepare
 from simulate.iiccd.fast_sampler.sparse_events import SparseEventSampler
@@ -184,7 +185,7 @@ def test_single_pulses_fall_evenly_within_a_pixel(plain, seed):
     # The cells of one pixel amid the frame, in which there is hardly ever more than one pulse.
     expected[42:44, 42:44] = 0.01
     alone = replace(light, expected=expected, ions_per_field=0.0)
-    screen, found = alone.screen(seed), []
+    screen, found = alone.phosphor_sampler(seed), []
     for frame in range(20000):
         screen.expose(frame, 1.0, lambda work, rows, block: work(0, rows))
         image = screen.shown[0, 0] + alone.near_e
@@ -231,7 +232,7 @@ def test_what_a_pulse_leaves_is_what_the_screen_shows_later(gate_s):
     assert first == pytest.approx(truth[:, 1].mean(), abs=1e-3)
     both = (1.0 - later.sum()) * first - spread.sum() * np.sum(spread * (1.0 - kept))
     assert both == pytest.approx(np.mean(truth[:, 0] * truth[:, 1]), abs=1e-3)
-    assert np.sum(later * kept**memory) < prepare.FORGOTTEN
+    assert np.sum(later * kept**memory) < ACCURACY.max_lag_fraction
 
 
 @pytest.fixture(scope="module")

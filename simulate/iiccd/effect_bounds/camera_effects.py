@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from labdata.conditions import Conditions
 from simulate.effect_selection import DEFAULT_TOLERANCE, EffectSelection, OptionalEffect, select_effects
 from simulate.iiccd import true_quantities, tube_photometry
+from simulate.iiccd.accuracy import ACCURACY
 from simulate.iiccd.automatic_controls import AutomaticState
 from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.effect_bounds.noise_budget import MISSED, UNTOUCHED, Map, NoiseBudget, per_pixel
+from simulate.iiccd.effect_bounds.noise_budget import UNTOUCHED, Map, NoiseBudget, per_pixel
 from simulate.iiccd.grid import DRAW_MARGIN_PX, SCENE_MARGIN_PX
 from simulate.iiccd.pattern import GRANULARITY_MM
 from simulate.iiccd.stage_image import StageImage
@@ -23,8 +24,6 @@ from simulate.iiccd.transfer import HaloBlur, VideoFilter
 
 # Level that one normal number in a thousand exceeds.
 ONE_IN_A_THOUSAND = 3.09
-# Rings in which the displacement by the fibres is bounded by that of their outer edge.
-RINGS = 6
 # Seconds that effects cost for a million pixels, once and a frame, as `python -m benchmarks.economy --costs` measures
 # them: medians, which scatter by some 0.05 s and 0.5 ms; what is not here costs less than that.
 SETUP_S = {
@@ -40,7 +39,7 @@ FRAME_S = {"overflow": 5.3e-3, "pulse-height law": 2.9e-3, "afterglow": 1.9e-3, 
 
 
 def bound_effects(budget: NoiseBudget) -> list[OptionalEffect]:
-    """Return every optional effect with its influence on an image."""
+    """Return each optional effect with its influence on the frame."""
     influences = {**_light(budget), **_tube(budget), **_patterns(budget), **_detector(budget), **_video(budget)}
     millions = budget.mean_pe.size / 1e6
     return [
@@ -55,7 +54,7 @@ def bound_effects(budget: NoiseBudget) -> list[OptionalEffect]:
 
 
 def _light(budget: NoiseBudget) -> dict[str, float]:
-    """What happens to light and photoelectrons before the gain."""
+    """Effects on light and photoelectrons before the gain."""
     camera, sensor, n = budget.camera, budget.camera.sensor, budget.mean_pe
     cathode = sensor.photocathode
     scattered = HaloBlur(fraction=1.0, gap_mm=float(cathode.gap_mm), elastic_share=float(cathode.halo_elastic_share))
@@ -75,7 +74,7 @@ def _light(budget: NoiseBudget) -> dict[str, float]:
 
 
 def _displacement_change(budget: NoiseBudget) -> Map:
-    """How much a displacement by the fibres can change a pixel: no more than all that is in reach.
+    """Bound on the change of a pixel by displacement in the taper: the range of values within its extent.
 
     Notes
     -----
@@ -95,21 +94,21 @@ def _displacement_change(budget: NoiseBudget) -> Map:
     shear_mm = 0.5 * extreme(2.0 * hexagons) * float(taper.shear_um) * 1e-3 * float(taper.demagnification)
     stretch = (1.0 + distortion * place**2) * (1.0 + 3.0 * distortion * place**2) - 1.0
     change = np.zeros(budget.mean_pe.shape)
-    for ring in range(RINGS):
-        inner, outer = ring / RINGS, (ring + 1) / RINGS
+    for ring in range(ACCURACY.n_distortion_rings):
+        inner, outer = ring / ACCURACY.n_distortion_rings, (ring + 1) / ACCURACY.n_distortion_rings
         far_mm = distortion * outer**3 * corner_mm + shear_mm
         reach = [2 * int(np.ceil(far_mm / pitch)) + 1 for pitch in (cells.pitch_y_mm, cells.pitch_x_mm)]
         span = budget.frame_of(maximum_filter(wide, reach) - minimum_filter(wide, reach))
-        here = (place >= inner) & ((place < outer) | (ring == RINGS - 1))
+        here = (place >= inner) & ((place < outer) | (ring == ACCURACY.n_distortion_rings - 1))
         change[here] = span[here]
     return change + stretch * budget.mean_pe
 
 
 def extreme(count: float) -> float:
-    """Return what the largest of so many normal numbers stays below but for a chance of `MISSED`, in their sd."""
+    """Return the level, in sd, that the largest of `count` normals exceeds with `Accuracy.extreme_probability`."""
     from scipy.special import ndtri
 
-    return float(-ndtri(MISSED / max(count, 1.0)))
+    return float(-ndtri(ACCURACY.extreme_probability / max(count, 1.0)))
 
 
 def _tube(budget: NoiseBudget) -> dict[str, float]:
@@ -121,7 +120,7 @@ def _tube(budget: NoiseBudget) -> dict[str, float]:
 
 
 def _saturation(budget: NoiseBudget) -> dict[str, float]:
-    """An MCP that is loaded, as a whole and place by place; without saturation there is no local one either."""
+    """MCP saturation and local gain depletion; without saturation there is no depletion."""
     mean = budget.mean_load
     found = {"plate saturation": budget.of_gain(mean)}
     if budget.camera.local_depletion:
@@ -134,7 +133,7 @@ def _saturation(budget: NoiseBudget) -> dict[str, float]:
 
 
 def _ions(budget: NoiseBudget) -> float:
-    """Rare bright events: their mean, their variance, and how far they push the level of one frame in a thousand.
+    """Ion feedback: mean, variance, and shift of the level that one frame in a thousand exceeds.
 
     Notes
     -----
@@ -149,7 +148,7 @@ def _ions(budget: NoiseBudget) -> float:
 
 
 def _skewness_influence(budget: NoiseBudget, photoelectrons: Map | float) -> float:
-    """Influence of the skewness that pulses of so many photoelectrons bring, where one frame in a thousand lies.
+    """Influence of pulse skewness on the level that one frame in a thousand exceeds.
 
     Notes
     -----
@@ -157,7 +156,7 @@ def _skewness_influence(budget: NoiseBudget, photoelectrons: Map | float) -> flo
     leaves.
     """
     third = photoelectrons * budget.charge_e * budget.pulses[1]
-    least = budget.variance * (1.0 - budget.neglected_fraction)
+    least = budget.variance * (1.0 - budget.max_neglect_fraction)
     return float(np.max(third / least**1.5)) * (ONE_IN_A_THOUSAND**2 - 1.0) / 6.0
 
 
@@ -199,7 +198,7 @@ def _detector(budget: NoiseBudget) -> dict[str, float]:
 
 
 def _dark_pattern(budget: NoiseBudget) -> float:
-    """Pixels that are darker or hotter than others: their mean and their noise."""
+    """Influence of DSNU: change of the mean and of the noise."""
     off = budget.hottest_e
     return max(budget.of_mean(off / budget.charge_e), budget.of_white(budget.white * off))
 
@@ -223,7 +222,7 @@ def _video(budget: NoiseBudget) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class _Neighbourhood:
-    """Gaussian neighbourhood of channels whose output counts."""
+    """Gaussian neighbourhood of the channels that deplete a channel."""
 
     sigma_um: float
 
@@ -259,7 +258,7 @@ def select_camera_effects(
 
 
 def _ends(budget: NoiseBudget) -> Iterable[AutomaticState]:
-    """Where the automatic controls start, and the farthest they may go."""
+    """Initial and extreme states of the automatic controls."""
     yield UNTOUCHED
     camera, conditions = budget.camera, budget.conditions
     control, gain = camera.brightness_control(conditions), camera.automatic_gain(conditions)
@@ -277,5 +276,5 @@ def _ends(budget: NoiseBudget) -> Iterable[AutomaticState]:
 
 
 def _worst(ends: Iterable[list[OptionalEffect]]) -> list[OptionalEffect]:
-    """Every effect with the largest of its influences."""
+    """Largest influence of each effect."""
     return [max(same, key=lambda effect: effect.influence) for same in zip(*ends, strict=True)]

@@ -16,20 +16,17 @@ from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from simulate.effect_selection import DEFAULT_TOLERANCE
 from simulate.iiccd import true_quantities
+from simulate.iiccd.accuracy import ACCURACY
 from simulate.iiccd.automatic_controls import AutomaticState
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.ccd import Ccd
 from simulate.iiccd.fast_sampler.kernel import noise_kernel
-from simulate.iiccd.fast_sampler.prepare import SHORTEST_TAP, SKEWNESS_TOLERANCE, CameraStages
+from simulate.iiccd.fast_sampler.prepare import CameraStages
 from simulate.iiccd.grid import DRAW_MARGIN_PX, SCENE_MARGIN_PX
 from simulate.iiccd.microchannel import MicrochannelPlate
 from simulate.iiccd.stage_image import StageImage
 from simulate.iiccd.transfer import StageBlur, product
 
-# Chance that the largest of a pattern's random numbers lies beyond the one that bounds take.
-MISSED = 0.1
-# Wells are taken to overflow if a pixel's charge lies so many standard deviations below its full well.
-OVERFLOW_SD = 8.0
 # Steepest growth of the variance of rounded numbers with that of what is rounded, times the latter in steps^2: the
 # largest of x phi(x) (1 - 2 Phi(-x)) / 2.
 ROUNDING = 0.09
@@ -75,7 +72,7 @@ class NoiseBudget:
 
     @cached_property
     def mcp(self) -> MicrochannelPlate:
-        """The MCP, with the brightness control where it stands."""
+        """The MCP in the state of the brightness control."""
         plate = self.camera.mcp(self.conditions)
         return replace(plate, gain=plate.gain * self.state.brightness)
 
@@ -96,7 +93,7 @@ class NoiseBudget:
         return np.asarray(self.photoelectrons, np.float64) + self.dark_pe
 
     def frame_of(self, wide: Map, margin: int = 0) -> Map:
-        """Cut the frame out of a map that has the margin, leaving so many pixels of it on every side."""
+        """Crop a map with the scene margin to the frame and `margin` pixels on each side."""
         first, (rows, cols) = SCENE_MARGIN_PX - margin, self.camera.shape
         return wide[first : first + rows + 2 * margin, first : first + cols + 2 * margin]
 
@@ -107,14 +104,14 @@ class NoiseBudget:
 
     @cached_property
     def gain_at_rest_e(self) -> float:
-        """CCD electrons per photoelectron of an MCP at rest."""
+        """CCD electrons per photoelectron without MCP saturation."""
         sensor = self.camera.sensor
         optical = float(sensor.phosphor.photons_per_electron) * float(sensor.taper.transmission)
         behind = optical * self.ccd.quantum_efficiency
         return self.mcp.gain * behind
 
     def load(self, photoelectrons: Map) -> Map:
-        """Output of the MCP at rest over its saturating output, of photoelectrons per pixel and exposure."""
+        """Unsaturated MCP output over its saturation output, from photoelectrons per pixel and exposure."""
         area = true_quantities.field_pixel_area_cm2(self.camera)
         per_pe = self.mcp.gain / area / self.mcp.field_s / self.mcp.saturation_e_per_s_cm2
         return np.asarray(photoelectrons * per_pe)
@@ -136,24 +133,24 @@ class NoiseBudget:
 
     @cached_property
     def blurs(self) -> tuple[float, float]:
-        """What blur behind the gain leaves of a pulse's second and third moment, dimensionless.
+        """Factors by which blur behind the gain reduces the second and third moment of a pulse, dimensionless.
 
         The kernel is the one that frames of many pulses will be drawn with, so that it is worked out once.
         """
         pending = self.stages.behind_mcp.mean(StageImage(values=np.zeros((1, 1), np.float32))).pending_blurs
-        taps = self.impulse[: np.flatnonzero(np.abs(self.impulse) > SHORTEST_TAP)[-1] + 1]
+        taps = self.impulse[: np.flatnonzero(np.abs(self.impulse) > ACCURACY.min_filter_tap)[-1] + 1]
         height, impulse = 2 if self.camera.is_interlaced else 1, tuple(float(tap) for tap in taps)
-        kernel = noise_kernel(pending, self.camera.cells, height, impulse, SKEWNESS_TOLERANCE)
+        kernel = noise_kernel(pending, self.camera.cells, height, impulse, ACCURACY.skewness_tolerance)
         return kernel.blur_factor, kernel.third_factor
 
     @cached_property
     def shares(self) -> Map:
-        """Fractions of a pulse's light that come out in its own field and in later ones, shape (pulse, field)."""
+        """Fractions of a pulse's light emitted in its own field and in later ones, shape (pulse, field)."""
         return self.camera.afterglow(self.conditions).pulse_shares
 
     @cached_property
     def decay(self) -> tuple[float, float]:
-        """What the phosphor's decay leaves of a pulse's second and third moment: a field shows earlier ones as well."""
+        """Factors by which phosphor decay reduces the second and third moment of a pulse."""
         return float(np.mean(np.sum(self.shares**2, axis=1))), float(np.mean(np.sum(self.shares**3, axis=1)))
 
     @cached_property
@@ -171,12 +168,12 @@ class NoiseBudget:
 
     @cached_property
     def white(self) -> float:
-        """What the filter along lines leaves of the variance of noise that is independent from pixel to pixel."""
+        """Factor by which the line filter reduces the variance of white noise."""
         return float(np.sum(self.impulse**2))
 
     @cached_property
     def step_e(self) -> float:
-        """One step of the digitiser, e-; of a curved characteristic the finest, none."""
+        """Quantisation step, e-; 0 with gamma, whose smallest step tends to 0."""
         video = self.camera.sensor.video
         gain = float(video.conversion_gain_dn_per_e) * self.state.gain
         return 1.0 / gain if float(video.gamma) == 1.0 else 0.0
@@ -193,7 +190,7 @@ class NoiseBudget:
 
     @cached_property
     def of_pulses(self) -> Map:
-        """Temporal variance that pulses, those of ions among them, bring to every pixel, e-^2, shape (row, col)."""
+        """Temporal variance of pulses, ion feedback included, e-^2, shape (row, col)."""
         return self.mean_pe * self.charge_e * (self.pulses[0] + self.white) + self.of_ions
 
     @cached_property
@@ -203,7 +200,7 @@ class NoiseBudget:
 
     @cached_property
     def of_ions(self) -> float:
-        """Temporal variance that ion events bring, e-^2: a Poisson number of pulses each."""
+        """Temporal variance of ion feedback, e-^2: each event is a Poisson number of pulses."""
         size = self.mcp.ion_event_size_pe
         squared = self.pulse_e**2 * (size**2 + size * (1.0 + 1.0 / self.mcp.pulse_height_shape))
         return self.ions * squared * self.blurs[0] * self.decay[0]
@@ -220,21 +217,21 @@ class NoiseBudget:
 
     @cached_property
     def smear(self) -> Map:
-        """Photoelectrons' worth of charge that smear adds to every pixel of a column, shape (col,)."""
+        """Charge that smear adds to each pixel of a column, in photoelectrons, shape (col,)."""
         return self.mean_pe.sum(axis=0) * self.ccd.smear_fraction / (self.mean_pe.shape[0] / 10.0)
 
     @cached_property
     def brightest_e(self) -> Map:
-        """Charge that hardly any frame exceeds, e-, shape (row, col); the MCP is nowhere brighter than at rest."""
+        """Upper bound of the charge, e-, shape (row, col), without MCP saturation."""
         charge = self.gain_at_rest_e * (self.mean_pe + self.smear) + self.ccd.dark_e + self.hottest_e
-        return charge + OVERFLOW_SD * np.sqrt(self.variance)
+        return charge + ACCURACY.overflow_sd * np.sqrt(self.variance)
 
     @cached_property
     def hottest_e(self) -> float:
-        """How far a pixel's dark charge lies off the mean at most, e-: a gamma law's extremes, the hot or the cold."""
+        """Largest deviation of a pixel's dark charge from the mean, e-: extremes of a gamma distribution."""
         from scipy.special import gammainccinv, gammaincinv
 
-        missed = MISSED / self.mean_pe.size
+        missed = ACCURACY.extreme_probability / self.mean_pe.size
         if self.ccd.dsnu_e == 0.0 or self.ccd.dark_e == 0.0:
             return 0.0
         shape = (self.ccd.dark_e / self.ccd.dsnu_e) ** 2
@@ -243,20 +240,20 @@ class NoiseBudget:
 
     @cached_property
     def running(self) -> NDArray[np.bool_]:
-        """Columns in which charge may run over that no drain carries off, shape (col,)."""
+        """Columns that may bloom, shape (col,)."""
         limit = self.ccd.full_well_e * max(self.ccd.antibloom_ratio, 1.0)
         return np.asarray(self.brightest_e.max(axis=0) > limit)
 
     @cached_property
     def quiet(self) -> Map:
-        """Variance of every pixel, e-^2, where it may be full that of reading alone: a full well has no noise."""
+        """Variance of each pixel, e-^2; that of reading alone where the well may be full."""
         reading = self.white * self.ccd.read_noise_e**2 + self.line_noise_e**2 + self.step_e**2 / 12.0 + 1e-12
         full = (self.brightest_e > self.ccd.full_well_e) | self.running
         return np.where(full, reading, self.variance)
 
     @property
-    def neglected_fraction(self) -> float:
-        """Largest fraction of the variance that the tolerance lets go."""
+    def max_neglect_fraction(self) -> float:
+        """Largest fraction of the variance that the tolerance allows to be neglected."""
         return self.tolerance / (1.0 + self.tolerance)
 
     def of_mean(self, change: Map | float) -> float:
@@ -273,7 +270,7 @@ class NoiseBudget:
         return float(max(np.max(size / self.noise), np.max(together, initial=0.0)))
 
     def of_light(self, change: Map | float) -> float:
-        """Influence of more or less light, in photoelectrons per pixel: its mean, and the noise of its pulses.
+        """Influence of a change of light, in photoelectrons per pixel, by its mean and by the noise of its pulses.
 
         Notes
         -----
@@ -312,7 +309,7 @@ class NoiseBudget:
         return float(np.max(np.minimum(part / self.quiet, 1.0))) * max(1.0, steeper) * (1.0 + self.tolerance)
 
     def with_blur(self, blur: StageBlur) -> Map:
-        """The image through a blur, its surroundings taking part."""
+        """The frame after a blur, surroundings included."""
         cells, wide = self.camera.cells, self.surroundings
         fy = np.fft.fftfreq(wide.shape[0], cells.pitch_y_mm)[:, None]
         fx = np.fft.rfftfreq(wide.shape[1], cells.pitch_x_mm)[None, :]
@@ -321,7 +318,7 @@ class NoiseBudget:
 
 
 def per_pixel(camera: IntensifiedCamera, photoelectrons: StageImage) -> Map:
-    """Return photoelectrons per pixel as read, of those per cell of `camera.scene_cells`.
+    """Sum photoelectrons per cell of `camera.scene_cells` to photoelectrons per pixel as read.
 
     Returns
     -------

@@ -26,7 +26,7 @@ SUMMED_TO = 32.0
 
 @dataclass(frozen=True, kw_only=True)
 class CellLaw:
-    """What looking up the charge of cells takes.
+    """Tables from which the charge of cells is looked up.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def row_quantiles(shape: float, row: int) -> NDArray[np.float64]:
 
 @lru_cache(maxsize=4096)
 def unit_variance_quantiles(shape: float, mean: float) -> NDArray[np.float64]:
-    """Return the quantiles of a sum that is not zero, brought to mean 0 and variance 1, shape (NODES,).
+    """Return the quantiles of the non-zero sum, scaled to mean 0 and variance 1, shape (NODES,).
 
     Notes
     -----

@@ -14,7 +14,7 @@ ION = 60
 
 @dataclass(frozen=True, kw_only=True)
 class DenseEventSampler:
-    """Pulses added up in cells.
+    """Pulses summed in cells.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ class DenseEventSampler:
 
     @property
     def pulse_e(self) -> float:
-        """Variance of a pixel's charge over its mean, as pulses make it, e-."""
+        """Variance of a pixel's charge over its mean, from pulses alone, e-."""
         kernel = self.kernel
         squares = float(np.einsum("prj,prk,psj,psk->", kernel.down, kernel.along, kernel.down, kernel.along))
         return float(self.gain.mean()) * (1.0 + 1.0 / self.shape) * squares / (kernel.height * len(kernel.down))

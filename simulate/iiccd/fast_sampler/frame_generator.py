@@ -72,7 +72,7 @@ class EventSampler(Protocol):
 
     @property
     def pulse_e(self) -> float:
-        """Variance of a pixel's charge over its mean, as pulses make it, e-."""
+        """Variance of a pixel's charge over its mean, from pulses alone, e-."""
         ...
 
     def phosphor_sampler(self, seed: int) -> PhosphorSampler:
@@ -81,7 +81,7 @@ class EventSampler(Protocol):
 
 
 def key_of(seed: int, purpose: int, number: int) -> np.uint64:
-    """Return the key of one generator of rows."""
+    """Return the key of the random generator of one exposure."""
     # Exposures before the first frame, whose light it still shows, have numbers below zero; seeds may not.
     return np.random.SeedSequence([seed, purpose, number + 2**32]).generate_state(1, np.uint64)[0]
 
@@ -105,23 +105,23 @@ States = Callable[[int], AutomaticState]
 class StaticScene:
     """Static scene, prepared for the frame generator.
 
-        Parameters
-        ----------
-        light
-            How its pulses are drawn.
-        light_e
-            Mean charge that light brings to every pixel, e-, shape (row, col).
-        response
-            Response of the pixels, shape (row, col), or (1, 1) where all are alike.
-        dark_pattern_e
-            Dark charge of the pixels about its mean, e-, shape (row, col), or (1, 1) where all are alike.
-        stays, kept
-            Mean fraction of a pulse that each component of the phosphor's decay stores, and the fraction of what is
-            stored that stays stored for one exposure more, shape (component,).
-        memory
-    Number of exposures to which the phosphor decay extends.
-        fields
-            Exposures in a frame.
+    Parameters
+    ----------
+    light
+        How its pulses are drawn.
+    light_e
+        Mean charge that light brings to every pixel, e-, shape (row, col).
+    response
+        Response of the pixels, shape (row, col), or (1, 1) where all are alike.
+    dark_pattern_e
+        Dark charge of the pixels about its mean, e-, shape (row, col), or (1, 1) where all are alike.
+    stays, kept
+        Mean fraction of a pulse that each component of the phosphor's decay stores, and the fraction of what is
+        stored that stays stored for one exposure more, shape (component,).
+    memory
+        Number of exposures to which the phosphor decay extends.
+    fields
+        Exposures in a frame.
     """
 
     light: EventSampler
@@ -136,7 +136,7 @@ class StaticScene:
 
 @dataclass(frozen=True, kw_only=True)
 class Readout:
-    """What the CCD and the electronics behind it add.
+    """Parameters of CCD readout and electronics.
 
     Parameters
     ----------
@@ -245,7 +245,7 @@ class FrameGenerator:
 
         self._run_in_bands(collect, len(codes), 1)
         if readout.reads_apart:
-            charge = self._limited_charge(frame)
+            charge = self._charge_in_wells(frame)
             self._run_in_bands(
                 lambda a, b: read_rows(a, b, read_key, charge, *electronics, normal, codes), len(codes), 1
             )
@@ -267,7 +267,7 @@ class FrameGenerator:
         noise = float32_values(read, readout.jitter_px, readout.line_noise_dn)
         return readout.impulse, noise, float32_values(gain, readout.black_dn, readout.top_dn, readout.gamma)
 
-    def _limited_charge(self, frame: int) -> NDArray[np.float32]:
+    def _charge_in_wells(self, frame: int) -> NDArray[np.float32]:
         """Charge in whole electrons where electrons are few, limited to the full well."""
         charge, readout = self._charge, self._readout
         if readout.counted:
@@ -339,7 +339,7 @@ def _transform(wing: bytes, shape: tuple[int, ...], size: tuple[int, ...]) -> ND
 def _places(
     coarse: tuple[int, ...], height: int, shape: tuple[int, ...]
 ) -> tuple[NDArray[np.float32], NDArray[np.uint32], NDArray[np.uint32], NDArray[np.float32]]:
-    """Places of the frame's rows and columns among the centres of coarse cells: columns by the two and the fraction."""
+    """Positions of the frame's rows and columns between the centres of coarse cells."""
     centres = REACH + 0.5 * height, REACH + 0.5
     rows, cols = (
         np.clip((centre + np.arange(n)) / COARSE - 0.5, 0.0, cells - 1.0).astype(np.float32)

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulate.iiccd import pattern
+from simulate.iiccd.accuracy import ACCURACY
 from simulate.iiccd.ccd import Ccd
 from simulate.iiccd.chain import Chain
 from simulate.iiccd.fast_sampler.charge_distribution import normal_law, pulse_law
@@ -21,22 +22,7 @@ from simulate.iiccd.stage_image import StageImage
 from simulate.iiccd.transfer import StageBlur
 from simulate.iiccd.video import Video
 
-# Light that has not come out after the fields that are remembered is less than this fraction.
-FORGOTTEN = 1e-3
-# Third moments of the lattice may be off by this fraction; one cell a column is then enough.
-SKEWNESS_TOLERANCE = 0.012
-# Below this mean per pixel single pulses are seen, and drawn.
-SPARSE_PE_PER_PX = 0.8
-# Skewness of the charge's own shot noise, over the whole noise, above which counts are drawn one by one.
-COUNTED_SKEWNESS = 0.01
-# Beyond this many photoelectrons in a cell the noise is that of so many: no camera shows it, and numbers stay finite.
-BLINDING_PE = 1e9
-# Standard deviations above its mean that charge never rises, in any run.
-FARTHEST = 8.0
-# Fractions of an impulse response below this are left out.
-SHORTEST_TAP = 1e-6
 # Moments of arrival over which fractions of light are averaged, and the least mean fraction that is stored at all.
-MEAN_OF, LEAST_LATER = (np.arange(2000) + 0.5) / 2000, 1e-6
 EMPTY = np.zeros((1, 1), np.float32)
 
 
@@ -110,7 +96,7 @@ def prepare_static_scene(stages: CameraStages, at_mcp: StageImage, *, normal: bo
 def is_sparse(at_mcp: StageImage, fields: int) -> bool:
     """Whether there is so little light, on cells two a pixel both ways, that single pulses are seen, and drawn."""
     height = 2 if fields == 2 else 1
-    return max(float(at_mcp.values.mean(dtype=float)), 0.0) * 4 * height < SPARSE_PE_PER_PX
+    return max(float(at_mcp.values.mean(dtype=float)), 0.0) * 4 * height < ACCURACY.sparse_pe_per_px
 
 
 def _cell_light(
@@ -118,8 +104,8 @@ def _cell_light(
 ) -> DenseEventSampler:
     """Light of many pulses, added up in cells behind the blurs that it still owes."""
     grid = _grid_of(at_mcp)
-    kernel = noise_kernel(pending, grid, stages.height, _impulse(stages.video), SKEWNESS_TOLERANCE)
-    light = np.clip(_planes(_sharpen(at_mcp.values, kernel), kernel.divisions), 0.0, BLINDING_PE)
+    kernel = noise_kernel(pending, grid, stages.height, _impulse(stages.video), ACCURACY.skewness_tolerance)
+    light = np.clip(_planes(_sharpen(at_mcp.values, kernel), kernel.divisions), 0.0, ACCURACY.max_pe_per_cell)
     expected = _cut(light, grid) * stages.mcp.detection_probability
     gain = _cut(_gain(stages, at_mcp, kernel.divisions), grid)
     law = normal_law(expected) if normal else pulse_law(stages.mcp.pulse_height_shape, expected)
@@ -161,7 +147,7 @@ def _single_light(
         size=(size[0], size[1]),
         stays=stays,
         kept=kept,
-        later=partial(_stored_fractions, stages.afterglow),
+        later=partial(_fractions_to_store, stages.afterglow),
         fields=stages.fields,
     )
 
@@ -209,7 +195,7 @@ def _ratio(
 def _impulse(video: Video) -> tuple[float, ...]:
     """The filter along a line as it matters, (tap,)."""
     taps = video.low_pass.impulse_response()
-    return tuple(float(tap) for tap in taps[: np.flatnonzero(np.abs(taps) > SHORTEST_TAP)[-1] + 1])
+    return tuple(float(tap) for tap in taps[: np.flatnonzero(np.abs(taps) > ACCURACY.min_filter_tap)[-1] + 1])
 
 
 def _planes(values: NDArray[np.floating], divisions: tuple[int, int]) -> NDArray[np.float64]:
@@ -250,8 +236,11 @@ def _response(ccd: Ccd, shape: tuple[int, ...]) -> NDArray[np.float32]:
 def readout_of(stages: CameraStages, scene: StaticScene) -> Readout:
     """Return what reads a scene."""
     ccd, video = stages.ccd, stages.video
-    overflows = float(scene.light_e.max()) + FARTHEST * np.sqrt(float(_variance(scene, ccd).max())) > ccd.full_well_e
-    counted = _skewness(scene, ccd) > COUNTED_SKEWNESS
+    overflows = (
+        float(scene.light_e.max()) + ACCURACY.max_charge_sd * np.sqrt(float(_variance(scene, ccd).max()))
+        > ccd.full_well_e
+    )
+    counted = _skewness(scene, ccd) > ACCURACY.counted_skewness
     return Readout(
         dark_e=ccd.dark_e,
         read_noise_e=ccd.read_noise_e,
@@ -288,25 +277,30 @@ def decay_of(afterglow: PhosphorDecay) -> tuple[NDArray[np.float32], float, int]
     each component over arrival times is its regression on what all leave together, so that the variance of the field
     and its covariance with later ones are exact.
     """
-    left, kept = _remaining_fractions(afterglow, MEAN_OF)
+    left, kept = _remaining_fractions(afterglow, _arrival_times())
     later, together = left.mean(axis=1), left.sum(axis=0)
     scatter = float(together.std())
     spread = (left - later[:, None]) @ together / together.size / (scatter or 1.0)
     seen = _lasting(afterglow)
     remaining = (later[seen, None] * kept[seen, None] ** np.arange(1, 400)).sum(axis=0)
-    memory = 1 + int(np.argmax(remaining < FORGOTTEN)) if seen.any() else 0
+    memory = 1 + int(np.argmax(remaining < ACCURACY.max_lag_fraction)) if seen.any() else 0
     lateness = float(np.mean(((together - together.mean()) / scatter) ** 3)) if scatter > 1e-30 else 0.0
     return np.stack([later, spread, kept]).astype(np.float32)[:, seen], lateness, memory
 
 
-def _stored_fractions(afterglow: PhosphorDecay, arrival: NDArray[np.float32]) -> NDArray[np.float32]:
+def _fractions_to_store(afterglow: PhosphorDecay, arrival: NDArray[np.float32]) -> NDArray[np.float32]:
     """Fraction that each component stores of a pulse, by arrival time as a fraction of the gate width."""
     return _remaining_fractions(afterglow, arrival)[0][_lasting(afterglow)].astype(np.float32)
 
 
+def _arrival_times() -> NDArray[np.float64]:
+    """Arrival times over which decay is averaged, as fractions of the gate width."""
+    return (np.arange(ACCURACY.n_arrival_times) + 0.5) / ACCURACY.n_arrival_times
+
+
 def _lasting(afterglow: PhosphorDecay) -> NDArray[np.bool_]:
     """Which components leave any light to later exposures, shape (component,)."""
-    return _remaining_fractions(afterglow, MEAN_OF)[0].mean(axis=1) > LEAST_LATER
+    return _remaining_fractions(afterglow, _arrival_times())[0].mean(axis=1) > ACCURACY.min_stored_fraction
 
 
 def _remaining_fractions(

@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from simulate.iiccd.accuracy import ACCURACY
 from simulate.iiccd.fast_sampler.frame_generator import Shared
 from simulate.iiccd.fast_sampler.kernel import COARSE, FINEST, REACH, PulseKernel
 
@@ -16,8 +17,6 @@ Places = NDArray[np.int32]
 PULSES = 59
 # Cells to a pixel pitch, and places to a cell, both ways.
 CELLS, PLACES = 2, FINEST // 2
-# Parts into which the search for a pulse's cell is cut.
-GUIDES = 2**20
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +62,7 @@ class SparseEventSampler:
 
     @property
     def pulse_e(self) -> float:
-        """Variance of a pixel's charge over its mean, as pulses make it, e-."""
+        """Variance of a pixel's charge over its mean, from pulses alone, e-."""
         squares = float(np.sum(self.kernel.shares**2)) / (FINEST**2 * self.kernel.height)
         return float(self.gain.mean()) * (1.0 + 1.0 / self.shape) * squares
 
@@ -75,7 +74,7 @@ class SparseEventSampler:
     @cached_property
     def guide(self) -> NDArray[np.int32]:
         """First cell beyond each of evenly spaced parts of the expected photoelectrons, shape (part,)."""
-        parts = np.arange(GUIDES) * (self.running[-1] / GUIDES)
+        parts = np.arange(ACCURACY.n_search_guides) * (self.running[-1] / ACCURACY.n_search_guides)
         return np.searchsorted(self.running, parts, side="right").astype(np.int32)
 
     @cached_property
