@@ -101,7 +101,7 @@ def _stages(shot: Shot, seed: int) -> "Iterator[Stage]":
         return
     if shot.seen is not None:
         yield "picture", "photoelectrons per exposure and pixel, expected", shot.seen
-    place = "at the plate" if hasattr(shot.camera, "plate") else "in the chip"
+    place = "at the plate" if hasattr(shot.camera, "mcp") else "in the chip"
     yield f"photoelectrons {place}", "photoelectrons per exposure and cell, expected", _inside(shot.light)
     yield from stage_images(shot.camera, shot.light, shot.conditions, seed)
 
