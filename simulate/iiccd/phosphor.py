@@ -125,7 +125,7 @@ class PhosphorDecay(NoiselessStage):
         return np.pad(later, (0, max(0, fields - len(later))))[:fields]
 
     @property
-    def memory(self) -> int:
+    def n_lag_fields(self) -> int:
         """Number of earlier fields that contribute to a field (lag fields)."""
         return len(self.weights) - 1
 
@@ -138,7 +138,7 @@ class PhosphorDecay(NoiselessStage):
         fields = light.values
         if fields.ndim < 3:
             return light
-        before = np.repeat(fields[:1], self.memory, axis=0)
+        before = np.repeat(fields[:1], self.n_lag_fields, axis=0)
         shares = self.weights if fields.ndim == 3 else self.halves
         return light.with_values(apply_phosphor_decay(np.concatenate([before, fields]), shares))
 

@@ -47,16 +47,16 @@ def steady_frames(
     glow = camera.afterglow(conditions)
     coarse = at_mcp.in_whole_rows()
     halves = coarse.with_values(np.repeat(0.5 * coarse.values[None], 2, axis=0))
-    remembered = glow.memory + camera.fields_per_frame
-    recent = np.empty((remembered, 2, *camera.shape), np.float32)
-    field = camera.fields_per_frame * first_frame - glow.memory
+    n_fields = glow.n_lag_fields + camera.fields_per_frame
+    recent = np.empty((n_fields, 2, *camera.shape), np.float32)
+    field = camera.fields_per_frame * first_frame - glow.n_lag_fields
     stages = _Stages(camera, at_mcp, coarse, conditions)
     for frame in count(first_frame):
         while field < camera.fields_per_frame * (frame + 1):
             screen = stages.pulse_stages(max(field // camera.fields_per_frame, 0))
-            recent[field % remembered] = screen.draw(halves, field_rng(seed, field)).values
+            recent[field % n_fields] = screen.draw(halves, field_rng(seed, field)).values
             field += 1
-        order = np.arange(field - remembered, field) % remembered
+        order = np.arange(field - n_fields, field) % n_fields
         shown = apply_phosphor_decay(recent, glow.halves, order) + stages.finer(frame)
         yield stages.readout(frame).draw(StageImage(values=shown), frame_rng(seed, frame)).values[0]
 
@@ -137,18 +137,18 @@ class ChainState:
 
 def initial_state(camera: IntensifiedCamera, conditions: Conditions) -> ChainState:
     """Return the state after a long time in the dark: no decay light, channels full, controls at 1."""
-    fields = camera.afterglow(conditions).memory
+    fields = camera.afterglow(conditions).n_lag_fields
     return ChainState(frame=0, glow=np.zeros((fields, 2, *camera.shape), np.float32))
 
 
 def steady_state(camera: IntensifiedCamera, at_mcp: StageImage, conditions: Conditions, *, seed: int) -> ChainState:
     """Return the state after a long exposure to a static scene, controls in their initial state."""
-    memory = initial_state(camera, conditions)
+    state = initial_state(camera, conditions)
     plate = camera.mcp(conditions)
     load = _load(plate, at_mcp.in_whole_rows()) if camera.local_depletion else None
-    fields = range(-len(memory.glow), 0)
+    fields = range(-len(state.glow), 0)
     glow = [_field(camera, plate, at_mcp, conditions, load, seed, number) for number in fields]
-    return replace(memory, glow=np.array(glow, np.float32).reshape(memory.glow.shape), depletion=load)
+    return replace(state, glow=np.array(glow, np.float32).reshape(state.glow.shape), depletion=load)
 
 
 def sequence(
@@ -157,7 +157,7 @@ def sequence(
     conditions: Conditions,
     *,
     seed: int,
-    memory: ChainState | None = None,
+    state: ChainState | None = None,
 ) -> Iterator[NDArray[np.unsignedinteger]]:
     """Yield a frame, shape (row, col), DN, for every scene, or for every two where fields are interlaced.
 
@@ -172,7 +172,7 @@ def sequence(
         Gate, voltage, temperature, and which automatic controls were on.
     seed
         Seed of the run.
-    memory
+    state
         State of the camera at the start; the initial state if None.
 
     Notes
@@ -181,18 +181,18 @@ def sequence(
     with local depletion, and through automatic controls. With the `ChainState` from before a frame it can be drawn
     alone.
     """
-    memory = initial_state(camera, conditions) if memory is None else memory
+    state = initial_state(camera, conditions) if state is None else state
     coming: list[StageImage] = []
     for scene in scenes:
         coming.append(scene)
         if len(coming) == camera.fields_per_frame:
-            frame, memory = next_frame(camera, coming, conditions, memory, seed=seed)
+            frame, state = next_frame(camera, coming, conditions, state, seed=seed)
             coming = []
             yield frame
 
 
 def next_frame(
-    camera: IntensifiedCamera, scenes: Sequence[StageImage], conditions: Conditions, memory: ChainState, *, seed: int
+    camera: IntensifiedCamera, scenes: Sequence[StageImage], conditions: Conditions, state: ChainState, *, seed: int
 ) -> tuple[NDArray[np.unsignedinteger], ChainState]:
     """Return the next frame, shape (row, col), DN, and the state after it.
 
@@ -202,29 +202,29 @@ def next_frame(
         As for `sequence`.
     scenes
         One for each exposure of the frame.
-    memory
+    state
         State before the frame.
     """
     if len(scenes) != camera.fields_per_frame:
         raise BadInput(f"a frame must have {camera.fields_per_frame} exposures, got {len(scenes)}")
     plate = camera.mcp(conditions)
-    plate = replace(plate, gain=plate.gain * memory.automatic.brightness)
-    glow, depletion = camera.afterglow(conditions), memory.depletion
-    fields, output = list(memory.glow), 0.0
+    plate = replace(plate, gain=plate.gain * state.automatic.brightness)
+    glow, depletion = camera.afterglow(conditions), state.depletion
+    fields, output = list(state.glow), 0.0
     for n, scene in enumerate(scenes):
         during = None
         if camera.local_depletion:
             load = _load(plate, scene.in_whole_rows())
             during, depletion = plate.depletion.during(depletion, load), plate.depletion.next(depletion, load)
-        number = camera.fields_per_frame * memory.frame + n
+        number = camera.fields_per_frame * state.frame + n
         fields.append(_field(camera, plate, scene, conditions, during, seed, number))
         output += _output(plate, scene) / len(scenes)
     shown = StageImage(values=apply_phosphor_decay(np.stack(fields), glow.halves))
-    readout = camera.readout(conditions, memory.automatic)
-    frame = readout.draw(shown, frame_rng(seed, memory.frame)).values[0]
-    automatic = _next_automatic_state(camera, conditions, memory.automatic, frame, output)
-    kept = np.stack(fields[len(fields) - len(memory.glow) :]) if len(memory.glow) else memory.glow
-    return frame, ChainState(frame=memory.frame + 1, glow=kept, depletion=depletion, automatic=automatic)
+    readout = camera.readout(conditions, state.automatic)
+    frame = readout.draw(shown, frame_rng(seed, state.frame)).values[0]
+    automatic = _next_automatic_state(camera, conditions, state.automatic, frame, output)
+    kept = np.stack(fields[len(fields) - len(state.glow) :]) if len(state.glow) else state.glow
+    return frame, ChainState(frame=state.frame + 1, glow=kept, depletion=depletion, automatic=automatic)
 
 
 def _field(

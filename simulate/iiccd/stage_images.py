@@ -99,7 +99,7 @@ def _field_and_frame(
     screen = chain.between("microchannel plate", "pixels")
     earlier = [
         screen.draw(at_mcp, np.random.default_rng([seed, 0, number])).values
-        for number in range(glow.memory + camera.fields_per_frame - 1)
+        for number in range(glow.n_lag_fields + camera.fields_per_frame - 1)
     ]
     last = list(_images_after_stages(screen, at_mcp, np.random.default_rng([seed, 0, len(earlier)])))
     yield from last

@@ -125,13 +125,13 @@ class FakeCamera:
         self._call("arv_fake_camera_set_fill_pattern", self._registers, self._callback, None)
 
     def send_when_triggered(self, frame_rate_hz: float, ready: Callable[[], bytes]) -> None:
-        """Send a frame for each `trigger`, at most so many a second, with the pixels that `ready` hands over."""
+        """Send a frame for each `trigger`, at most `frame_rate_hz` a second, with the pixels that `ready` returns."""
         self._call("arv_fake_camera_set_trigger_frequency", self._registers, frame_rate_hz)
         self.fill_frames(lambda _: ready())
         self.hold_trigger()
 
     def hold_trigger(self) -> None:
-        """Keep the camera waiting for triggers, whatever a client switched."""
+        """Keep the camera in trigger mode, whatever a client set."""
         self.write(Register.TRIGGER_SOURCE, 1)
         self.write(Register.TRIGGER_MODE, 1)
 
@@ -140,7 +140,7 @@ class FakeCamera:
         self.write(Register.TRIGGER_SOFTWARE, 1)
 
     def take_trigger_back(self) -> None:
-        """Forget a trigger that no frame was sent for."""
+        """Cancel a trigger for which no frame was sent."""
         self.write(Register.TRIGGER_SOFTWARE, 0)
 
     def _call(self, name: str, *arguments: Any) -> Any:
@@ -166,7 +166,7 @@ def genicam_description(longest_exposure_us: float) -> str:
 
 
 def load() -> ctypes.CDLL:
-    """Load the library; where it is absent a `BadInput` says so."""
+    """Load the library; raises `BadInput` where it is absent."""
     found = ctypes.util.find_library("aravis-0.8")
     for name in (*_NAMES, *([found] if found else [])):
         try:

@@ -124,13 +124,13 @@ class VirtualBench:
         return InProcessCamera(self.folder, self.outputs)
 
     def outputs(self) -> Outputs:
-        """What the instruments put on the tube's wires now."""
+        """Return the present outputs of the instruments."""
         if self.inside is None:
             return read_outputs(self._wires_folder)
         return replace(self.inside.outputs(), room_light_lux=read_room_light_lux(self._wires_folder))
 
     def provoke(self, instrument: str, faults: Faults) -> None:
-        """Give an instrument at a place of the bench, the camera or the surroundings faults; a real one is BadInput."""
+        """Inject faults into a virtual instrument, the camera or the surroundings; BadInput for a real instrument."""
         there = [one for one in self._asked.instruments if not one.port]
         virtual: dict[str, Role] = {virtual_model(one.model).place: one.role for one in there}
         if instrument in virtual and self.inside is not None:
@@ -141,7 +141,7 @@ class VirtualBench:
             raise BadInput(f"a fault must strike an instrument on the wires of this bench, got {instrument}")
 
     def truth(self) -> BenchTruth:
-        """Return what the bench really is: for whoever compares afterwards, never for whoever measures."""
+        """Return the true state of the bench, for comparison after a measurement."""
         return read_truth(self.truth_folder)
 
     def _start_instruments(self, running: ExitStack) -> None:
@@ -189,6 +189,6 @@ class VirtualBench:
 
 
 def _next_wires_folder(folder: Path) -> Path:
-    """Return a folder for the wires of this run: instruments of a killed one may still be at their own."""
+    """Return an unused folder for the wires of this run: instruments of a killed run may still use theirs."""
     runs = (int(path.suffix[1:]) for path in folder.glob("wires.*") if path.suffix[1:].isdigit())
     return folder / f"wires.{max(runs, default=0) + 1}"

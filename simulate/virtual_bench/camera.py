@@ -119,7 +119,7 @@ class VirtualCamera:
         self._wire.send_when_triggered(field_rate_hz / fields, self._next_pixels)
 
     def turn(self) -> None:
-        """Expose the next frame if one is asked for; else look at what stands before the camera."""
+        """Expose the next frame if one is requested; otherwise render a changed target."""
         self._wire.hold_trigger()
         wrong = self._faults.now()
         self._lose_packets(max(wrong.lost_packet_share, self._lost_packet_share))
@@ -158,13 +158,13 @@ class VirtualCamera:
             self._prepared = scene.placement
 
     def _take_back(self) -> None:
-        """Take a frame back that was not sent, and its trigger first: the wire would wait for another frame."""
+        """Withdraw an unsent frame, its trigger first: the wire would wait for another frame."""
         self._wire.take_trigger_back()
         with contextlib.suppress(queue.Empty):
             self._slot.get_nowait()
 
     def _next_pixels(self) -> bytes:
-        """Give the wire a frame of what stands before the camera now; called by the wire's thread."""
+        """Return the pixels of the present scene; called by the wire's thread."""
         try:
             while True:
                 scene, pixels = self._slot.get(timeout=STUCK_S)
@@ -190,7 +190,7 @@ class VirtualCamera:
 
 
 def hold_loopback(parent: int, *, folder: Path | None = None) -> IO[bytes]:
-    """Wait for the one GigE Vision port that loopback has, and hold it for this process.
+    """Wait for the single GigE Vision port of the loopback interface and lock it for this process.
 
     Parameters
     ----------
@@ -222,7 +222,7 @@ def hold_loopback(parent: int, *, folder: Path | None = None) -> IO[bytes]:
 
 
 def _open_lock(path: Path) -> IO[bytes]:
-    """Open the lock without following a link, waiting for a pipe or changing what is there."""
+    """Open the lock file without following links, blocking on a pipe or changing its contents."""
     rule = "the lock of the virtual camera must be a regular file of this user alone"
     remedy = f"{path}: remove it, or set TMPDIR to a folder of your own"
     try:
@@ -240,7 +240,7 @@ def _open_lock(path: Path) -> IO[bytes]:
 
 
 def tell(message: dict[str, str]) -> None:
-    """Tell the bench, one JSON object a line."""
+    """Send a message to the bench, one JSON object a line."""
     print(json.dumps(message), flush=True)
 
 
@@ -330,7 +330,7 @@ class CameraProcess:
         raise BadInput(f"the virtual camera must come up within {READY_S:g} s, see {self._log}")
 
     def _message(self, until_s: float) -> dict[str, str] | None:
-        """Return the next message of the camera, or None if it ended or said nothing in time."""
+        """Return the next message of the camera, or None if it ended or sent none in time."""
         if self._process.stdout is None:
             return None
         ready, _, _ = select.select([self._process.stdout], [], [], max(0.0, until_s - time.monotonic()))

@@ -101,7 +101,7 @@ class Dg535:
                     self._take(command)
 
     def talk(self) -> bytes:
-        """Bytes to say, EOI with the last; empty if nothing was asked."""
+        """Return the answer, EOI with its last byte; empty without a query."""
         said, self._output = self._output, b""
         return said
 
@@ -110,11 +110,11 @@ class Dg535:
         return self._status
 
     def clear(self) -> None:
-        """Device clear: forget what was half said."""
+        """Device clear: empty both buffers."""
         self._input = self._output = b""
 
     def power_cycle(self) -> None:
-        """Lose power and get it back: settings stay, registers and what was half said do not."""
+        """Power cycle: settings stay, registers and buffers are cleared."""
         self.clear()
         self._errors = self._status = 0
 
@@ -261,14 +261,14 @@ class Dg535:
         return triggers_hz / math.ceil(triggers_hz * self._busy_s() - 1e-12) if triggers_hz else 0.0
 
     def advance(self, now_s: float, faults: Faults) -> None:
-        """Note triggers used and lost since the last look."""
+        """Update the status of triggers used and lost."""
         if triggers_hz := self._trigger_hz():
             self._status |= InstrumentStatus.TRIGGERED | (
                 InstrumentStatus.RATE if triggers_hz * self._busy_s() > 1 else 0
             )
 
     def publish(self, folder: Path) -> None:
-        """Put the gate's drive on the wire, where it changed."""
+        """Publish the gate drive if it changed."""
         gate = self.gate()
         if gate != self._published:
             publish_gate(folder, gate)

@@ -105,13 +105,13 @@ class ScriptedFault:
 
     @property
     def words(self) -> str:
-        """What happens, for people."""
+        """Description of the fault."""
         much = "" if self.value is None else f" ({self.value:g} {_COUNTED[self.kind]})"
         return f"{self.kind} of {self.instrument}{much}"
 
     @property
     def faults(self) -> Faults:
-        """The same as the virtual instruments know it; a power cycle is counted by whoever strikes."""
+        """The fault as `Faults`; the caller counts power cycles."""
         value = self.value or 0.0
         known = {
             "garbage": Faults(garbage=True),
@@ -152,7 +152,7 @@ class FaultScript:
 
 
 def combine_faults(strikes: list[ScriptedFault], power_cycles: int) -> Faults:
-    """Return what is wrong with one instrument while several faults hold.
+    """Combine several faults of one instrument.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ STRUCK = "fault strikes"
 
 
 class Rehearsal:
-    """Strikes as long as its `with` block lasts, in a thread of its own; on leaving all is healed.
+    """Injects scripted faults during its `with` block, in a thread of its own, and removes them at its end.
 
     Parameters
     ----------
@@ -241,7 +241,7 @@ class Rehearsal:
                     self._end(number)
 
     def _begins_s(self, one: ScriptedFault) -> float | None:
-        """When a fault strikes; None where its step has not begun."""
+        """Start time of a fault; None before its step has begun."""
         since_s = self._began_s if one.at_step is None else self._steps.began_s.get(one.at_step)
         return None if since_s is None else since_s + one.at_s
 

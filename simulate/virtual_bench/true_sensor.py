@@ -66,7 +66,7 @@ def draw_true_sensor(sensor: Sensor, seed: int) -> Sensor:
 
 
 def _stream(seed: int, path: str) -> np.random.Generator:
-    """A parameter's own random numbers: to vary one more moves none of the others."""
+    """Random generator of one parameter, independent of the other parameters."""
     return np.random.default_rng([seed, zlib.crc32(path.encode())])
 
 
@@ -87,7 +87,7 @@ _LAMP = "lamp.toml"
 
 @dataclass(frozen=True, kw_only=True)
 class BenchTruth:
-    """What the virtual bench really is.
+    """True state of the virtual bench.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ class BenchTruth:
     lamp: LampCalibration | None = None
 
     def illuminance_lux(self, placement: TargetPlacement, outputs: Outputs) -> float:
-        """True illuminance on the photocathode, lux: the room's, and the lamp's or, without one, an operator's."""
+        """True illuminance on the photocathode, lux: room light plus lamp or, without a lamp, the operator's light."""
         return outputs.room_light_lux + self._source_lux(placement, outputs)
 
     def _source_lux(self, placement: TargetPlacement, outputs: Outputs) -> float:
@@ -121,7 +121,7 @@ class BenchTruth:
 
 
 def load_or_draw_truth(folder: Path, sensor: Sensor, seed: int, lamp: LampCalibration | None = None) -> BenchTruth:
-    """Draw a device of a sensor, its meter and its lamp and keep them in a folder, or find the same ones there again.
+    """Draw a device, its meter and its lamp and save them in a folder, or load them from there.
 
     Raises
     ------
@@ -157,7 +157,7 @@ def read_truth(folder: Path) -> BenchTruth:
 
 
 def _true_lamp(lamp: LampCalibration, seed: int) -> LampCalibration:
-    """Draw what a lamp truly makes, within its calibration's uncertainty: one error for all currents, one a filter."""
+    """Draw the true lamp within its calibration uncertainty: one error for all currents, one per filter."""
     rng = np.random.default_rng(np.random.SeedSequence((seed, 0x1A)))
     brighter = float(rng.standard_normal())
     densities = (

@@ -118,7 +118,7 @@ class StaticScene:
     stays, kept
         Mean fraction of a pulse that each component of the phosphor's decay stores, and the fraction of what is
         stored that stays stored for one exposure more, shape (component,).
-    memory
+    n_lag_fields
         Number of exposures to which the phosphor decay extends.
     fields
         Exposures in a frame.
@@ -130,7 +130,7 @@ class StaticScene:
     dark_pattern_e: NDArray[np.float32]
     stays: NDArray[np.float64]
     kept: NDArray[np.float64]
-    memory: int
+    n_lag_fields: int
     fields: int
 
 
@@ -194,7 +194,7 @@ class FrameGenerator:
                 yield self._read(frame, coarse, brightness)
 
     def _begin_segment(self, frame: int) -> None:
-        before = -(-self._scene.memory // self._scene.fields)
+        before = -(-self._scene.n_lag_fields // self._scene.fields)
         self._sampler.forget()
         self._stored_mean[:] = self._states(max(frame - before, 0)).brightness
         for earlier in range(frame - before, frame):

@@ -80,7 +80,7 @@ def prepare_static_scene(stages: CameraStages, at_mcp: StageImage, *, normal: bo
     screen = stages.behind_mcp.mean(stages.mcp.mean(at_mcp))
     mean, dark = _mean_charge(stages, stages.collection.mean(screen))
     drawn = _single_light if sparse else partial(_cell_light, normal=normal)
-    (later, _, kept), _, memory = decay_of(stages.afterglow)
+    (later, _, kept), _, n_lag_fields = decay_of(stages.afterglow)
     return StaticScene(
         light=drawn(stages, at_mcp, screen.pending_blurs, mean.shape),
         light_e=mean,
@@ -88,7 +88,7 @@ def prepare_static_scene(stages: CameraStages, at_mcp: StageImage, *, normal: bo
         response=_response(stages.ccd, mean.shape),
         stays=later.astype(float),
         kept=kept.astype(float),
-        memory=memory,
+        n_lag_fields=n_lag_fields,
         fields=stages.fields,
     )
 
@@ -283,9 +283,9 @@ def decay_of(afterglow: PhosphorDecay) -> tuple[NDArray[np.float32], float, int]
     spread = (left - later[:, None]) @ together / together.size / (scatter or 1.0)
     seen = _lasting(afterglow)
     remaining = (later[seen, None] * kept[seen, None] ** np.arange(1, 400)).sum(axis=0)
-    memory = 1 + int(np.argmax(remaining < ACCURACY.max_lag_fraction)) if seen.any() else 0
+    n_lag_fields = 1 + int(np.argmax(remaining < ACCURACY.max_lag_fraction)) if seen.any() else 0
     lateness = float(np.mean(((together - together.mean()) / scatter) ** 3)) if scatter > 1e-30 else 0.0
-    return np.stack([later, spread, kept]).astype(np.float32)[:, seen], lateness, memory
+    return np.stack([later, spread, kept]).astype(np.float32)[:, seen], lateness, n_lag_fields
 
 
 def _fractions_to_store(afterglow: PhosphorDecay, arrival: NDArray[np.float32]) -> NDArray[np.float32]:
