@@ -27,7 +27,7 @@ from simulate.iiccd.fast_sampler.prepare import CameraStages
 from simulate.iiccd.scene_to_photoelectrons import photoelectrons_from_image
 from simulate.iiccd.stage_image import StageImage
 from simulate.iiccd.transfer import PixelAperture, product
-from simulate.iiccd.video import Video, filter_lines
+from simulate.iiccd.video import filter_lines
 from tests.simulate.random_scenes import random_scene
 
 Map = NDArray[np.float64]
@@ -188,10 +188,8 @@ def temporal_variance(camera: IntensifiedCamera, at_mcp: StageImage, conditions:
     light = ccd.mean_charge(stages.collection.mean(stages.behind_mcp.mean(plate.mean(at_mcp))).values)
     own = filter_lines(light + ccd.dark(camera.shape) + ccd.read_noise_e**2, taps**2)
     variance = (pulses[rows, cols] * response**2 + own) * video.conversion_gain_dn_per_e**2 + 1.0 / 12.0
-    if isinstance(video, Video):
-        slope = np.gradient(filter_lines(light, taps), axis=1) * video.conversion_gain_dn_per_e
-        variance += (video.sync_jitter_px * slope) ** 2 + video.line_noise_dn**2
-    return variance
+    slope = np.gradient(filter_lines(light, taps), axis=1) * video.conversion_gain_dn_per_e
+    return variance + (video.sync_jitter_px * slope) ** 2 + video.line_noise_dn**2
 
 
 @lru_cache(maxsize=8)

@@ -32,7 +32,7 @@ def _transfer(bench: LabBench, fx_cy_per_px: np.ndarray, fy_cy_per_px: np.ndarra
     camera = bench.camera
     pitch = camera.cells.pitch_x_mm
     blurs = (*true_quantities._before_gain(camera), *true_quantities._after_gain(camera))
-    video = np.abs(true_quantities._video(camera).low_pass.transfer(fx_cy_per_px))
+    video = np.abs(camera.video().low_pass.transfer(fx_cy_per_px))
     return product(blurs, fx_cy_per_px / pitch, fy_cy_per_px / pitch) * video
 
 
