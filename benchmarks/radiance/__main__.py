@@ -1,4 +1,5 @@
-"""`make radiance-peers`: five scenes by us and by Mitsuba in turns, two threads each; error over time, kept in docs.
+"""`make study NAME=radiance-peers`: five scenes by us and by Mitsuba in turns, two threads each; error over time,
+kept in docs.
 
 References are kept in study/radiance; the first run makes them, which takes most of its time.
 """

@@ -9,8 +9,8 @@ from importlib import resources
 import numpy as np
 from numpy.typing import NDArray
 
+from labdata.camera_description import Parameter
 from labdata.errors import BadInput
-from labdata.parameter import Parameter
 from labdata.serialiser import from_mapping, read_toml
 from simulate.radiance.blackbody import STEFAN_BOLTZMANN
 from simulate.radiance.geometry.ray_tracer import NOTHING

@@ -23,7 +23,7 @@ from astropy.io import fits
 from labdata.errors import BadInput
 from labdata.importers import read_frames
 from labdata.store.array_writer import ArrayWriter
-from labdata.store.layout import METADATA
+from labdata.store.journal import METADATA
 from simulate.radiance.outdoor.build import KINDS as MESHES
 from simulate.radiance.outdoor.build import build_surfaces
 from simulate.radiance.outdoor.scene import Object, OutdoorScene

@@ -11,7 +11,7 @@ from labdata.sensors import load_sensor
 from simulate.iiccd import sampler_choice
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons
-from simulate.iiccd.sensor_for_renderer import render_sensor_of
+from simulate.outdoor_rendering import render_sensor_of
 
 
 @pytest.mark.parametrize("name", ["pulnix-ag5745ef3", "gen3-digital-iccd"])

@@ -7,10 +7,13 @@ import pytest
 
 from labdata.conditions import Conditions
 from labdata.sensors import load_camera
-from simulate.cameras import camera_from_description
 from simulate.iiccd import true_quantities
 from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons, mcp_input_from_radiance
+from simulate.iiccd.scene_to_photoelectrons import (
+    camera_from_description,
+    mcp_input_from_photoelectrons,
+    mcp_input_from_radiance,
+)
 from simulate.iiccd.stage_images import stage_images
 from simulate.radiance.cube import RadianceCube
 from simulate.radiance.spectrum import planck

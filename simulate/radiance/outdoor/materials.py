@@ -6,9 +6,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata.camera_description import must_be_a_share, must_be_positive, must_not_be_negative
+from labdata.camera_description import Parameter, must_be_a_share, must_be_positive, must_not_be_negative
 from labdata.errors import BadInput
-from labdata.parameter import Parameter
 from simulate.radiance.materials import Finish, Material, clearest, material
 
 # Refractive index of soda-lime glass.

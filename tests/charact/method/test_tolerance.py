@@ -5,7 +5,7 @@ import pytest
 
 from charact import mtf
 from charact.method import Context, registry
-from charact.method.tolerance import beyond_note, meets
+from charact.method.registry import beyond_note, meets
 from charact.study.bars.scene import BarScene
 from charact.study.edge.scene import EdgeScene
 from charact.study.point.scene import PointScene
@@ -22,7 +22,7 @@ def test_the_further_end_of_the_interval_is_what_counts():
     """0.2 is 1.5 % from its lower end and 3 % from its upper one."""
     found = number(0.2, 0.197, 0.206)
     assert beyond_note(found, 3.01) is None
-    assert beyond_note(found, 2.0) == ("95 % interval reaches 3 % from the value, more than --within 2 %.")
+    assert beyond_note(found, 2.0) == ("95 % interval extends 3 % from the value, beyond the tolerance --within 2 %.")
     assert beyond_note(make_refusal("mtf50", "cy/px", "nothing to see", method="fake"), 2.0) is None
 
 

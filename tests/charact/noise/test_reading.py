@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from charact.noise.gain.pixel_readout_model import PixelReadoutModel
+from charact.noise.gain.model import PixelReadoutModel
 from labdata.sensors import load_sensor
 
 X, ROWS = (axis.ravel() for axis in np.meshgrid(np.linspace(0.0, 0.25, 11), np.linspace(-0.3, 0.3, 9)))
@@ -11,7 +11,7 @@ X, ROWS = (axis.ravel() for axis in np.meshgrid(np.linspace(0.0, 0.25, 11), np.l
 
 @pytest.mark.parametrize("row_pitch", [1.0, 1.18, 2.36])
 def test_light_that_nothing_blurs_stays_white(row_pitch):
-    shown = PixelReadoutModel(row_pitch=row_pitch, described=True).shown(
+    shown = PixelReadoutModel(row_pitch=row_pitch, described=True).pixel_power(
         lambda x, y: np.zeros((1, x.size)), X, ROWS / row_pitch
     )
     assert shown == pytest.approx(1.0, abs=1e-12)
@@ -26,7 +26,9 @@ def test_what_folds_back_is_the_sum_over_the_orders_of_sampling(row_pitch, sigma
         return -((2 * np.pi * sigma) ** 2) * (x**2 + y**2)
 
     row = ROWS / row_pitch
-    shown = PixelReadoutModel(row_pitch=row_pitch, described=True).shown(lambda x, y: ln_blur(x, y)[None], X, row)[0]
+    shown = PixelReadoutModel(row_pitch=row_pitch, described=True).pixel_power(
+        lambda x, y: ln_blur(x, y)[None], X, row
+    )[0]
     total, plain = np.zeros(X.size), np.exp(ln_blur(X, row)) * (np.sinc(X) * np.sinc(ROWS)) ** 2
     for across in range(-10, 11):
         for down in range(-10, 11):
@@ -42,7 +44,7 @@ def test_a_described_video_filter_is_put_in_as_it_is():
     sensor = load_sensor("pulnix-ag5745ef3")
     plain, filtered = PixelReadoutModel(row_pitch=2.0, described=True), PixelReadoutModel.of(2.0, sensor)
     assert filtered.video is not None
-    white = filtered.shown(lambda x, y: np.zeros((1, x.size)), X, ROWS / 2.0)[0]
+    white = filtered.pixel_power(lambda x, y: np.zeros((1, x.size)), X, ROWS / 2.0)[0]
     assert white == pytest.approx(np.abs(filtered.video(X)) ** 2)
     low = np.array([0.03])
     known = -np.log(np.abs(filtered.video(low)[0]) ** 2) / 0.03**2
@@ -53,4 +55,4 @@ def test_a_described_video_filter_is_put_in_as_it_is():
 def test_of_a_camera_that_is_not_described_nothing_is_put_in():
     reading = PixelReadoutModel.of(2.0, None)
     assert reading.falls == (0.0, 0.0)
-    assert reading.shown(lambda x, y: -(x + y)[None], X, ROWS)[0] == pytest.approx(np.exp(-X - ROWS))
+    assert reading.pixel_power(lambda x, y: -(x + y)[None], X, ROWS)[0] == pytest.approx(np.exp(-X - ROWS))

@@ -5,9 +5,9 @@ import pytest
 
 from charact import noise
 from charact.method import Context
-from charact.noise.stack.exposure_order import order_of
 from charact.noise.stack.pixels import lower_neighbour, pixel_sums, right_neighbour, successor_correlation
 from charact.noise.stack.spectrum import NO_BINS
+from charact.noise.stack.temporal import order_of
 from charact.noise.undetected_correlation import UndetectedEffect, allowance_of
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
@@ -153,7 +153,7 @@ def test_sums_over_pixels_are_those_of_plain_arithmetic(seed):
         inside = change[:, low:high, :55]
         beside_it, above_it = change[:, low:high, 1:56], change[:, max(low - 1, 0) : high - 1, :55]
         assert sums.power[block] == pytest.approx((inside**2).sum(axis=0).mean(), rel=1e-5)
-        assert sums.beside[block] == pytest.approx((inside * beside_it).sum(axis=0).mean(), rel=1e-4)
+        assert sums.right[block] == pytest.approx((inside * beside_it).sum(axis=0).mean(), rel=1e-4)
         products = (inside[:, inside.shape[1] - above_it.shape[1] :] * above_it).sum(axis=0).mean()
         assert sums.below[block] == pytest.approx(products, rel=1e-4)
         nearest = sum((inside[i] * inside[i + 2]).mean() for i in range(6))

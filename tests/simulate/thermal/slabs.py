@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from labdata.parameter import Parameter
+from labdata.camera_description import Parameter
 from simulate.radiance.blackbody import STEFAN_BOLTZMANN
 from simulate.radiance.outdoor.materials import Layer, Slab
 from simulate.thermal.slab import Exchange, Forcing
