@@ -16,7 +16,7 @@ ROWS = 64
 # Bits of the shadow map; further sources have none.
 BITS = 32
 # Neighbours whose normals differ by more than acos(0.98) = 11 degrees belong to different faces.
-SAME_NORMAL, SAME_PLANE = 0.98, 0.01
+SAME_NORMAL = 0.98
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,14 +54,15 @@ class AuxiliaryLayers:
         """Return the pixels at which object, face or, if requested, shadow changes, shape (row, col)."""
         found = np.zeros(self.material.shape, bool)
         for axis in (0, 1):
-            here = _but_last(self, axis)
-            there = _but_first(self, axis)
-            differs = (here["object"] != there["object"]) | (here["material"] != there["material"])
+            whole = (slice(None),) * axis
+            first, rest = (*whole, slice(None, -1)), (*whole, slice(1, None))
+            differs = (self.object[first] != self.object[rest]) | (self.material[first] != self.material[rest])
             if shadows:
-                differs |= here["shadow"] != there["shadow"]
-            differs |= (np.sum(here["normal"] * there["normal"], axis=-1) < SAME_NORMAL) & (here["object"] >= 0)
-            found[_first(axis)] |= differs
-            found[_rest(axis)] |= differs
+                differs |= self.shadow[first] != self.shadow[rest]
+            facing = np.sum(self.normal[first] * self.normal[rest], axis=-1)
+            differs |= (facing < SAME_NORMAL) & (self.object[first] >= 0)
+            found[first] |= differs
+            found[rest] |= differs
         return found
 
     def save(self, path: Path) -> None:
@@ -134,19 +135,3 @@ def _shadows(stage: SpectralScene, points: direct_lighting.ShadingPoints) -> NDA
         dark[lit] = direct_lighting.is_occluded(points, lit, way[lit], stage.surfaces.tracer, reach)
         found |= dark.astype(np.uint32) << np.uint32(bit)
     return found
-
-
-def _first(axis: int) -> tuple[slice, ...]:
-    return (slice(None),) * axis + (slice(None, -1),)
-
-
-def _rest(axis: int) -> tuple[slice, ...]:
-    return (slice(None),) * axis + (slice(1, None),)
-
-
-def _but_last(maps: AuxiliaryLayers, axis: int) -> dict[str, NDArray]:
-    return {name: getattr(maps, name)[_first(axis)] for name in ("object", "material", "normal", "shadow")}
-
-
-def _but_first(maps: AuxiliaryLayers, axis: int) -> dict[str, NDArray]:
-    return {name: getattr(maps, name)[_rest(axis)] for name in ("object", "material", "normal", "shadow")}

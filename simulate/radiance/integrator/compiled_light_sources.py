@@ -94,7 +94,7 @@ def _pattern(distribution: Distribution) -> NDArray[np.float64]:
 
 @numba.njit(**INLINED)
 def lamp_factor(lamps: Any, lamp: int, place: Any, normal: Any) -> float:
-    """Return the unoccluded irradiance of a lamp over its spectrum, as `direct.lamp_factor`."""
+    """Return the unoccluded irradiance of a lamp over its spectrum, as `direct_lighting.lamp_factor`."""
     position, _, _, _, axes, ends, tables = lamps
     x, y, z = (position[lamp, 0] - place[0], position[lamp, 1] - place[1], position[lamp, 2] - place[2])
     square = x * x + y * y + z * z

@@ -143,7 +143,7 @@ class Lighting:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of lamps and discs, in the order of the bits of `truth.Truth.shadow`."""
+        """Names of lamps and discs, in the order of the bits of `AuxiliaryLayers.shadow`."""
         return tuple(light.name for light in (*self.discs, *self.lamps))
 
 

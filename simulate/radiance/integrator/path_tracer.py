@@ -91,7 +91,7 @@ class CompiledScene:
     sky, discs, lamps, panels
         Sources, see `compiled_lights`.
     beams
-        How rays are drawn as lamps shine, see `lit_places.Beams`.
+        Light-tracing settings of the lamps, see `LightTracingSettings`.
     """
 
     tracer: RayTracer

@@ -67,8 +67,3 @@ class RenderSensor:
         """
         bright = np.maximum(np.asarray(signal, float), 0.0)
         return np.maximum(self.noise(bright) * (self.noise_averaging_factor if smooth else 1.0), KNOWN * bright)
-
-    @property
-    def noise_equivalent_radiance(self) -> float:
-        """Radiance at the wavelength of best response that gives a signal like the noise in the dark, W m-2 sr-1."""
-        return float(self.dark_variance**0.5 / max(self.response))

@@ -45,7 +45,7 @@ class RadianceComponents:
 
 
 def bounce_order(name: str) -> tuple[int, str]:
-    """Return how often the light of a part (`leaving.leaving`) was reflected elsewhere, and what it comes from."""
+    """Return the number of reflections of a component of `outgoing_radiance`, and its source."""
     if not name.startswith("bounce "):
         return 0, name
     order, source = name.removeprefix("bounce ").split(" of ", 1)

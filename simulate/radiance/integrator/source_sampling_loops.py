@@ -128,7 +128,7 @@ def _leave_to_light(scene: Any, lamps: Any, beams: Any, packets: Any, lanes: Any
 
 @numba.njit(**COMPILED)
 def add_panels(scene: Any, panels: Any, packets: Any, lanes: Any, many: int, state: Any, found: Any) -> None:
-    """Add light of an emitting surface at path vertices, from a point drawn by power, as `direct.from_panels`."""
+    """Add light of emitting surfaces from points drawn by power, as `direct_lighting.from_panels`."""
     address, centre, _, clearance = scene
     cumulated, faces, corners, normals, per_m2, kind, spectra = panels
     asked = 0

@@ -105,7 +105,7 @@ def build_surfaces(scene: OutdoorScene) -> Surfaces:
         poses = thing.instances or (thing,)
         mesh, own = _mesh(scene, thing)
         if own:
-            notes.append(f"{thing.file} has {own} of its own, left out: all of {thing.label!r} is {thing.material!r}")
+            notes.append(f"{thing.file} has {own}, which are not used: all of {thing.label!r} is {thing.material!r}")
         if thing.map is not None:
             pieces = split_by_material(scene.file(thing.map), thing.size_m, thing.map_materials)
             parts += [(thing.label, name, place_mesh(piece, pose)) for name, piece in pieces for pose in poses]

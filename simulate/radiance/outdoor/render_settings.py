@@ -132,12 +132,12 @@ class RenderSettings:
         )
         return "\n".join(
             (
-                f"light, by what {self.sensor_name} would notice of it:",
+                f"light, relative to the noise of {self.sensor_name}:",
                 self.plan.text("rms where it is most"),
                 f"{len(self.wavelength_nm)} bands from {self.wavelength_nm[0]:.0f} to {self.wavelength_nm[-1]:.0f} nm, "
                 f"which change no source's signal by more than {100.0 * self.spectral_error:.2g} %",
-                f"{few} to {most} rays a pixel, so that chance adds {100.0 * chance:.2g} % of the "
-                f"noise (or {100.0 * KNOWN * chance:.2g} % of the signal, where that is more), root mean square",
+                f"{few} to {most} rays a pixel, rms Monte Carlo error {100.0 * chance:.2g} % of the noise (or "
+                f"{100.0 * KNOWN * chance:.2g} % of the signal where that is more)",
                 f"bounces followed: {bounces}",
             )
         )

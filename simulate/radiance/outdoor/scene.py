@@ -55,8 +55,8 @@ class LampPlacement:
     label
         Its name.
     kind
-        Kind of its spectrum (`simulate.radiance.lamps.KINDS`), "narrow-band" for a laser or a diode of one colour, or a
-        .csv file of two columns relative to the scene's.
+        Kind of its spectrum (`simulate.radiance.lamps.spectra.KINDS`), "narrow-band" for a laser or a diode of one
+        colour, or a .csv file of two columns relative to the scene's.
     position_m
         Place (east, north, up), m.
     lumens

@@ -9,7 +9,6 @@ from simulate.radiance.atmosphere import Atmosphere, airmass, scattering_albedo
 
 # nL per foot-candle to sr-1: 1 nL is 1e-5/pi cd m-2, 1 foot-candle 10.764 lux.
 NANOLAMBERT_CD_M2 = 1e-5 / np.pi
-FOOT_CANDLE_LUX = 10.764
 # Haze scatters forward: its mean cosine, and the angle within which the aureole is taken as flat.
 ASYMMETRY = 0.65
 AUREOLE_DEG = 1.0

@@ -184,7 +184,7 @@ class TownGlow:
     height_deg, half_width_deg
         Where it has fallen to 1/e: upwards and sideways, degrees.
     lamp
-        Kind of its lamps, one of `lamps.KINDS`.
+        Kind of its lamps, one of `lamps.spectra.KINDS`.
 
     Notes
     -----

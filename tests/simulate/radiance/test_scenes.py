@@ -107,7 +107,7 @@ def test_a_mesh_files_own_materials_are_named_as_left_out(tmp_path):
     surfaces = build_surfaces(scene_of(tmp_path, CAMERA + GREY + mesh + '"house.glb"\n'))
     assert len(surfaces.mesh.faces) == 36
     assert surfaces.notes == (
-        "house.glb has materials (red paint) and colours of its own, left out: all of 'a' is 'grey'",
+        "house.glb has materials (red paint) and colours, which are not used: all of 'a' is 'grey'",
     )
     assert build_surfaces(scene_of(tmp_path, CAMERA + GREY + mesh + '"bare.glb"\n')).notes == ()
 
