@@ -198,7 +198,7 @@ def from_toml(path: str | Path, type_: type[T]) -> T:
     Raises
     ------
     BadInput
-        If the file is missing, is not TOML, or holds an unknown key or a value that breaks a rule; one sentence
+        If the file is missing, is not TOML, or has an unknown key or an invalid value; one sentence
         that names the key and its place.
     """
     return from_mapping(read_toml(path), type_, where=Path(path).name)

@@ -1,4 +1,4 @@
-"""The gain, natively serial: an iseg NHQ or SHQ supply, which ramps by itself and says its state in three letters.
+"""High-voltage supply: iseg NHQ or SHQ with its own ramp.
 
 Source: the maker's manuals of the SHQ and EHQ series (legacy command set), unless marked unverified.
 """

@@ -274,7 +274,7 @@ class SessionWriter:
         self._save(replace(self._form, notes=(*self._form.notes, note)))
 
     def session(self) -> Session:
-        """Open the session as it stands."""
+        """Open the session in its present state."""
         return open_session(self.folder)
 
     def close(self) -> None:

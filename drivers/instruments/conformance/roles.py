@@ -1,4 +1,4 @@
-"""What every gate must do: open as read back, refuse what it cannot, and shut, heard or not."""
+"""Conformance tests by role: gates, filter wheels, light sources, meters and supplies."""
 
 import math
 import time
