@@ -36,7 +36,7 @@ SLOW_START_S = 6.0  # the echo and answer of one question and the echo of QUICK:
 REFUSALS = (
     (r"\?\?\?\?", "it does not understand"),
     (r"\?WCN", "it has no such channel"),
-    (r"\?TOT", "the command was not over in time, and it starts anew"),
+    (r"\?TOT", "the command was not over in time, and it restarts"),
     (r"\? ?UMAX=.*", "beyond its limit"),
 )
 

@@ -252,7 +252,7 @@ def a_trip_and_a_loss_of_power_are_reported(pair: ConformancePair) -> None:
         except InstrumentTripped:
             pass
         else:
-            raise AssertionError(f"a {wrong} must be reported, got a supply that is said to be on")
+            raise AssertionError(f"a {wrong} must be reported, got a supply reported as on")
         pair.heal()
         pair.driver().off()
 
