@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.synthetic_rig import COLUMNS, ROWS, NoOperator, PacedCamera, SlowBench
-from charact.cli.judge import SaturationJudge
+from charact.cli.benches import SaturationJudge
 from drivers.acquisition.acquire import LOG, acquire
 from labdata.capture import Frame
 from labdata.conditions import Conditions

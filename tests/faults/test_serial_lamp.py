@@ -23,8 +23,7 @@ from labdata.instrument_config import InstrumentConfig
 from labdata.limits import Limits
 from labdata.target import Target
 from simulate.virtual_bench.faults import Faults, inject_faults
-from simulate.virtual_bench.operator import VirtualOperator
-from simulate.virtual_bench.outputs import read_outputs
+from simulate.virtual_bench.outputs import VirtualOperator, read_outputs
 from simulate.virtual_bench.process import VirtualInstruments
 
 pytestmark = pytest.mark.wires

@@ -23,7 +23,7 @@ from labdata.serialiser import from_toml, to_toml
 from labdata.session import MANIFEST, open_session
 from labdata.tube_dose import Dose, DoseLedger
 from simulate.radiance.outdoor.built_scene import build_surfaces
-from simulate.radiance.outdoor.description.scene import OutdoorScene
+from simulate.radiance.outdoor.scene import OutdoorScene
 from simulate.radiance.scene import load_scene
 
 VALUES = (

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.mtf.blur_models import transfer as forms
-from charact.mtf.blur_models.moffat_table import MOFFAT_EXPONENT, moffat
 from charact.mtf.blur_models.pupil_table import AREA, SQUARED_WAVES, pupil_from_table
+from charact.mtf.blur_models.transfer import MOFFAT_EXPONENT, moffat
 
 Array = NDArray[np.float64]
 

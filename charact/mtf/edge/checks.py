@@ -1,17 +1,23 @@
 """The ways in which an edge deceives, each looked for in the data: what is found becomes a flag."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.mtf.edge.nonlinearity import CurvatureEstimate, contrast, max_bias_of
 from charact.mtf.edge.pixels import fields
 from charact.mtf.edge.pixels.line import RowFit
+from charact.mtf.edge.pixels.prepare_edge import PreparedEdge
 from charact.mtf.edge.pixels.profile import EdgeProfile
+from charact.mtf.edge.thresholds import MIN_OPPOSED, MIN_OVERSHOOT, OPPOSED_SD, OVERSHOOT_SD
 from charact.mtf.mean_frame import OrientedFrame
 from charact.mtf.quantisation_checks import clipping_flags
 from charact.mtf.target_motion import TargetMotion
 from charact.robust import median
+from labdata.flags import FLAGS, Finding
+from labdata.measurement import Measurement
 
 Array = NDArray[np.float64]
 
@@ -174,3 +180,266 @@ def _other_steps(profile: EdgeProfile, fitted: FittedProfile) -> bool:
     error = np.sqrt(profile.grain.covariance_over_variance * profile.grain.bright_variance)
     error = error / np.sqrt(np.maximum(np.bincount(cell, weights=weight), 1.0))
     return bool(np.any((np.abs(means) > 0.1 * abs(fitted.amplitude[0])) & (np.abs(means) > SIGNIFICANT * error)))
+
+
+# Where an edge overshoots and where its plateaus are taken, over the frequency of MTF50, and the window of a mean, px.
+NEAR, FAR, WINDOW_PX = (0.35, 1.2), (2.0, 7.0), 0.5
+MIN_BINS = 6
+# How far sharpening sets neighbours against each other, px, and the half of all lags as far that tells both.
+REACH_PX = 2
+NEIGHBOURS = [
+    (down, right) for down in range(REACH_PX + 1) for right in range(-REACH_PX, REACH_PX + 1) if down > 0 or right > 0
+]
+# Share of the step up to which a pixel is a plateau's, fewest of them, and deviations that one counts for at most.
+PLATEAU, MIN_PIXELS, LARGEST_SD = 0.1, 1000, 5.0
+
+
+def overshoot_of(profile: EdgeProfile, half_frequency: float) -> float:
+    """Return by how much an edge overshoots its plateaus on both sides together, share of the step; 0: it does not.
+
+    Notes
+    -----
+    Light is never negative, so the spread of an edge rises from plateau to plateau, and whatever passes them was made
+    afterwards. On each side the highest mean of a window near the edge is compared with a straight line through the
+    plateau beyond; the sum of both counts, as light that slopes lifts one as it lowers the other.
+    """
+    bright, dark = (_overshoot(profile, half_frequency, sign) for sign in (1.0, -1.0))
+    if bright is None or dark is None:
+        return 0.0
+    total, error = bright[0] + dark[0], float(np.hypot(bright[1], dark[1]))
+    share = total / max(abs(profile.step), 1e-300)
+    return share if total > OVERSHOOT_SD * error and share > MIN_OVERSHOOT else 0.0
+
+
+def _overshoot(profile: EdgeProfile, half_frequency: float, sign: float) -> tuple[float, float] | None:
+    """Return the largest mean near the edge beyond the plateau of one side, and its standard error, DN."""
+    away = sign * profile.distance * half_frequency
+    far, near = (away > FAR[0]) & (away < FAR[1]), np.flatnonzero((away > NEAR[0]) & (away < NEAR[1]))
+    if np.count_nonzero(far) < MIN_BINS or not near.size:
+        return None
+    line = np.stack([np.ones(np.count_nonzero(far)), profile.distance[far]]) / np.sqrt(np.diag(profile.covariance)[far])
+    through = np.linalg.solve(line @ line.T, line) / np.sqrt(np.diag(profile.covariance)[far])
+    weights = np.zeros((near.size, profile.distance.size))
+    for row, middle in enumerate(profile.distance[near]):
+        inside = near[np.abs(profile.distance[near] - middle) < WINDOW_PX]
+        weights[row, inside] = 1.0 / inside.size
+        weights[row, far] -= np.array([1.0, np.mean(profile.distance[inside])]) @ through
+    beyond = sign * (weights @ profile.value)
+    most = weights[int(np.argmax(beyond))]
+    return float(beyond.max()), float(np.sqrt(most @ profile.covariance @ most))
+
+
+def noise_gain_of(picture: OrientedFrame, profile: EdgeProfile) -> float:
+    """Return by how much sharpening has raised the noise, a factor; 1: neighbours' noise does not run against it.
+
+    Notes
+    -----
+    Blur behind the pixels ties neighbours; only differences taken afterwards set them against each other, and leave
+    averages over many pixels as they were: the sum C of the noise's correlation falls below 1, and the noise is
+    C^(-1/2) times what it was. Each of the n pixels of a bin holds 1/n of its mean, which is taken off.
+    """
+    gathered, step = profile.gathered, profile.step or 1.0
+    at_pixel = np.interp(gathered.distance, profile.distance, profile.value)
+    level = (at_pixel - profile.dark) / step
+    used = gathered.used & (np.minimum(np.abs(level), np.abs(level - 1.0)) < PLATEAU)
+    sd = np.sqrt(np.maximum(profile.grain.variance(level), profile.variance_floor))
+    noise = np.where(used, np.clip((picture.value - at_pixel) / sd, -LARGEST_SD, LARGEST_SD), 0.0)
+    pixels = int(np.count_nonzero(used))
+    if pixels < MIN_PIXELS:
+        return 1.0
+    # Pixels that differ from the profile by less than it knows of them show its bins, not noise.
+    variance = max(float(np.sum(noise**2)) / pixels, 1.0)
+    shared = [_mean_product(noise, used, down, right) for down, right in NEIGHBOURS]
+    total = 2.0 * sum(shared) / variance
+    taken = 2.0 * REACH_PX * float(np.mean(1.0 / profile.count))
+    error = np.sqrt(2.0 * len(shared) / pixels) * np.sqrt(2.0)
+    opposed = -(total + taken)
+    return float(max(1.0 - opposed, 0.05) ** -0.5) if opposed > max(MIN_OPPOSED, OPPOSED_SD * error) else 1.0
+
+
+def _mean_product(noise: Array, used: NDArray[np.bool_], down: int, right: int) -> float:
+    """Return the mean product of pixels so many rows and columns apart."""
+    rows, cols = noise.shape
+    one = slice(0, rows - down), slice(max(-right, 0), cols - max(right, 0))
+    other = slice(down, rows), slice(max(right, 0), cols - max(-right, 0))
+    return float(np.sum(noise[one] * noise[other])) / max(int(np.count_nonzero(used[one] & used[other])), 1)
+
+
+LINEAR = "linear frames (raw, without a gamma), or --sensor with a description"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Facts:
+    """What effects are computed from.
+
+    Parameters
+    ----------
+    edge
+        The edge.
+    half
+        MTF50, cy/px; NaN: not known.
+    response
+        Curvature that the profile asks for, and its error; None: not looked for.
+    misfit
+        Largest departure of the profile from its model, share of the step; None: there is no model.
+    """
+
+    edge: PreparedEdge
+    half: float
+    response: CurvatureEstimate | None = None
+    misfit: float | None = None
+
+    @property
+    def step(self) -> float:
+        return max(abs(self.edge.profile.step), 1e-300)
+
+
+def with_findings(found: Measurement, facts: Facts) -> Measurement:
+    """Return a measurement whose flags say how large their effect may be and what settles them."""
+    known = [flag for flag in found.flags if flag in EFFECTS]
+    return found.with_(
+        findings=[Finding(flag=flag, effect=EFFECTS[flag](facts), remedy=REMEDIES[flag]) for flag in known]
+    )
+
+
+def sharpening_flags(edge: PreparedEdge, half: float) -> tuple[str, ...]:
+    """Return `processed` where an edge overshoots or its noise was differenced."""
+    sharpened = noise_gain_of(edge.picture, edge.profile) > 1.0 or (half > 0 and overshoot_of(edge.profile, half) > 0.0)
+    return ("processed",) if sharpened else ()
+
+
+def _clipping(facts: Facts) -> str:
+    data = facts.edge.used.data
+    top, bottom = (100.0 * float(np.mean(data == end)) for end in (data.max(), data.min()))
+    return (
+        f"{top:.0f} % of the pixels sit at {data.max():g} DN, {bottom:.0f} % at {data.min():g} DN: what was cut off "
+        "is the plateau, and MTF50 may be high by tens of percent"
+    )
+
+
+def _gamma(facts: Facts) -> str:
+    most = 100.0 * max_bias_of(facts.response, contrast(facts.edge.profile))
+    return f"a curved response may have moved MTF50 by up to {most:.1f} %"
+
+
+def _misfit(facts: Facts) -> str:
+    return f"the form misses the profile by up to {100.0 * (facts.misfit or 0.0):.1f} % of the step"
+
+
+def _defects(facts: Facts) -> str:
+    profile = facts.edge.profile
+    used = int(np.count_nonzero(profile.gathered.used))
+    return (
+        f"{profile.defects} of {used} pixels were left out; as many more that do not stand out may move MTF50 by "
+        f"{100.0 * profile.defects / max(used, 1):.2g} %"
+    )
+
+
+def _gradient(facts: Facts) -> str:
+    profile = facts.edge.profile
+    sides = [profile.value[side] for side in (profile.distance < 0, profile.distance > 0)]
+    changes = max(float(np.ptp(one[np.abs(one - np.median(one)) < 0.3 * facts.step])) for one in sides if one.size)
+    return f"light changes by {100.0 * changes / facts.step:.0f} % of the step over a side, as glare would"
+
+
+def _low_signal(facts: Facts) -> str:
+    noise = max(noise_of(facts.edge.profile), 1e-300)
+    return f"the step is {facts.step / noise:.1f} times the noise of a pixel: the interval's own ends are unsure"
+
+
+def _quantisation(facts: Facts) -> str:
+    return f"either plateau may lie half a code off, {50.0 / facts.step:.2g} % of the step, and MTF50 about as much"
+
+
+def _window(facts: Facts) -> str:
+    half_width = facts.edge.profile.gathered.half_width_px
+    return f"light beyond {half_width:.0f} px from the edge is not seen: MTF50 is high by the share it has"
+
+
+def _drift(facts: Facts) -> str:
+    wander = facts.edge.target_motion
+    return f"the edge moves by {wander.rms_px:.2g} px rms: MTF50 is {100.0 * wander.mtf_loss(facts.half):.2g} % low"
+
+
+def _edge_roughness(facts: Facts) -> str:
+    rough = facts.edge.roughness
+    return (
+        f"an edge that wanders by {rough.rms_px:.2g} px rms lowers MTF50 by {100.0 * rough.mtf_loss(facts.half):.2g} %"
+    )
+
+
+def _processing(facts: Facts) -> str:
+    edge, half = facts.edge, facts.half
+    over = overshoot_of(edge.profile, half) if half > 0 else 0.0
+    gain = noise_gain_of(edge.picture, edge.profile)
+    if over > 0.0 or gain > 1.0:
+        return (
+            f"sharpened: it overshoots by {100.0 * over:.1f} % of the step and noise is {100.0 * (gain - 1.0):.0f} % "
+            "larger for it; MTF50 is the processed picture's, and may be as many percent above the camera's"
+        )
+    return (
+        f"noise on the edge is {edge.slope_noise.ratio:.1f} times that of its plateaus: noise reduction sparing edges "
+        "may have sharpened or blurred this one"
+    )
+
+
+def _interlace(facts: Facts) -> str:
+    return "the two fields of the frame lie apart, and their mean is blurred by that"
+
+
+def _tilt(facts: Facts) -> str:
+    travel = abs(facts.edge.rows.line.slope) * facts.edge.picture.value.shape[0]
+    return f"the edge crosses {travel:.1f} pixels along its length: between them nothing is sampled"
+
+
+def _several(facts: Facts) -> str:
+    return "light of another step is taken for this one's"
+
+
+def _modes(facts: Facts) -> str:
+    return "two values explain the edge about as well: the interval holds both, its middle may be neither"
+
+
+def _chain(facts: Facts) -> str:
+    return "the interval follows from the curvature at the peak, and may be a third too narrow"
+
+
+EFFECTS: dict[str, Callable[[Facts], str]] = {
+    "clipped": _clipping,
+    "gamma": _gamma,
+    "model-misfit": _misfit,
+    "defects": _defects,
+    "gradient": _gradient,
+    "low-signal": _low_signal,
+    "quantised": _quantisation,
+    "window-too-small": _window,
+    "drift": _drift,
+    "curved-edge": _edge_roughness,
+    "processed": _processing,
+    "interlace-motion": _interlace,
+    "tilt-too-small": _tilt,
+    "several-targets": _several,
+    "several-modes": _modes,
+    "prior-bound": _chain,
+    "not-converged": _chain,
+}
+REMEDIES: dict[str, str] = {
+    "clipped": "less light or a shorter exposure",
+    "gamma": f"--black-dn, {LINEAR}",
+    "model-misfit": "--method auto or edge-free, which need no form",
+    "defects": "--roi on a part without them, or defect correction switched on",
+    "gradient": "even light, --black-dn, or a --roi nearer to the edge",
+    "low-signal": "more frames, more light or a longer edge",
+    "quantised": "more frames with noise of half a code, or a higher bit depth",
+    "window-too-small": "a larger --roi",
+    "drift": "a steadier mount, or fewer frames",
+    "curved-edge": "a straight target, or a shorter --roi along the edge",
+    "processed": "frames with sharpening and noise reduction switched off (raw)",
+    "interlace-motion": "a target at rest, or a progressive read-out",
+    "tilt-too-small": "an edge tilted by 3 to 10 degrees",
+    "several-targets": "--roi around one edge",
+    "several-modes": "more frames or more light",
+    "prior-bound": "more frames or more light",
+    "not-converged": "another --seed, or more frames",
+}
+assert EFFECTS.keys() == REMEDIES.keys() <= FLAGS.keys()

@@ -14,15 +14,14 @@ import charact
 from charact.method import Context
 from charact.mtf.curve import FINE, PINNED, REPORTED, crossing_frequency
 from charact.mtf.edge import checks as edge_checks
-from charact.mtf.edge.findings import Facts, sharpening_flags, with_findings
-from charact.mtf.edge.geometry import orientation_deg
-from charact.mtf.edge.photon_transfer import growth_of
+from charact.mtf.edge.checks import Facts, sharpening_flags, with_findings
+from charact.mtf.edge.nonlinearity import growth_of
 from charact.mtf.edge.pixels import line
+from charact.mtf.edge.pixels.line import orientation_deg
 from charact.mtf.edge.pixels.prepare_edge import EdgeRefusal, PreparedEdge, prepare_edge
 from charact.mtf.edge.pixels.profile import EdgeProfile
-from charact.mtf.mean_frame import OrientedFrame
-from charact.mtf.photon_transfer_check import noise_flags
-from charact.mtf.region import Region
+from charact.mtf.mean_frame import OrientedFrame, Region
+from charact.mtf.nonlinearity import noise_flags
 from labdata.frames import FrameStack
 from labdata.measurement import Curve, Measurement, Provenance, Result, make_refusal, measurement_from_sd
 

@@ -19,8 +19,7 @@ from charact.mtf.blur_models.one_dimensional import (
     HALF_FREQUENCY_PRIOR,
     ExtendedComponent,
 )
-from charact.mtf.edge.fit.phases import apply_phases
-from charact.mtf.edge.fit.sufficient_statistics import ProfileStatistics
+from charact.mtf.edge.fit.sufficient_statistics import ProfileStatistics, apply_phases
 from charact.mtf.known_transfer import KnownTransfer
 from charact.video_filter import powers
 

@@ -17,13 +17,12 @@ from charact.mtf.edge.fit.model_selection import (
     exceeds_model,
     fit_blur_models,
 )
-from charact.mtf.edge.nonlinearity import marginalise_nonlinearity
-from charact.mtf.edge.photon_transfer import edge_ln_bayes_factor_nonlinear
+from charact.mtf.edge.nonlinearity import edge_ln_bayes_factor_nonlinear, marginalise_nonlinearity
 from charact.mtf.edge.pixels.prepare_edge import EdgeRefusal, PreparedEdge, blur_refusal, edge_refusal, prepare_edge
 from charact.mtf.edge.pixels.profile import with_shading
 from charact.mtf.edge.result import EdgeFitOutput, edge_refusals, edge_result, window_normalisation_note
 from charact.mtf.known_transfer import KnownTransfer, known_transfer
-from charact.mtf.region import Region
+from charact.mtf.mean_frame import Region
 from charact.posterior import importance_sample, laplace, sample_posterior
 from charact.posterior.diagnostics import crowds_at_bound
 from labdata.frames import FrameStack

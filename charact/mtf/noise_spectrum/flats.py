@@ -12,25 +12,163 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context, register
-from charact.mtf.noise_spectrum.aliasing import PostGainBlur
-from charact.mtf.noise_spectrum.checks import findings_of, misfit
+from charact.mtf.noise_spectrum.aliasing import NonparametricBlur, PostGainBlur
 from charact.mtf.noise_spectrum.model import (
+    COMMON,
     FAMILIES,
+    SpectrumLikelihood,
     SpectrumOptimum,
     optimum_under_model,
     readout_of,
+    scatter_model,
     white_log_probability,
 )
-from charact.mtf.noise_spectrum.nonparametric_blur import NonparametricBlur
-from charact.mtf.noise_spectrum.pooled_spectrum import SelectedFlats, select_flats, spectrum_of
+from charact.mtf.noise_spectrum.pooled_spectrum import PooledSpectrum, SelectedFlats, select_flats, spectrum_of
 from charact.mtf.noise_spectrum.result import DRAWS, SpectrumDraws, curves, figure_data, quantities
-from charact.mtf.noise_spectrum.undetected_scatter import note as unseen_note
+from charact.mtf.noise_spectrum.result import note as unseen_note
+from charact.noise.checks import QUANTISED_DN2
 from charact.noise.provenance import provenance
-from charact.posterior import laplace, sample_posterior
-from labdata.measurement import Result, make_refusal
+from charact.posterior import laplace, predictive_check, sample_posterior
+from labdata.measurement import Posterior, Result, make_refusal
 from labdata.session import Session
 
 Array = NDArray[np.float64]
+
+# Fewer frames cannot tell light that exposures share from pattern.
+MIN_FRAMES = 4
+FLICKER = 0.05
+# Change of the power over the signal along the levels that a straight response may have, and that of a described tube,
+# whose plate tires; and in standard errors.
+MAX_NONLINEARITY, MAX_MCP_SATURATION = 0.02, 0.08
+SIGNIFICANT = 4.0
+# Fourth moment over the square of the second of pulse heights that are exponential, and over their relative square.
+KURTOSIS, RELATIVE_SQUARE = 6.0, 2.0
+# Gain in ln likelihood by which scattered light must be told: less than once in a hundred by chance.
+MIN_SCATTER_LN_LIKELIHOOD = 5.0
+# Blurs of screens, fibres and chips fall no steeper than a Gaussian, but for a filter behind them: what does by so many
+# standard errors is beyond what forms and their priors were made for.
+STEEPEST, STEEP_SD = 2.5, 1.5
+# Chance of calling a right model wrong.
+MISFIT_LEVEL = 0.002
+
+
+def findings_of(
+    spectrum: PooledSpectrum, chosen: SelectedFlats, peak: SpectrumOptimum, context: Context
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return flags and notes."""
+    flags, notes = [], []
+    if chosen.left_out:
+        notes.append(f"left out, at another gain, saturated or of a single frame: {', '.join(chosen.left_out)}")
+    if chosen.clipped:
+        flags.append("clipped")
+    if chosen.flicker > FLICKER:
+        flags.append("flicker")
+        notes.append(f"the light changes by {100 * chosen.flicker:.2g} % from frame to frame")
+    if spectrum.frames < MIN_FRAMES:
+        flags.append("too-few-frames")
+        notes.append(f"{spectrum.frames} frames cannot show whether exposures share light; {MIN_FRAMES} can")
+    if spectrum.lag_open:
+        flags.append("lag")
+        notes.append("earlier exposures still glow at the last lag that the frames allow")
+    elif len(spectrum.lag):
+        notes.append(f"successive exposures share light (correlation {spectrum.lag[0]:.2g}), which was allowed for")
+    if not any(level.signal_dn for level in spectrum.levels):
+        flags.append("no-darks")
+        notes.append("no darks: noise of the electronics was taken for white, and the response for straight")
+    elif len(spectrum.levels) < 2:
+        flags.append("too-few-frames")
+        notes.append("one level of light only: whether the response is straight cannot be seen")
+    if min(float(np.mean(level.power_dn2)) for level in spectrum.levels) < QUANTISED_DN2:
+        flags.append("quantised")
+    flags += _nonlinearity_flags(spectrum, peak, MAX_NONLINEARITY if context.sensor is None else MAX_MCP_SATURATION)
+    if _has_scatter(spectrum, peak):
+        flags.append("model-misfit")
+        notes.append("light seems to be scattered after the gain beyond the form's reach: the MTF may be too high")
+    if _is_too_steep(peak):
+        flags.append("model-misfit")
+        notes.append(f"the transfer falls more steeply than exp(-(f/fc)^{STEEPEST:g}), as blurs do not")
+    if context.sensor is not None and float(context.sensor.video.gamma) != 1.0:
+        flags.append("gamma")
+    return tuple(dict.fromkeys(flags)), tuple(notes)
+
+
+def _nonlinearity_flags(spectrum: PooledSpectrum, peak: SpectrumOptimum, straight: float) -> list[str]:
+    """Whether the power of pulses over the signal changes along the levels by more than a share, as under a gamma."""
+    levels = [level for level in spectrum.levels if level.signal_dn]
+    if len(levels) < 2:
+        return []
+    white, pulses = peak.problem.parts(peak.point[None])
+    shape = (white + pulses)[0]
+    signal = np.array([float(level.signal_dn or 1.0) for level in levels])
+    weight = np.array([(shape / level.power_sd_dn2) ** 2 for level in levels])
+    power = np.array([
+        float(np.average(level.power_dn2 / shape, weights=own)) for level, own in zip(levels, weight, strict=True)
+    ])  # fmt: skip
+    error = 1.0 / np.sqrt(weight.sum(axis=1))
+    low, high = np.array([level.quantisation_noise_dn2 for level in levels]).T / (power * float(shape.mean()))
+    ratio = power * (1.0 - 0.5 * (low + high)) / signal
+    mean = float(np.average(ratio, weights=(signal / error) ** 2))
+    sd = np.hypot(error / power, _pulse_height_error(spectrum, peak, signal, power))
+    allowed = straight + SIGNIFICANT * sd + 0.5 * (high - low)
+    return ["gamma"] if np.any(np.abs(ratio / mean - 1.0) > allowed) else []
+
+
+def _pulse_height_error(spectrum: PooledSpectrum, peak: SpectrumOptimum, signal_dn: Array, power: Array) -> Array:
+    """Relative error of each level's power by the heights of its pulses, which all of its cells share, shape (level,).
+
+    Of N pulses with heights h the power scatters by E h^4 / (E h^2)^2 / N; N from the signal and the power at
+    frequency 0, k E h^2 / (E h)^2 per signal.
+    """
+    looks = np.array([
+        float(np.sum((level.power_dn2 / level.power_sd_dn2) ** 2)) for level in spectrum.levels if level.signal_dn
+    ])  # fmt: skip
+    at_zero = power * float(np.exp(peak.point[0]))
+    pulses = RELATIVE_SQUARE * signal_dn**2 / at_zero * 2.0 * looks
+    return np.sqrt(KURTOSIS / np.maximum(pulses, 1.0))
+
+
+def _is_too_steep(peak: SpectrumOptimum) -> bool:
+    """Whether the exponent of the form is beyond those of blurs."""
+    if "exponent" not in peak.problem.shape.parameters or peak.problem.shape.name == "free":
+        return False
+    place = peak.problem.names.index("exponent")
+    return float(peak.point[place]) > STEEPEST + STEEP_SD * float(np.sqrt(peak.covariance[place, place]))
+
+
+def _has_scatter(spectrum: PooledSpectrum, peak: SpectrumOptimum) -> bool:
+    """Whether a veil of scattered light makes the data much likelier."""
+    form = scatter_model(spectrum.shorter_px)
+    if form is None:
+        return False
+
+    def start(problem: SpectrumLikelihood) -> Array:
+        return problem.start_at(peak.point[: len(COMMON)], float(np.exp(peak.point[len(COMMON)])))
+
+    veiled = optimum_under_model(spectrum, peak.problem.known, form, start=start)
+    return _log_likelihood(veiled) - _log_likelihood(peak) > MIN_SCATTER_LN_LIKELIHOOD
+
+
+def _log_likelihood(peak: SpectrumOptimum) -> float:
+    problem = peak.problem
+    return float(problem.log_likelihood(problem.model(peak.point[None]))[0])
+
+
+def misfit(peak: SpectrumOptimum, posterior: Posterior, rng: np.random.Generator) -> tuple[str, ...]:
+    """Return `model-misfit` where the spectrum, in the order of radius, departs from its model by more than noise."""
+    problem = peak.problem
+    spectrum = problem.spectrum
+    order = np.argsort(np.hypot(spectrum.column_cy_per_px, spectrum.row_cy_per_px))
+    best = problem.model(peak.point[None])[0]
+    # The cube root of a gamma variable is nearly normal (Wilson & Hilferty 1931), its mean lower by 1/(9 n).
+    looks = problem.looks
+    data = np.cbrt(spectrum.power_dn2 / best)
+    # Where the posterior bends, its mean is no fit: what matters is how far draws may lie from the best one.
+    drawn = np.cbrt(problem.model(posterior.draws[:300]) / best)
+    drawn = (1.0 + drawn - drawn.mean(axis=0)) * (1.0 - 1.0 / (9.0 * looks))
+    noise = 1.0 / (3.0 * np.sqrt(looks))
+    check = predictive_check(data[order], drawn[:, order], noise[order], rng=rng, level=MISFIT_LEVEL)
+    return check.flags
+
 
 KIND = "post-gain"
 NOTE = "MTF of what comes after the gain (screen, taper, chip, video): lens and cathode gap are not in it"

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.target_detection.gradient import Gradient
+from charact.mtf.target_detection.smoothed_mean_frame import Gradient
 
 # Standard deviations of the noise from which a pixel may belong to an edge, and one of it at least must reach.
 MEMBER, SEED = 4.0, 6.5

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from charact.cli.judge import SaturationJudge, half_interval_dn
+from charact.cli.benches import SaturationJudge, half_interval_dn
 from labdata.conditions import Conditions
 from labdata.plan import Step, StopCriterion
 

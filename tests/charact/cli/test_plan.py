@@ -7,7 +7,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from charact.cli.application import app
-from charact.cli.plan_files import builtin_plan_names, load_plan
+from charact.cli.benches import builtin_plan_names, load_plan
 from charact.report.page import page
 from labdata.measurement import Result as Measured
 from labdata.sensors import load_sensor, save_sensor

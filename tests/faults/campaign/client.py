@@ -14,7 +14,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from charact.cli.judge import SaturationJudge
+from charact.cli.benches import SaturationJudge
 from charact.cli.prompting import PromptingOperator
 from drivers.acquisition.acquire import PLAN, acquire
 from drivers.acquisition.run_control import RunControl

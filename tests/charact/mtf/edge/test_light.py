@@ -6,7 +6,7 @@ import pytest
 
 from charact import mtf
 from charact.method import Context
-from charact.mtf.edge.pixels.noise_correlation_model import fit_correlation_model
+from charact.mtf.edge.pixels.noise_model import fit_correlation_model
 from charact.mtf.edge.pixels.prepare_edge import prepare_edge
 from charact.mtf.edge.pixels.profile import PLATEAU_FROM_PX, SHADING_LENGTH_PX, with_shading
 from labdata.frames import FrameStack
