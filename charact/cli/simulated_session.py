@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 def preview_into(
     out: Path, request: SimulationRequest, description: "Description", conditions: Conditions, *, explain: bool
 ) -> tuple[str, ...]:
-    """Keep what a scene out of doors shows in seconds, print its plan if asked for, and return what it leaves out."""
-    view = night_of(asked, description, conditions).render(tolerance=asked.tolerance, seed=asked.seed, preview=True)
+    """Keep what a scene out of doors shows in seconds, print its plan if request for, and return what it leaves out."""
+    view = night_of(request, description, conditions).render(tolerance=request.tolerance, seed=request.seed, preview=True)
     if explain:
         print(view.plan.text())
     _save_view(view, out)

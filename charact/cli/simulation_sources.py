@@ -242,8 +242,8 @@ def _of_night(
         progress(sentence, 0.0)
 
     view = OutdoorRendering(scene, camera, conditions).render(
-        tolerance=asked.tolerance,
-        seed=asked.seed,
+        tolerance=request.tolerance,
+        seed=request.seed,
         progress=lambda share: progress(sentence, share),
         announce=announce,
     )
@@ -270,7 +270,7 @@ def _of_bench(
     _require_matching_target(request.target, kind)
     target = as_stood(kind, request.target)
     conditions, bench = _with_bench_light(conditions, kind), LabBench(description, scene)
-    _, planned = _select_effects(bench.camera, bench.photoelectrons(kind, target, conditions), conditions, asked)
+    _, planned = _select_effects(bench.camera, bench.photoelectrons(kind, target, conditions), conditions, request)
     bench = bench.without(planned["plan"].names)
     light = bench.mcp_input(kind, target, conditions)
     return Shot(camera=bench.camera, light=light, kind=kind, conditions=conditions, target=target, **planned)
