@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.noise.sweep.gain_control import KNOBS
-from charact.noise.sweep.settings import Sweep, SweepSetting
+from charact.noise.sweep.settings import KNOBS, Sweep, SweepSetting
 from charact.noise.sweep.sweep import measure_sweep
 from labdata.measurement import Result
 

@@ -1,4 +1,4 @@
-"""The registry: every estimator that has an alternative, in one place, with its measured error and time."""
+"""Registry of estimation methods with their measured error and time."""
 
 from charact.method.registry import METHODS, Context, Method, choose, register
 

@@ -1,4 +1,4 @@
-"""The workers that parts of the work are spread over: those of a Dask scheduler, or none but this process."""
+"""Parallel execution on the workers of a Dask scheduler, or serially in this process."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -14,18 +14,18 @@ CONNECT_S = 10.0
 
 @contextmanager
 def parallel_map(scheduler: str | None) -> Iterator[Spread]:
-    """Yield what applies a function to parts and returns what it gives in their order.
+    """Yield a function that maps another function over parts of the work, results in order.
 
     Parameters
     ----------
     scheduler
         Address of a Dask scheduler, such as "tcp://host:8786", whose workers see the session's files under the same
-        paths; None: `map`, in this process.
+        paths; None: `map` in this process.
 
     Raises
     ------
     BadInput
-        If Dask is not installed, no scheduler answers, or a worker dies of its part.
+        If Dask is not installed, no scheduler answers, or a worker dies.
     """
     if scheduler is None:
         yield map
@@ -36,7 +36,7 @@ def parallel_map(scheduler: str | None) -> Iterator[Spread]:
     except ImportError:
         raise BadInput("--scheduler needs Dask (pip install 'charact[dask]'), which is not installed") from None
     try:
-        # A client that finds nobody complains again when it is thrown away, with a traceback.
+        # A client without a scheduler prints a traceback when it is garbage-collected, so the port is tried first.
         create_connection(get_address_host_port(scheduler), timeout=CONNECT_S).close()
         client = Client(scheduler, timeout=CONNECT_S, set_as_default=False)
     except (OSError, OverflowError, ValueError, TimeoutError):
@@ -47,10 +47,10 @@ def parallel_map(scheduler: str | None) -> Iterator[Spread]:
         try:
             yield lambda function, parts: _in_order(client.map(function, parts, pure=False))
         except KilledWorker as error:
-            raise BadInput(f"workers must live through their part of the work, got: {error}") from None
+            raise BadInput(f"Dask workers must survive their part of the work, got: {error}") from None
 
 
 def _in_order(futures: list[Any]) -> Iterator[Any]:
-    """What the futures give, each let go when it is there."""
+    """Yield the results of futures, each released once its result has arrived."""
     while futures:
         yield futures.pop(0).result()

@@ -1,49 +1,160 @@
-"""Registered methods, and `auto`: the cheapest method whose measured error is surely inside the tolerance."""
+"""Registered methods, and `auto`: the fastest method whose measured error meets the tolerance."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from importlib import resources
-from typing import Any
+from functools import lru_cache, wraps
+from importlib import import_module, resources
+from typing import Any, ParamSpec, TypeVar
 
-from charact.method.catalogue import CHARTED, MODULES, load
+from threadpoolctl import ThreadpoolController
+
 from charact.method.cluster import Spread
 from charact.method.stopwatch import with_timing
-from charact.method.threads import with_single_blas_thread
-from charact.method.tolerance import meets
 from labdata.errors import BadInput
-from labdata.measurement import Result
+from labdata.measurement import Measurement, Result
 from labdata.sensor import Sensor
 from labdata.solid_state import Register
 
+MODULES: dict[str, dict[str, str]] = {
+    "edge": {
+        "edge-forward": "charact.mtf.edge.forward",
+        "edge-free": "charact.mtf.edge.free",
+        "edge-gradient": "charact.mtf.edge.gradient",
+        "edge-parametric": "charact.mtf.edge.parametric",
+        "edge-slanted": "charact.mtf.edge.slanted",
+    },
+    "bars": {
+        "bars-coltman": "charact.mtf.bars.contrast",
+        "bars-contrast": "charact.mtf.bars.contrast",
+        "bars-forward": "charact.mtf.bars.forward",
+    },
+    "point": {
+        "point-forward": "charact.mtf.point.forward",
+        "point-parametric": "charact.mtf.point.parametric",
+        "point-spread": "charact.mtf.point.spot_transform",
+    },
+    "post-gain": {
+        "noise-spectrum": "charact.mtf.noise_spectrum.flats",
+        "noise-spectrum-free": "charact.mtf.noise_spectrum.flats",
+    },
+    "flats": {
+        "covariance-sum": "charact.noise.covariance_sum",
+        "variance": "charact.noise.variance",
+    },
+    "bloom": {
+        "series-forward": "charact.bloom.series_forward",
+    },
+    "lit-edge": {"lit-edge": "charact.bloom.lit_edge_halo"},
+}
+
+
+# By kind of target: the quantity in the accuracy chart of its methods, and the default of "auto" without a chart.
+CHARTED: dict[str, tuple[str, str]] = {
+    "edge": ("mtf50", "edge-forward"),
+    "bars": ("mtf", "bars-forward"),
+    "point": ("mtf50", "point-forward"),
+    "post-gain": ("post_gain_mtf50", "noise-spectrum"),
+    "flats": ("covariance_gain", "covariance-sum"),
+    "bloom": ("halo_diameter", "series-forward"),
+    "lit-edge": ("halo_diameter", "lit-edge"),
+}
+
+
+def load(kind: str, name: str | None = None) -> None:
+    """Import the modules that register the methods of a kind, or only the named method.
+
+    Examples
+    --------
+    >>> from charact.method import METHODS
+    >>> load("edge", "edge-slanted")
+    >>> ("edge", "edge-slanted") in METHODS
+    True
+    """
+    for method, module in MODULES.get(kind, {}).items():
+        if name in (None, method):
+            import_module(module)
+
+
+Arguments = ParamSpec("Arguments")
+
+
+Found = TypeVar("Found")
+
+
+def with_single_blas_thread(function: Callable[Arguments, Found]) -> Callable[Arguments, Found]:
+    """Return a function that runs with one BLAS thread and restores the previous number afterwards.
+
+    Notes
+    -----
+    On two cores an edge takes twice as long on two threads as on one, and forty times as long when other work runs.
+    """
+
+    @wraps(function)
+    def alone(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Found:
+        with _libraries().limit(limits=1):
+            return function(*args, **kwargs)
+
+    return alone
+
+
+@lru_cache(maxsize=1)
+def _libraries() -> ThreadpoolController:
+    """Return the BLAS libraries of this process: NumPy's, and SciPy's, which compiled functions call."""
+    import scipy.linalg  # noqa: F401  # loads its own
+
+    return ThreadpoolController().select(user_api="blas")
+
+
+def meets(row: Mapping[str, Any], within_percent: float) -> bool:
+    """Return whether a method's row in a chart meets a tolerance.
+
+    The upper confidence limit of the 95th error percentile must meet it; older tables contain the percentile alone.
+    """
+    return row.get("error_limit_percent", row["error_percent"]) <= within_percent
+
+
+def reach_percent(value: float, interval95: tuple[float, float]) -> float:
+    """Return the longer arm of a 95 % interval relative to its value, percent."""
+    return 100.0 * max(value - interval95[0], interval95[1] - value) / abs(value)
+
+
+def beyond_note(measurement: Measurement, within_percent: float) -> str | None:
+    """Return the note on an interval wider than the tolerance; None if it is not wider."""
+    if not measurement.value or measurement.interval95 is None:
+        return None
+    reach = reach_percent(measurement.value, measurement.interval95)
+    if reach <= within_percent:
+        return None
+    return f"95 % interval extends {reach:.2g} % from the value, beyond the tolerance --within {within_percent:g} %."
+
 
 def ignore_progress(sentence: str, share: float) -> None:
-    """Progress that nobody asked for."""
+    """Discard a progress message."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Context:
-    """What every method is told besides its frames.
+    """Settings common to all methods.
 
     Parameters
     ----------
     seed
         Seed of every random step.
     quick
-        No Markov chain: intervals from the curvature at the maximum, or from few weighted draws.
+        No Markov chain: intervals from the Laplace approximation or importance sampling.
     sensor
-        Description of the camera, for its pitches and priors; None if unknown.
+        Sensor description, for pixel pitches and priors; None if unknown.
     register
-        Multiplying register of a camera without a tube; None if there is none or it is unknown.
+        Electron-multiplying register of a camera without a tube; None if absent or unknown.
     interlaced
-        Whether odd and even rows were exposed one after the other.
+        Whether each frame consists of two interlaced fields.
     full_scale_dn
-        Highest code, DN; None: found from the data.
+        Full scale, DN; None: determined from the data.
     progress
-        Called with a sentence and the share done (0..1) on long work.
+        Called with a message and the completed fraction (0..1) during long work.
     spread
-        Applies a function to parts of the work and returns what it gives in their order, as `map` does: here, or on
-        the workers of a cluster.
+        Maps a function over parts of the work, as `map` does, in this process or on the workers of a cluster.
     """
 
     seed: int = 0
@@ -57,7 +168,7 @@ class Context:
 
     @property
     def pitch_ratio(self) -> float:
-        """Row pitch over column pitch; 1 where the sensor is unknown."""
+        """Row pitch over column pitch; 1 if the sensor is unknown."""
         if self.sensor is None:
             return 1.0
         return float(self.sensor.ccd.pitch_y_um) / float(self.sensor.ccd.pitch_x_um)
@@ -70,13 +181,13 @@ class Method:
     Parameters
     ----------
     kind
-        What it works on: "edge", "bars", "point", "flats", "post-gain" (flats, for the MTF), "bloom".
+        Kind of target: "edge", "bars", "point", "flats", "post-gain" (flats, for the MTF), "bloom".
     name
-        Its name on the command line.
+        Name on the command line.
     quantities
-        The quantities it measures; the first is the one it is charted by.
+        Measured quantities; the accuracy chart shows the first.
     scope
-        One sentence: where it holds, and what breaks it.
+        One sentence on the range of validity.
     function
         The estimator. Its arguments depend on the kind, see the package of that kind.
     """
@@ -92,7 +203,7 @@ METHODS: dict[tuple[str, str], Method] = {}
 
 
 def register(kind: str, name: str, *, quantities: tuple[str, ...], scope: str) -> Callable[[Any], Any]:
-    """Register a function as a method of a kind under a name: timed, on one thread of the linear algebra library."""
+    """Register a function as a named method of a kind; it is timed and runs on one BLAS thread."""
 
     def enter(function: Callable[..., Result]) -> Callable[..., Result]:
         function = with_single_blas_thread(with_timing(function))
@@ -103,19 +214,20 @@ def register(kind: str, name: str, *, quantities: tuple[str, ...], scope: str) -
 
 
 def methods_of_kind(kind: str) -> dict[str, Method]:
-    """Methods of a kind by name."""
+    """Return the methods of a kind by name."""
     load(kind)
-    return {name: method for (of, name), method in METHODS.items() if of == kind}
+    names = dict.fromkeys((*MODULES.get(kind, ()), *(name for of, name in METHODS if of == kind)))
+    return {name: METHODS[kind, name] for name in names}
 
 
 def chart_table(quantity: str) -> list[dict[str, Any]]:
-    """Rows of the measured speed-against-accuracy table of a quantity; empty if it was never measured."""
+    """Return the rows of the measured speed and accuracy table of a quantity; empty if there is none."""
     path = resources.files("charact.method") / "tables" / f"{quantity}.json"
     return json.loads(path.read_text())["methods"] if path.is_file() else []
 
 
 def choose(kind: str, name: str = "auto", *, within_percent: float = 2.0) -> Method:
-    """Return the method of a name, or for "auto" the cheapest whose measured error meets the tolerance.
+    """Return the named method, or for "auto" the fastest one whose measured error meets the tolerance.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
-"""The time that a measurement takes, taken around the call that makes it, less what numba compiles within that call.
+"""Run time of a measurement without numba's compilation.
 
-Taken out is all that numba does once in a process: compiling (half a minute on a fresh machine), loading what an
-earlier process compiled and kept (0.4 s for the functions of an edge), and waiting until another thread has compiled.
-Left in is what else a first call does, such as importing parts of SciPy, 0.3 s.
+Excluded is all that numba does once per process: compilation (half a minute on a fresh machine), loading of cached
+functions (0.4 s for an edge) and waiting for another thread's compilation. Other work of a first call is included, such
+as importing parts of SciPy (0.3 s).
 """
 
 import sys
@@ -20,33 +20,33 @@ Arguments = ParamSpec("Arguments")
 
 # numba holds its lock while it compiles, loads or saves; it compiles only what it could not load.
 LOCKED, COMPILES = "numba:compiler_lock", "numba:compile"
-# Compiling for longer than this is announced, s.
+# Compilation longer than this is announced, s.
 LONG_S = 2.0
-# Up to so many of a unit a time is told in it: more would be three digits.
+# Times up to this many units are printed in the unit: more would need three digits.
 MOST_OF_UNIT = 99.5
 UNITS = (("ms", 1e-3), ("s", 1.0), ("min", 60.0), ("h", 3600.0))
 
 
 class Stopwatch:
-    """Time since it was made, less what numba compiled in this thread since."""
+    """Elapsed time less numba's compilation time in this thread."""
 
     def __init__(self) -> None:
         listen()
         self._compiled_s, self._made_s = _HERE.seconds(), perf_counter()
 
     def seconds(self) -> float:
-        """Seconds since it was made, compiling not counted."""
+        """Return the seconds since construction without compilation."""
         return perf_counter() - self._made_s - self.compilation_s()
 
     def compilation_s(self) -> float:
-        """Seconds of compiling since it was made."""
+        """Return the seconds of compilation since construction."""
         return _HERE.seconds() - self._compiled_s
 
 
 def with_timing(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
-    """Return a function whose measurements, refused ones too, say how long the call took, compiling not counted.
+    """Return a function that records its run time, without compilation, in each of its measurements.
 
-    A measurement that says so already keeps its time: a timed call within this one made it, and knows it better.
+    A measurement that already has a time keeps it: an inner timed call made it.
     """
 
     @wraps(function)
@@ -69,14 +69,14 @@ def time_text(seconds: float) -> str:
 
 
 class _Here(threading.local):
-    """What numba does in this thread."""
+    """Compilation by numba in this thread."""
 
     depth: int = 0
     since_s: float = 0.0
     before_s: float = 0.0
 
     def seconds(self) -> float:
-        """Seconds of compiling in this thread so far."""
+        """Return the seconds of compilation in this thread so far."""
         return self.before_s + (perf_counter() - self.since_s if self.depth else 0.0)
 
 
@@ -84,21 +84,21 @@ _HERE = _Here()
 
 
 class _Announcer:
-    """Says once that numba compiles, if it does for long, and at the end how much it compiled."""
+    """Announces a long compilation once, and its size at the end."""
 
     def __init__(self, say: Callable[[str], None]) -> None:
         self._say, self._watch = say, Stopwatch()
         self._functions, self._said = 0, False
 
     def begin(self) -> None:
-        """Say that numba compiles, if it has for long; called as each function begins."""
+        """Announce a long compilation; called at the start of each function."""
         self._functions += 1
         if not self._said and self._watch.compilation_s() > LONG_S:
             self._said = True
             self._say("compiling once on this machine, up to a minute; the next call finds it on disk")
 
     def close(self) -> None:
-        """Say how much was compiled, if it took long."""
+        """Announce the number of compiled functions after a long compilation."""
         if self._said:
             self._say(f"compiled {self._functions} functions in {time_text(self._watch.compilation_s())}")
 
@@ -108,7 +108,7 @@ _ANNOUNCERS: list[_Announcer] = []
 
 @contextmanager
 def announce_compilation(say: Callable[[str], None]) -> Iterator[None]:
-    """Say that numba compiles, if it does for long within this block, and how many functions it compiled."""
+    """Announce a long compilation within this block, and the number of compiled functions."""
     announcer = _Announcer(say)
     _ANNOUNCERS.append(announcer)
     try:
@@ -123,7 +123,7 @@ def _listen() -> None:
     from numba.core import event
 
     class Listener(event.Listener):
-        """Counts the time between the first of numba's nested events and its end; each comes in its own thread."""
+        """Adds up the time between the first of numba's nested events and its end, per thread."""
 
         def on_start(self, event: event.Event) -> None:
             if _HERE.depth == 0:
@@ -134,7 +134,7 @@ def _listen() -> None:
                     announcer.begin()
 
         def on_end(self, event: event.Event) -> None:
-            # What was under way when listening began ends without having begun here.
+            # An event that started before registration ends without a start.
             if _HERE.depth == 1:
                 _HERE.before_s = _HERE.seconds()
             _HERE.depth = max(_HERE.depth - 1, 0)
@@ -145,6 +145,6 @@ def _listen() -> None:
 
 
 def listen() -> None:
-    """Count numba's time from now on, if numba is loaded."""
+    """Start counting numba's time, if numba is loaded."""
     if "numba" in sys.modules:
         _listen()

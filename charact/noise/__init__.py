@@ -1,4 +1,4 @@
-"""Noise against gain, from dark and evenly lit frames."""
+"""Noise and gain from dark and uniformly illuminated frames."""
 
 from charact.method import Context, choose
 from charact.method.stopwatch import with_timing
@@ -11,8 +11,7 @@ __all__ = ["measure"]
 
 @with_timing
 def measure(session: Session, *, method: str = "auto", within_percent: float = 2.0, context: Context) -> Result:
-    """Measure noise and gain from the darks and flats of a session, the 3-D noise of each, and the law of
-    single photoelectrons in the darks of an intensified camera.
+    """Measure noise and gain from darks and flats, 3-D noise, and single photoelectrons in intensified darks.
 
     Parameters
     ----------
@@ -23,7 +22,7 @@ def measure(session: Session, *, method: str = "auto", within_percent: float = 2
     within_percent
         Tolerance that the automatic choice must meet, percent.
     context
-        What the method is told besides.
+        Settings of the method.
 
     Raises
     ------
@@ -33,9 +32,9 @@ def measure(session: Session, *, method: str = "auto", within_percent: float = 2
     chosen = choose("flats", method, within_percent=within_percent)
     if not session.of_kind("dark", "flat"):
         raise BadInput(f"noise needs dark or flat stacks, got only {sorted({s.kind for s in session.stacks})}")
-    from charact.noise.defect_pixels import defect_pixels
-    from charact.noise.snr.gain_separation_events import add_event_gains
-    from charact.noise.sound import prepare
+    from charact.noise.defective_pixels import defect_pixels
+    from charact.noise.prepared_session import prepare
+    from charact.noise.snr.gain_separation import add_event_gains
 
     ready = prepare(session, context=context)
     session, context = ready.session, ready.context

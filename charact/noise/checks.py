@@ -1,4 +1,4 @@
-"""What can be wrong with a series of flats: each check returns flags and says in words what it saw."""
+"""Checks of a flat series: linearity, stationarity, clipping, quantisation, conditions."""
 
 from dataclasses import dataclass
 
@@ -9,36 +9,19 @@ from charact.method import Context
 from charact.noise.findings import Finding, flags_of
 from charact.noise.gain.emva1288 import errors_of
 from charact.noise.gain.series import CLIPPED_SHARE, GAINS, FlatSeries, without_noise
-from charact.noise.processing import gamma_of_light, gamma_of_noise, processing_findings
 from charact.noise.stack.stack_statistics import StackStatistics
-from charact.noise.undetected_correlation import UndetectedEffect
+from charact.noise.thresholds import CHECKS
+from charact.noise.undetected_correlation import UndetectedEffect, gamma_of_light, gamma_of_noise, processing_findings
 from labdata import flags
 from labdata.conditions import Conditions
 
 Array = NDArray[np.float64]
 
-# A check speaks up when the effect is both beyond its noise and large enough to move a number.
-SIGNIFICANT = 5.0
-DRIFT_SHARE = 0.02
-FLICKER_SHARE = 0.01
-# Share of a change of light that the mean must follow at least.
-FOLLOWED = 0.5
-NONLINEAR_SHARE = 0.05
-# Below this variance the digitiser's steps no longer act as noise: at the 0.24 DN^2 of EMVA 1288, 6.6, the noise is
-# still wrong by up to 7 %, as the level lies between two codes or on one; here by 1.5 %.
+# Below this variance rounding is not independent noise: at the 0.24 DN^2 of EMVA 1288, 6.6, the noise is wrong by up to
+# 7 %, here by 1.5 %.
 QUANTISED_DN2 = 0.32
-# Signal below which a shift by the steps of the digitiser, a third of one at most, is more than some percent, DN.
-COARSE_DN = 4.0
-# Variance of a dark below which rare pulses may be all of it but for noise much finer than a step.
-COARSE_DN2 = 1.0
-# Change of variance over signal along the levels that passes for a straight photon transfer curve: charge that
-# repels charge bends that of any CCD by some percent.
-BENT_SHARE = 0.08
-BENT_ERRORS = 2.5
-# Levels that can depart from a straight line of two parameters.
-CHECKED_LEVELS = 3
-ALLOWED = "what cannot be excluded is in the interval"
-# Conditions that a flat shares with its dark: largest difference as a share of the value, and in its unit.
+ALLOWED = "the interval includes what cannot be excluded"
+# Conditions that must agree between flat and dark: largest relative and absolute difference.
 ALIKE = {
     "mcp_v": (1e-3, 0.0),
     "gain_control": (0.0, 0.5),
@@ -46,19 +29,15 @@ ALIKE = {
     "camera_gain_db": (0.0, 0.05),
     "temperature_c": (0.0, 5.0),
 }
-# Share of a flat's exposure by which that of its dark may differ.
-SAME_EXPOSURE = 0.1
-# Ratio of the light of two levels from which the response to light is seen.
-LEAST_SPAN = 1.3
 
 
 def series_findings(series: FlatSeries, *, context: Context) -> list[Finding]:
-    """Return the flags, with their sentences, that concern every number made of the series."""
+    """Return the findings that concern every quantity of the series."""
     found: list[Finding] = []
     if series.reference != "dark":
-        found.append(("no-darks", f"no darks of two frames or more: levels are counted from the {series.reference}"))
+        found.append(("no-darks", f"no darks of two frames or more: signals are measured from the {series.reference}"))
     if series.left_out:
-        found.append((None, f"left out, at another gain: {', '.join(series.left_out)}"))
+        found.append((None, f"excluded (different gain):  {', '.join(series.left_out)}"))
         found += _gain_findings(series)
     if series.single:
         found.append((None, without_noise(series.single)))
@@ -69,14 +48,14 @@ def series_findings(series: FlatSeries, *, context: Context) -> list[Finding]:
     found += processing_findings(series)
     found += dark_findings(series)
     left = int(series.fitted.sum())
-    if left < CHECKED_LEVELS:
+    if left < CHECKS.min_levels:
         word = "level" if left == 1 else "levels"
-        found.append((None, f"only {left} {word} inside the linear range: the law cannot be checked; {ALLOWED}"))
+        found.append((None, f"only {left} {word} inside the linear range: linearity not testable; {ALLOWED}"))
     return found
 
 
 def dark_findings(series: FlatSeries) -> list[Finding]:
-    """Return whether light fell on a dark: flats below it by more than the noise of a pixel."""
+    """Return the finding of a dark brighter than flats by more than the noise of a pixel."""
     if series.reference != "dark":
         return []
     below = [i for i, dark in enumerate(series.darks) if series.signal_dn[i] < -(max(dark.variance_dn2, 0.0) ** 0.5)]
@@ -93,18 +72,18 @@ def dark_findings(series: FlatSeries) -> list[Finding]:
 
 
 def _gain_findings(series: FlatSeries) -> list[Finding]:
-    """At which of several gains the numbers hold."""
+    """Return the note on which of several gains was measured."""
     here = series.flats[0].conditions
     known = [f"{name} {getattr(here, name):.4g}" for name in GAINS if getattr(here, name) is not None]
     return (
-        [(None, f"numbers are of the flats at {', '.join(known)}: most flats, or the brightest of equally many")]
+        [(None, f"measured at {', '.join(known)}: the gain with most flats, or the brightest of equally many")]
         if known
         else []
     )
 
 
 def _condition_findings(series: FlatSeries) -> list[Finding]:
-    """Conditions that set the dark level or the gain and that a flat and its dark do not share."""
+    """Return differences between flat and dark in conditions that set dark level or gain."""
     if series.reference != "dark":
         return []
     found: list[Finding] = []
@@ -123,36 +102,37 @@ def _condition_findings(series: FlatSeries) -> list[Finding]:
 
 
 def light_findings(series: FlatSeries) -> list[Finding]:
-    """Return what speaks against numbers that need the light, and against no gain: dark current, light misstated.
+    """Return findings against quantities that need the illumination: dark current, misstated light.
 
-    Dark current that a dark of shorter exposure leaves out arrives at random as light does: variance and signal rise
-    by it together, and the slope stays.
+    Dark current missing from a shorter dark is Poisson-distributed like light, so it leaves the slope unbiased.
     """
     return [*_dark_current_findings(series), *_stated_light_findings(series)]
 
 
 def _dark_current_findings(series: FlatSeries) -> list[Finding]:
-    """Flats exposed for longer than their darks."""
+    """Return the finding of flats exposed for longer than their darks."""
     times = [
         (f.conditions.exposure_s, d.conditions.exposure_s) for f, d in zip(series.flats, series.darks, strict=True)
     ]
     longer = [here - there for here, there in times if here is not None and there is not None]
-    apart = [gap for gap, (here, _) in zip(longer, times, strict=False) if here and gap > SAME_EXPOSURE * here]
+    apart = [
+        gap for gap, (here, _) in zip(longer, times, strict=False) if here and gap > CHECKS.exposure_tolerance * here
+    ]
     if not apart or series.reference != "dark":
         return []
-    effect = f"signals hold the dark current of up to {max(apart):.3g} s besides the light"
+    effect = f"signals include the dark current of up to {max(apart):.3g} s"
     return [flags.Finding(flag="unlike-conditions", effect=effect, remedy="darks of the flats' exposure_s")]
 
 
 def _stated_light_findings(series: FlatSeries) -> list[Finding]:
-    """Levels that differ under light that is stated to be one."""
+    """Return the finding of different levels under the same stated light."""
     chosen = np.flatnonzero(series.fitted)
     light = [light_of(series.flats[i].conditions) for i in chosen]
     if len(chosen) < 2 or any(value is None or value <= 0 for value in light):
         return []
     exposure, signal = np.array(light, float), series.signal_dn[chosen]
     ratio = signal / exposure
-    if exposure.max() / exposure.min() >= LEAST_SPAN or ratio.max() / ratio.min() < LEAST_SPAN:
+    if exposure.max() / exposure.min() >= CHECKS.min_light_ratio or ratio.max() / ratio.min() < CHECKS.min_light_ratio:
         return []
     effect = (
         f"levels differ {ratio.max() / ratio.min():.3g}-fold under light stated to differ "
@@ -163,28 +143,26 @@ def _stated_light_findings(series: FlatSeries) -> list[Finding]:
 
 
 def is_quantisation_limited(dark: StackStatistics, signal_dn: float) -> bool:
-    """Whether rare pulses a few DN above a dark are seen through steps that its own noise does not hide."""
-    return dark.variance_dn2 < COARSE_DN2 and signal_dn < COARSE_DN
+    """Return whether rounding distorts pulses of few DN: signal and dark noise are both small."""
+    return dark.variance_dn2 < CHECKS.coarse_variance_dn2 and signal_dn < CHECKS.coarse_signal_dn
 
 
 def quantisation_findings(series: FlatSeries) -> list[Finding]:
-    """Whether all the flats are so dim that the digitiser's steps take part in every pulse."""
+    """Return the finding of flats so dim that rounding distorts every pulse."""
     fitted = np.flatnonzero(series.fitted)
     if not all(is_quantisation_limited(series.darks[i], float(series.signal_dn[i])) for i in fitted):
         return []
     brightest = float(series.signal_dn[fitted].max())
-    sentence = (
-        f"at {brightest:.2g} DN of signal the digitiser's steps cut off the faint parts of pulses: brighter flats help"
-    )
+    sentence = f"at {brightest:.2g} DN of signal rounding removes the faint parts of pulses; take brighter flats"
     return [("quantised", sentence)]
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Trend:
-    """A straight line through variance over signal along the levels, DN: at no signal, its change up to the brightest.
+    """Straight line through variance over signal against signal, DN.
 
-    `middle` is the mean over the levels; `signal`, `gain` and `sd` are what it is fitted to, `shared` the error that
-    all have in common.
+    `first` is at zero signal, `rise` the change up to the brightest level, `middle` the mean over the levels. `signal`,
+    `gain` and `sd` are the data, `shared` their common error.
     """
 
     signal: Array
@@ -198,7 +176,7 @@ class _Trend:
 
 
 def _trend(series: FlatSeries) -> _Trend | None:
-    """Fit it, or None for a single level."""
+    """Fit the line; None for a single level."""
     chosen = np.flatnonzero(series.fitted)
     signal = series.signal_dn[chosen]
     if len(np.unique(signal)) < 2:
@@ -215,63 +193,63 @@ def _trend(series: FlatSeries) -> _Trend | None:
 
 
 def bend_allowance(series: FlatSeries) -> float:
-    """Return the relative standard deviation that a response which may not be straight adds to the gain.
+    """Return the relative standard deviation of the gain due to possible nonlinearity.
 
-    The slope lies up to the change of variance over signal below the gain at small signals. Three levels and more show
-    such a change; one and two leave what passes for straight possible, with none at all as likely.
+    The slope lies below the small-signal gain by up to the change of variance over signal. Three or more levels show
+    this change; with one or two levels the accepted nonlinearity and none are equally likely.
     """
     trend = _trend(series)
     share, sd = (0.0, np.inf) if trend is None else (trend.rise / trend.middle, trend.rise_sd / trend.middle)
-    if series.fitted.sum() >= CHECKED_LEVELS:
-        return min(abs(share), BENT_SHARE) if abs(share) > BENT_ERRORS * sd else 0.0
-    told = BENT_SHARE**2 / (BENT_SHARE**2 + sd**2)
-    return UndetectedEffect(share=told * share, sd=BENT_SHARE * float(np.sqrt(1.0 - told))).expected
+    if series.fitted.sum() >= CHECKS.min_levels:
+        return min(abs(share), CHECKS.curvature) if abs(share) > CHECKS.curvature_sd * sd else 0.0
+    told = CHECKS.curvature**2 / (CHECKS.curvature**2 + sd**2)
+    return UndetectedEffect(share=told * share, sd=CHECKS.curvature * float(np.sqrt(1.0 - told))).expected
 
 
 def variance_ratio_changes(series: FlatSeries) -> list[Finding]:
-    """Whether variance over signal changes with the signal, so that no one slope is the gain."""
+    """Return findings of variance over signal that changes with the signal."""
     trend = _trend(series)
     if trend is None:
         return []
     gain, middle, slope, error = trend.gain, trend.middle, trend.rise, trend.rise_sd
-    # Behind a gamma curve variance over signal rises and falls again, and no straight line through it shows that.
+    # Behind a gamma curve variance over signal rises and falls again, which no straight line shows.
     own_sd = np.hypot(trend.sd, trend.shared)
-    astray = bool(np.any(np.abs(gain - middle) > 2.0 * BENT_SHARE * middle + SIGNIFICANT * own_sd))
-    if abs(slope) <= BENT_ERRORS * error and not astray:
+    astray = bool(np.any(np.abs(gain - middle) > 2.0 * CHECKS.curvature * middle + CHECKS.significant_sd * own_sd))
+    if abs(slope) <= CHECKS.curvature_sd * error and not astray:
         return []
-    flag = "nonlinear" if abs(slope) > BENT_SHARE * middle + BENT_ERRORS * error or astray else None
-    sentence = f"variance over signal goes from {trend.first:.4g} to {trend.first + slope:.4g} DN along the levels"
+    flag = "nonlinear" if abs(slope) > CHECKS.curvature * middle + CHECKS.curvature_sd * error or astray else None
+    sentence = f"variance over signal changes from {trend.first:.4g} to {trend.first + slope:.4g} DN along the levels"
     if flag is None:
-        return [(None, f"{sentence}; the gain is the slope over all of them, and its interval holds the change")]
-    found: list[Finding] = [flags.Finding(flag=flag, effect=sentence, remedy="flats of the straight part alone")]
+        return [(None, f"{sentence}; the gain is the slope over all levels, and its interval includes the change")]
+    found: list[Finding] = [flags.Finding(flag=flag, effect=sentence, remedy="flats of the linear range only")]
     own = np.array([series.flats[i].variance_dn2 for i in np.flatnonzero(series.fitted)]) / trend.signal
     return found + gamma_of_noise(trend.signal, own, trend.sd)
 
 
 def exposure_findings(exposures: UndetectedEffect) -> list[Finding]:
-    """What successive exposures share, or may share unseen."""
+    """Return findings of correlation between successive exposures, detected or untestable."""
     if exposures.seen:
         share = 100 * exposures.share
-        return [("lag", f"successive exposures hold {share:.3g} % of the noise of one in common")]
+        return [("lag", f"noise of successive exposures is correlated ({share:.3g} %)")]
     if exposures.is_untestable:
-        return [(None, f"too few frames to tell what they share in time; {ALLOWED}")]
+        return [(None, f"too few frames to test temporal correlation; {ALLOWED}")]
     return []
 
 
 def exposure_flags(exposures: UndetectedEffect) -> tuple[str, ...]:
-    """The flags of what successive exposures share."""
+    """Return the flags of correlation between successive exposures."""
     return flags_of(exposure_findings(exposures))
 
 
 def correlation_findings(neighbours: UndetectedEffect, exposures: UndetectedEffect) -> list[Finding]:
-    """Return what makes a variance read low."""
+    """Return findings of correlations that lower the variance."""
     found = exposure_findings(exposures)
     if neighbours.seen:
         low = 100.0 * (1.0 - 1.0 / (1.0 + max(neighbours.share, 0.0)))
-        effect = f"neighbouring pixels share noise, so that the slope of EMVA 1288 is {low:.2g} % low"
+        effect = f"noise of neighbouring pixels is correlated, so that the slope of EMVA 1288 is {low:.2g} % low"
         found.append(flags.Finding(flag="correlated-noise", effect=effect, remedy="--method covariance-sum"))
     elif neighbours.is_untestable:
-        found.append((None, f"too few pixels and frames to tell what neighbours share; {ALLOWED}"))
+        found.append((None, f"too few pixels and frames to test the correlation of neighbours; {ALLOWED}"))
     return found
 
 
@@ -279,17 +257,17 @@ def _stationarity_findings(series: FlatSeries) -> list[Finding]:
     found: list[Finding] = []
     for flat, signal in zip(series.flats, series.signal_dn, strict=True):
         drift, flicker = drift_and_flicker(flat)
-        if abs(drift) > DRIFT_SHARE * abs(signal):
+        if abs(drift) > CHECKS.drift_fraction * abs(signal):
             found.append(("drift", f"{flat.label} drifts by {drift:.3g} DN from first to last frame"))
-        if flicker > FLICKER_SHARE * abs(signal):
+        if flicker > CHECKS.flicker_fraction * abs(signal):
             found.append(("flicker", f"{flat.label} flickers by {flicker:.3g} DN rms"))
     return found
 
 
 def drift_and_flicker(level: StackStatistics) -> tuple[float, float]:
-    """Return drift from first to last frame and rms flicker, DN; zero where they are within their noise.
+    """Return drift from first to last frame and rms flicker, DN; zero if within their noise.
 
-    Noise of a frame's mean: its variance by the covariance sum, which blur cannot exceed 100-fold at these sizes.
+    The noise of a frame mean follows from the covariance sum, which includes correlated noise.
     """
     means = level.frame_mean_dn
     if len(means) < 4:
@@ -301,13 +279,13 @@ def drift_and_flicker(level: StackStatistics) -> tuple[float, float]:
     slope_sd = noise / np.sqrt(time @ time)
     rest = means - means.mean() - slope * time
     rms = float(np.sqrt(rest @ rest / (len(means) - 2)))
-    significant = rms > noise * (1 + SIGNIFICANT / np.sqrt(2 * len(means)))
-    drift = slope if abs(slope) > SIGNIFICANT * max(slope_sd, rms / np.sqrt(time @ time)) else 0.0
+    significant = rms > noise * (1 + CHECKS.significant_sd / np.sqrt(2 * len(means)))
+    drift = slope if abs(slope) > CHECKS.significant_sd * max(slope_sd, rms / np.sqrt(time @ time)) else 0.0
     return drift, rms if significant else 0.0
 
 
 def _low_power(level: StackStatistics) -> float:
-    """Power of the lowest bins, all lags."""
+    """Return the noise power of the lowest frequency bins, summed over lags."""
     spectrum = level.many
     low = np.argsort(np.hypot(level.bins.column_cy_per_px, level.bins.row_cy_per_px))[:8]
     power = spectrum.power_dn2[low]
@@ -315,7 +293,7 @@ def _low_power(level: StackStatistics) -> float:
 
 
 def light_of(conditions: Conditions) -> float | None:
-    """What the signal should be proportional to, in arbitrary units; None where the light is unknown."""
+    """Return the stated exposure in arbitrary units; None if the light is unknown."""
     if conditions.photons_per_px is not None:
         return conditions.photons_per_px
     if conditions.illuminance_lux is None:
@@ -325,8 +303,8 @@ def light_of(conditions: Conditions) -> float | None:
 
 
 def _proportionality_findings(series: FlatSeries) -> list[Finding]:
-    """Whether the signal follows the light between the levels that are fitted."""
-    # What turns the gain up for all levels alike no flat betrays: it is taken from whoever states it.
+    """Return findings of a signal that is not proportional to the stated light."""
+    # A gain change common to all levels does not show in flats; the session must state it.
     if any(flat.conditions.automatic_gain or flat.conditions.brightness_control for flat in series.flats):
         return [("agc", "an automatic gain or brightness control was on")]
     chosen = np.flatnonzero(series.fitted)
@@ -335,29 +313,29 @@ def _proportionality_findings(series: FlatSeries) -> list[Finding]:
         return []
     exposure, signal = np.array(light, float), series.signal_dn[chosen]
     span = exposure.max() / exposure.min()
-    if span < LEAST_SPAN:
+    if span < CHECKS.min_light_ratio:
         return []
     if gamma := gamma_of_light(exposure, signal):
         return gamma
     slope = float(np.polyfit(np.log(exposure), np.log(np.maximum(signal, 1e-3 * signal.max())), 1)[0])
-    if slope < FOLLOWED:
-        return [("agc", f"the light changed {span:.3g}-fold and the mean only as its power {slope:.2f}")]
+    if slope < CHECKS.min_light_exponent:
+        return [("agc", f"the light changed {span:.3g}-fold and the mean as its power {slope:.2f} only")]
     ratio = signal / exposure
     reference = float(exposure @ signal / (exposure @ exposure))
     off = float(np.abs(ratio / reference - 1.0)[signal > 0.05 * signal.max()].max())
-    if off > NONLINEAR_SHARE:
-        return [("nonlinear", f"signal over light departs by {100 * off:.1f} % from its mean")]
+    if off > CHECKS.nonlinear_fraction:
+        return [("nonlinear", f"signal over light deviates by {100 * off:.1f} % from its mean")]
     return []
 
 
 def _clipping_findings(series: FlatSeries) -> list[Finding]:
     found: list[Finding] = []
     found += [
-        ("clipped", f"{100 * level.low_fraction:.1f} % of the pixels of {level.label} are at code 0")
+        ("clipped", f"{100 * level.low_fraction:.1f} % of the pixels of {level.label} are at 0 DN")
         for level in (*series.all_darks, *series.flats)
         if level.low_fraction > 0.01
     ]
     over = [flat.label for flat in series.flats if flat.high_fraction > CLIPPED_SHARE]
     if over and not series.fitted.any():
-        found.append(("saturated", f"pixels of {', '.join(over)} are at the highest code"))
+        found.append(("saturated", f"pixels of {', '.join(over)} are at full scale"))
     return found

@@ -1,4 +1,4 @@
-"""Dark current: how fast the level of darks rises with the exposure, and at how many degrees it doubles."""
+"""Dark current against exposure, and its doubling temperature."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -10,23 +10,15 @@ from charact.method import Context
 from charact.method.stopwatch import with_timing
 from charact.noise.checks import QUANTISED_DN2, drift_and_flicker
 from charact.noise.findings import Finding, flags_of, notes_of
-from charact.noise.gain.emva1288 import QUANTISATION_DN2
 from charact.noise.provenance import provenance
-from charact.noise.quantities import CUT_SHARE
+from charact.noise.rounding import QUANTISATION_DN2
 from charact.noise.stack.stack_statistics import StackStatistics
+from charact.noise.thresholds import CHECKS, DARK_CURRENT
 from labdata.measurement import Measurement, Result, make_refusal, measurement_from_draws
 
 Array = NDArray[np.float64]
 
 METHOD = "dark-exposures"
-DRAWS = 4000
-# Darks whose temperatures differ by less were taken at one temperature, K.
-SAME_TEMPERATURE_K = 0.5
-# A bend that changes the slope by more than this share, and so many standard errors, is no straight line.
-BENT_SHARE = 0.05
-BENT_ERRORS = 4.0
-# Share of the dark current within which the law of doubling is taken to hold from one temperature to the next.
-LAW_SHARE = 0.02
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,11 +30,11 @@ class DarkSlope:
     temperature_c
         Mean temperature, degrees Celsius; None if unknown.
     draws
-        Draws of the current, shape (draw,), DN/s.
+        Draws of the dark current, shape (draw,), DN/s.
     exposures
-        Number of different exposures.
+        Number of distinct exposures.
     findings
-        What is wrong with it.
+        Findings.
     """
 
     temperature_c: float | None
@@ -53,21 +45,21 @@ class DarkSlope:
 
 @with_timing
 def dark_current(darks: list[StackStatistics], result: Result, *, context: Context) -> Result:
-    """Return the dark current of a series of exposures, and the temperature difference that doubles it.
+    """Return the dark current of an exposure series, and the temperature difference that doubles it.
 
     Parameters
     ----------
     darks
-        Darks; those of the gain and temperature with most exposures tell the current.
+        Darks; the group of one gain and temperature with most exposures is used.
     result
-        What was measured before; its system gain, where it is sound, turns DN into electrons.
+        Previous measurements; a valid system gain converts DN to electrons.
     context
         Seed.
 
     Notes
     -----
     The mean of darks is mu_d = mu_d0 + mu_I t (EMVA 1288 Release 3.1, 3.1) and mu_I doubles every T_d kelvin (3.2).
-    Levels that depart from the line by more than their noise widen the interval by Student's law.
+    Scatter about the line beyond the noise widens the interval (Student's t).
     """
     if not darks:
         return Result()
@@ -89,9 +81,11 @@ def dark_current(darks: list[StackStatistics], result: Result, *, context: Conte
 
 
 def _groups(darks: list[StackStatistics]) -> list[list[StackStatistics]]:
-    """Darks of one gain and temperature; of several gains those of the one with most darks."""
+    """Group darks by temperature, at the gain of most darks."""
     whole = [
-        d for d in darks if d.conditions.exposure_s is not None and max(d.low_fraction, d.high_fraction) <= CUT_SHARE
+        d
+        for d in darks
+        if d.conditions.exposure_s is not None and max(d.low_fraction, d.high_fraction) <= CHECKS.max_clipped_fraction
     ]
     gains: dict[tuple, list[StackStatistics]] = {}
     for dark in whole:
@@ -103,7 +97,9 @@ def _groups(darks: list[StackStatistics]) -> list[list[StackStatistics]]:
         last = groups[-1][-1].conditions.temperature_c if groups else None
         here = dark.conditions.temperature_c
         alike = (
-            bool(groups) and (last is None) == (here is None) and abs((here or 0) - (last or 0)) < SAME_TEMPERATURE_K
+            bool(groups)
+            and (last is None) == (here is None)
+            and abs((here or 0) - (last or 0)) < DARK_CURRENT.same_temperature_k
         )
         if alike:
             groups[-1].append(dark)
@@ -113,7 +109,7 @@ def _groups(darks: list[StackStatistics]) -> list[list[StackStatistics]]:
 
 
 def _slope(darks: list[StackStatistics], rng: np.random.Generator) -> DarkSlope | None:
-    """Fit level against exposure; None where there is one exposure only."""
+    """Fit level against exposure; None for a single exposure."""
     time = np.array([d.conditions.exposure_s for d in darks], float)
     exposures = len(np.unique(time))
     if exposures < 2:
@@ -123,7 +119,9 @@ def _slope(darks: list[StackStatistics], rng: np.random.Generator) -> DarkSlope 
     value, error, chi2 = _line(time, mean, sd, 1)
     freedom = len(time) - 2
     student = (
-        rng.standard_t(freedom, DRAWS) * np.sqrt(max(1.0, chi2 / freedom)) if freedom else rng.standard_normal(DRAWS)
+        rng.standard_t(freedom, DARK_CURRENT.draws) * np.sqrt(max(1.0, chi2 / freedom))
+        if freedom
+        else rng.standard_normal(DARK_CURRENT.draws)
     )
     warm = [d.conditions.temperature_c for d in darks if d.conditions.temperature_c is not None]
     return DarkSlope(temperature_c=float(np.mean(warm)) if warm else None, draws=value + error * student,
@@ -131,13 +129,13 @@ def _slope(darks: list[StackStatistics], rng: np.random.Generator) -> DarkSlope 
 
 
 def _level_sd(dark: StackStatistics) -> float:
-    """Standard error of the level of a dark, DN."""
+    """Return the standard error of the level of a dark, DN."""
     scatter = float(np.std(dark.frame_mean_dn, ddof=1)) / np.sqrt(dark.frames)
     return max(scatter, float(np.sqrt(max(dark.variance_dn2, QUANTISATION_DN2) / (dark.pixels * dark.frames))))
 
 
 def _line(time: Array, mean: Array, sd: Array, order: int) -> tuple[float, float, float]:
-    """Coefficient of the highest power of a weighted polynomial, its standard error, and chi-squared."""
+    """Return the highest coefficient of a weighted polynomial, its standard error, and chi-squared."""
     design = np.stack([(time / time.max()) ** power for power in range(order + 1)]) / sd
     covariance = np.linalg.inv(design @ design.T)
     fit = covariance @ (design @ (mean / sd))
@@ -147,26 +145,30 @@ def _line(time: Array, mean: Array, sd: Array, order: int) -> tuple[float, float
 
 
 def _findings(darks: list[StackStatistics], time: Array, mean: Array, sd: Array, slope: float) -> list[Finding]:
-    """What is wrong with darks of several exposures."""
+    """Return the findings of an exposure series."""
     found: list[Finding] = []
     if len(np.unique(time)) == 2:
-        found.append(("too-few-frames", "from two exposures: whether the level rises in proportion cannot be checked"))
+        found.append(("too-few-frames", "from two exposures: proportionality cannot be checked"))
     if len(np.unique(time)) > 3:
         bend, error, chi2 = _line(time, mean, sd, 2)
         error *= np.sqrt(max(1.0, chi2 / max(1, len(time) - 3)))
-        if abs(bend) * time.max() > max(BENT_SHARE * abs(slope), BENT_ERRORS * error * time.max()):
-            found.append(("nonlinear", "the level of darks does not rise in proportion to the exposure"))
+        if abs(bend) * time.max() > max(
+            DARK_CURRENT.curvature * abs(slope), DARK_CURRENT.curvature_sd * error * time.max()
+        ):
+            found.append(("nonlinear", "the level of darks is not linear in the exposure"))
     if any(d.variance_dn2 < QUANTISED_DN2 for d in darks):
-        found.append(("quantised", "darks whose noise is below the digitiser's steps have levels between two codes"))
+        found.append(
+            ("quantised", "the noise of darks is smaller than the quantisation step, which biases their level")
+        )
     rise = abs(slope) * float(np.ptp(time))
     for dark in darks:
         drift = abs(drift_and_flicker(dark)[0])
         if drift > 0.1 * rise:
             found.append(
-                ("drift", f"{dark.label} drifts by {drift:.3g} DN, beside {rise:.3g} DN from exposure to exposure")
+                ("drift", f"{dark.label} drifts by {drift:.3g} DN, compared with {rise:.3g} DN between exposures")
             )
     if any((d.conditions.mcp_v or 0.0) > 0 for d in darks):
-        found.append((None, "with the tube on: light of its own background is in it"))
+        found.append((None, "with the tube on: includes the tube's background illumination (EBI)"))
     return found
 
 
@@ -180,19 +182,19 @@ def _current(slope: DarkSlope, unit: str, draws: Array, flags: tuple[str, ...], 
 
 
 def _electrons(slope: DarkSlope, result: Result, rng: np.random.Generator, **fields: Any) -> list[Measurement]:
-    """Dark current in electrons, where the system gain is known."""
+    """Return the dark current in electrons, if the system gain is known."""
     known = [m for m in result.find("system_gain") if m.value is not None and "correlated-noise" not in m.flags]
     if not known:
-        reason = "dark current in electrons needs the system gain, which this session does not tell"
+        reason = "dark current in electrons needs the system gain, which was not measured"
         return [make_refusal("dark_current", "e-/s", reason, **fields)]
     gain = known[0]
     low, high = gain.interval68 or (0.0, 0.0)
-    draws = float(gain.value or 0.0) + 0.5 * (high - low) * rng.standard_normal(DRAWS)
+    draws = float(gain.value or 0.0) + 0.5 * (high - low) * rng.standard_normal(DARK_CURRENT.draws)
     return [_current(slope, "e-/s", slope.draws / draws, gain.flags, **fields)]
 
 
 def _doubling(slopes: list[DarkSlope], rng: np.random.Generator, **fields: Any) -> Measurement:
-    """Temperature difference at which the dark current doubles, from all temperatures."""
+    """Return the temperature difference that doubles the dark current, from all temperatures."""
     known = [slope for slope in slopes if slope.temperature_c is not None]
     if len(known) < 2:
         reason = (
@@ -203,11 +205,11 @@ def _doubling(slopes: list[DarkSlope], rng: np.random.Generator, **fields: Any) 
     draws = np.array([slope.draws for slope in known])
     unseen = [f"{t:.1f}" for t, current in zip(warm, draws, strict=True) if np.quantile(current, 0.025) <= 0]
     if unseen:
-        reason = f"no dark current is seen at {', '.join(unseen)} degrees Celsius: longer exposures are needed"
+        reason = f"no dark current detected at {', '.join(unseen)} degrees Celsius; use longer exposures"
         return make_refusal("dark_doubling_temperature", "K", reason, **fields)
     log2 = np.log2(np.maximum(draws, 1e-12 * draws.max()))
-    spread = np.hypot(log2.std(axis=1), LAW_SHARE / np.log(2.0))
-    log2 = log2 + LAW_SHARE / np.log(2.0) * rng.standard_normal(log2.shape)
+    spread = np.hypot(log2.std(axis=1), DARK_CURRENT.law_relative_sd / np.log(2.0))
+    log2 = log2 + DARK_CURRENT.law_relative_sd / np.log(2.0) * rng.standard_normal(log2.shape)
     weight = (1.0 / spread**2) * (warm - np.average(warm, weights=1.0 / spread**2))
     rise = weight @ log2 / (weight @ warm)
     if np.quantile(rise, 0.025) <= 0:
@@ -220,9 +222,9 @@ def _doubling(slopes: list[DarkSlope], rng: np.random.Generator, **fields: Any) 
         - np.average(middle, weights=1.0 / spread**2)
         - np.median(rise) * (warm - np.average(warm, weights=1.0 / spread**2))
     )
-    if np.any(np.abs(rest) > BENT_ERRORS * spread):
-        findings.append(("model-misfit", "the dark current does not double at equal steps of temperature"))
+    if np.any(np.abs(rest) > DARK_CURRENT.curvature_sd * spread):
+        findings.append(("model-misfit", "the dark current does not double at equal temperature steps"))
     if len(known) == 2:
-        findings.append((None, "from two temperatures: the law itself cannot be checked"))
+        findings.append((None, "from two temperatures: exponential growth cannot be checked"))
     return measurement_from_draws("dark_doubling_temperature", "K", 1.0 / rise, flags=flags_of(findings),
                       notes=tuple(dict.fromkeys(notes_of(findings))), **fields)  # fmt: skip

@@ -1,4 +1,4 @@
-"""From the statistics of darks and flats to the quantities that need no model of the blur."""
+"""Quantities of darks and flats that need no blur model: noise, non-uniformity, EMVA 1288 quantities."""
 
 from collections.abc import Callable
 from typing import Any
@@ -7,38 +7,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.noise.checks import QUANTISED_DN2
+from charact.noise.checks import QUANTISED_DN2, dark_findings
 from charact.noise.findings import Finding, flags_of, notes_of
 from charact.noise.gain import emva1288
-from charact.noise.gain.series import FlatSeries
-from charact.noise.snr.rounding import rounding_sd
+from charact.noise.gain.series import FlatSeries, without_noise
+from charact.noise.rounding import rounding_sd
 from charact.noise.snr.stated_illumination import light_of_photons
 from charact.noise.stack.stack_statistics import StackStatistics
-from charact.noise.undetected_correlation import FEW_FRAMES
+from charact.noise.thresholds import CHECKS, CORRELATION
 from labdata.measurement import Measurement, make_refusal, measurement_from_draws, measurement_from_sd
 
 Array = NDArray[np.float64]
 
-# Share of a dark's values at an end of the codes that leaves its noise alone.
-CUT_SHARE = 0.01
 
-PAIR = "of a pair: what its two frames share in time, if anything, is in it"
-
-# Share of the flats' pattern below which that of the dark, and what is wrong with it, matters no more.
-DARK_SHARE = 0.02
+PAIR = "from two frames: includes any temporal correlation between them"
 
 
 def dark_quantities(darks: tuple[StackStatistics, ...], *, flags: tuple[str, ...], **fields: Any) -> list[Measurement]:
-    """Read noise and level of the darks, DN; the shortest exposure speaks."""
+    """Return read noise and dark signal, DN, from the dark of the shortest exposure."""
     dark = min(darks, key=lambda level: level.conditions.exposure_s or 0.0)
     spread = float(np.hypot(dark.variance_sd_dn2, rounding_sd(dark.variance_dn2)[1]))
     noise, sd = emva1288.noise_of(dark.variance_dn2, spread)
     small = ("quantised",) if dark.variance_dn2 < QUANTISED_DN2 else ()
-    # Said here as well, for darks without a series of flats.
+    # Checked here too, for darks without flats.
     flags += dark_clipping_flags(dark)
     out = []
     if noise > 0:
-        note = ("temporal noise of a dark frame: electronics, digitiser and what scintillates in the dark",)
+        note = ("temporal noise of a dark frame: electronics, digitiser and dark scintillation",)
         out.append(measurement_from_sd("read_noise", "DN", noise, sd, flags=flags + small, notes=note, **fields))
     else:
         out.append(make_refusal("read_noise", "DN", f"{dark.label} does not change from frame to frame", **fields))
@@ -49,18 +44,18 @@ def dark_quantities(darks: tuple[StackStatistics, ...], *, flags: tuple[str, ...
 
 
 def dark_clipping_flags(dark: StackStatistics) -> tuple[str, ...]:
-    """The flag of a dark whose noise is cut short at an end of the codes."""
-    return ("clipped",) if max(dark.low_fraction, dark.high_fraction) > CUT_SHARE else ()
+    """Return the flag of a dark with clipped values."""
+    return ("clipped",) if max(dark.low_fraction, dark.high_fraction) > CHECKS.max_clipped_fraction else ()
 
 
 def saturation_level(series: FlatSeries, *, flags: tuple[str, ...], **fields: Any) -> Measurement:
-    """Level at which the temporal variance peaks."""
+    """Return the level at which the temporal variance peaks."""
     if series.peak is None:
         reason = f"the variance still rises at the brightest flat, {series.flats[-1].mean_dn:.4g} DN"
         return make_refusal("saturation", "DN", reason, **fields)
     level = np.array([flat.mean_dn for flat in series.flats])
     near = level[max(0, series.peak - 1) : series.peak + 2]
-    # The peak lies somewhere between the neighbouring levels: a triangular spread.
+    # The peak lies between the neighbouring levels: triangular distribution.
     return measurement_from_sd(
         "saturation", "DN", level[series.peak], float(np.ptp(near)) / np.sqrt(24.0), flags=flags, **fields
     )
@@ -69,9 +64,9 @@ def saturation_level(series: FlatSeries, *, flags: tuple[str, ...], **fields: An
 def pattern_quantities(series: FlatSeries, gain: Array | None, *, flags: tuple[str, ...],
                        gain_flags: tuple[str, ...] = (), pair_flags: tuple[str, ...] = (), **fields: Any
                        ) -> list[Measurement]:  # fmt: skip
-    """Non-uniformity of dark signal and of response, from the stacks of most frames.
+    """Return DSNU and PRNU, from the stacks of most frames.
 
-    Electrons take the gain's flags, and stacks of few frames those of what successive exposures share.
+    Values in electrons take the gain's flags, stacks of few frames those of temporal correlation.
     """
     out = []
     dark = max(series.all_darks, key=lambda level: level.frames) if series.all_darks else None
@@ -80,53 +75,55 @@ def pattern_quantities(series: FlatSeries, gain: Array | None, *, flags: tuple[s
     chosen = np.flatnonzero(series.fitted)
     if dark is None or not len(chosen):
         return out
-    # The standard's half of saturation; where none is in sight, the brightest, where pattern stands out most.
+    # Half of saturation by the standard; without saturation the brightest flat, where PRNU is largest.
     middle = series.signal_dn[chosen[-1]] if series.peak is None else 0.5 * series.signal_dn[series.peak]
     best = max(chosen, key=lambda i: (series.flats[i].frames, -abs(series.signal_dn[i] - middle)))
     flat, signal = series.flats[best], float(series.signal_dn[best])
     variance = flat.spatial_variance_dn2 - dark.spatial_variance_dn2
     sd = float(np.hypot(flat.spatial_sd_dn2, dark.spatial_sd_dn2))
-    weighs = dark.spatial_variance_dn2 + dark.spatial_sd_dn2 > DARK_SHARE * variance
+    weighs = dark.spatial_variance_dn2 + dark.spatial_sd_dn2 > CHECKS.dark_pattern_fraction * variance
     out.append(_spatial_deviation("prnu", "%", variance, sd, lambda s: 100.0 * s / signal,
                      flags=flags + image_lag_flags(flat, *((dark,) if weighs else ()))
-                     + pair_flags * (flat.frames <= FEW_FRAMES),
-                     notes=("shading of the light and of the lens included",), **fields))  # fmt: skip
+                     + pair_flags * (flat.frames <= CORRELATION.few_frames),
+                     notes=("includes shading of illumination and lens",), **fields))  # fmt: skip
     return out
 
 
 def _dark_pattern(dark: StackStatistics, gain: Array | None, *, flags: tuple[str, ...], **fields: Any) -> Measurement:
-    """Non-uniformity of the dark signal, in electrons where the gain is known."""
+    """Return the DSNU, in electrons if the gain is known."""
     flags += image_lag_flags(dark) + (("quantised",) if dark.variance_dn2 < QUANTISED_DN2 else ())
-    notes = (PAIR,) if dark.frames < FEW_FRAMES else ()
+    notes = (PAIR,) if dark.frames < CORRELATION.few_frames else ()
     unit, scale, relative_sd = "DN", 1.0, 0.0
     if gain is not None:
         unit, scale, relative_sd = "e-", float(np.median(gain)), float(np.std(gain) / np.median(gain))
     sd = float(np.hypot(dark.spatial_sd_dn2, 2.0 * relative_sd * dark.spatial_variance_dn2))
-    return _spatial_deviation("dsnu", unit, dark.spatial_variance_dn2, sd, lambda s: s / scale, flags=flags, notes=notes,
-                 **fields)  # fmt: skip
+    return _spatial_deviation(
+        "dsnu", unit, dark.spatial_variance_dn2, sd, lambda s: s / scale, flags=flags, notes=notes, **fields
+    )
 
 
 def image_lag_flags(*levels: StackStatistics) -> tuple[str, ...]:
-    """The flag of stacks in which noise that frames share for a while may pass for pattern."""
+    """Return the flag of stacks in which slowly varying noise may count as fixed pattern."""
     return () if all(level.settled for level in levels) else ("lag",)
 
 
 def _spatial_deviation(quantity: str, unit: str, variance: float, sd: float, scaled: Callable[[float], float], *,
           flags: tuple[str, ...], notes: tuple[str, ...] = (), **fields: Any) -> Measurement:  # fmt: skip
-    """A standard deviation over the image, refused where it drowns in temporal noise."""
+    """Return a spatial standard deviation; refused if hidden by temporal noise."""
     if variance < 3.0 * sd or variance <= 0:
         limit = float(scaled(np.sqrt(max(variance, 0.0) + 3.0 * sd)))
-        reason = f"it drowns in temporal noise: more frames are needed to see less than {limit:.3g} {unit}"
+        reason = f"hidden by temporal noise; more frames are needed to detect less than {limit:.3g} {unit}"
         return make_refusal(quantity, unit, reason, notes=notes, **fields)
     root = float(np.sqrt(variance))
-    return measurement_from_sd(quantity, unit, float(scaled(root)), float(scaled(sd / (2 * root))), flags=flags, notes=notes,
-                   **fields)  # fmt: skip
+    return measurement_from_sd(
+        quantity, unit, float(scaled(root)), float(scaled(sd / (2 * root))), flags=flags, notes=notes, **fields
+    )
 
 
 def white_quantities(series: FlatSeries, gain: emva1288.GainLine, *, context: Context, findings: list[Finding],
                      light: list[Finding], notes: tuple[str, ...] = (), factor: float = 1.0, **fields: Any
                      ) -> list[Measurement]:  # fmt: skip
-    """Return what EMVA 1288 makes of K: efficiency, noise in electrons, range.
+    """Return the EMVA 1288 quantities that follow from K: efficiency, noise in electrons, range.
 
     Parameters
     ----------
@@ -135,11 +132,11 @@ def white_quantities(series: FlatSeries, gain: emva1288.GainLine, *, context: Co
     context, fields
         Settings; method and provenance.
     findings, light
-        What speaks against the gain, and besides against numbers that need the light as stated.
+        Findings against the gain, and against quantities that need the stated light.
     notes
-        How the gain was found.
+        Notes on the gain.
     factor
-        F^2 of a register, by which it multiplies the variance of the light.
+        Excess noise factor F^2 of a multiplying register.
     """
     slope = gain.slope
     rng = np.random.default_rng([context.seed, 2])
@@ -159,11 +156,11 @@ def white_quantities(series: FlatSeries, gain: emva1288.GainLine, *, context: Co
     if not series.all_darks:
         return out
     dark, dark_sd = emva1288.dark_noise_dn(series)
-    # What the steps do to so little noise depends on where between two codes it lies, and on neither side of none.
+    # Rounding of so little noise may raise or lower its variance.
     steps = rounding_sd(dark**2)[1] * rng.standard_normal(len(slope))
     square = (dark + dark_sd * rng.standard_normal(len(slope))) ** 2 - emva1288.QUANTISATION_DN2 + steps
     if np.quantile(square, 0.02) <= 0:
-        reason = f"the noise of {dark:.3g} DN is not above that of the digitiser's steps"
+        reason = f"the noise of {dark:.3g} DN does not exceed the quantisation noise"
         fields.pop("flags")
         out.append(make_refusal("read_noise", "e-", reason, **fields))
         return out
@@ -173,7 +170,7 @@ def white_quantities(series: FlatSeries, gain: emva1288.GainLine, *, context: Co
 
 
 def _linearity(series: FlatSeries, response: emva1288.GainLine, photons: Array, **fields: Any) -> Measurement:
-    """Mean departure from the line between 5 and 70 % of saturation, percent of the line."""
+    """Return the mean deviation from the line between 5 and 70 % of saturation, percent of the line."""
     chosen = np.flatnonzero(series.fitted)
     value = np.median(response.slope) * photons[chosen]
     inside = value > 0.05 * (series.signal_dn[series.peak] if series.peak is not None else value.max())
@@ -186,7 +183,7 @@ def _linearity(series: FlatSeries, response: emva1288.GainLine, photons: Array, 
 
 def _range(series: FlatSeries, slope: Array, efficiency: Array | None, dark_e2: Array, photons: Array | None,
            factor: float, **fields: Any) -> list[Measurement]:  # fmt: skip
-    """Capacity, largest signal-to-noise ratio and dynamic range, at the level where the variance peaks."""
+    """Return capacity, largest signal-to-noise ratio and dynamic range, at the level of peak variance."""
     names = (("saturation_capacity", "e-"), ("snr_max", "1"), ("dynamic_range", "1"))
     if series.peak is None:
         reason = f"no flat reaches saturation: the variance still rises at {series.flats[-1].mean_dn:.4g} DN"
@@ -197,6 +194,39 @@ def _range(series: FlatSeries, slope: Array, efficiency: Array | None, dark_e2: 
     else:
         capacity = series.signal_dn[series.peak] / slope
     least = emva1288.sensitivity_photons(np.ones_like(slope), dark_e2, slope, factor)
-    # The peak is known to within the step between levels.
+    # The peak is resolved to the spacing of the levels.
     draws = (capacity, np.sqrt(capacity / factor), capacity / least)
     return [measurement_from_draws(name, unit, d, **fields) for (name, unit), d in zip(names, draws, strict=True)]
+
+
+def gain_obstacle(series: FlatSeries) -> str | None:
+    """Return why a series cannot give a gain, or None."""
+    if not len(series.flats):
+        return "flats need at least two frames each, and darks or a second level as reference"
+    error = np.array([np.sqrt(f.variance_dn2 / (f.pixels * f.frames)) + 1e-12 for f in series.flats])
+    brighter = series.signal_dn > 5.0 * np.sqrt(50.0) * error
+    if not brighter.any():
+        return f"no flat is brighter than its dark: the largest difference is {series.signal_dn.max():.3g} DN"
+    noisier = series.variance_dn2 > 5.0 * series.variance_sd_dn2
+    if not (brighter & noisier).any():
+        return f"no flat is noisier than its dark: the largest difference is {series.variance_dn2.max():.3g} DN2"
+    if not (series.fitted & brighter & noisier).any():
+        return "every flat is saturated: none lies within 70 % of saturation and below full scale"
+    return None
+
+
+def without_flats(
+    darks, series: FlatSeries | None, single: list[str], *, quantity=("system_gain", "DN/e-"), **fields: Any
+) -> list[Measurement]:
+    """Return the quantities of darks alone, and the refusal of the gain."""
+    if series is not None:
+        reason = "; ".join(part for part in (gain_obstacle(series), without_noise(series.single)) if part)
+    elif single:
+        reason = f"noise needs stacks of at least two frames; {', '.join(single)} has one"
+    else:
+        reason = "there are no flats"
+    out = [make_refusal(quantity[0], quantity[1], reason, **fields)]
+    wrong = [] if series is None or not len(series.flats) else dark_findings(series)
+    dark = dark_quantities(tuple(darks), flags=(), **fields) if darks else []
+    notes = notes_of(wrong)
+    return out + [one.with_(flags=flags_of(wrong), notes=(*one.notes, *notes)) for one in dark]

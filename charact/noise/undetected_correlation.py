@@ -1,7 +1,7 @@
-"""What lowers a variance without showing in it: noise shared by neighbours, and light shared by successive exposures.
+"""Noise correlated between pixels or exposures, which lowers the variance, and filters in the camera.
 
-Either makes the variance over signal read low. A test that could see an effect of 2 % finds it or leaves the gain
-alone; a weaker one leaves what it cannot exclude in the gain's interval.
+A test sensitive to 2 % either detects the correlation or leaves the gain unchanged; a weaker test widens the interval
+of the gain by what it cannot exclude.
 """
 
 from dataclasses import dataclass
@@ -9,33 +9,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.noise.findings import Finding
 from charact.noise.gain.series import FlatSeries
+from charact.noise.stack.stack_statistics import StackStatistics
+from charact.noise.thresholds import CORRELATION
 
 Array = NDArray[np.float64]
-
-# An effect on the gain is seen where it is beyond this and so many standard errors.
-LEAST_EFFECT = 0.01
-SIGNIFICANT = 3.0
-# An effect that may be smaller than this and still unseen harms nothing.
-HARMLESS = 0.02
-# Where a test cannot exclude this much, it is no test.
-BLIND = 0.1
-# Largest share of the covariance sum that lies with neighbours in a chip: each of four gets 5 % of the charge.
-MOST = 0.4
-# Flats of fewer frames have too few pairs of frames to set near ones against far ones.
-FEW_FRAMES = 3
-# Levels of such unequal certainty tell no law.
-WORST_CONDITION = 1e12
 
 
 @dataclass(frozen=True, kw_only=True)
 class UndetectedEffect:
-    """A share of the gain that goes missing.
+    """Relative loss of gain by a correlation.
 
     Parameters
     ----------
     share, sd
-        The share and its standard error, dimensionless; infinite where nothing could be compared.
+        The loss and its standard error, dimensionless; the error is infinite if untestable.
     """
 
     share: float
@@ -43,44 +32,49 @@ class UndetectedEffect:
 
     @property
     def seen(self) -> bool:
-        """Whether it is there beyond its noise and large enough to move a number."""
-        return abs(self.share) > LEAST_EFFECT + SIGNIFICANT * self.sd
+        """Whether the effect exceeds its noise and matters."""
+        return abs(self.share) > CORRELATION.min_effect + CORRELATION.significant_sd * self.sd
 
     @property
     def is_untestable(self) -> bool:
-        """Whether even a large effect would go unseen."""
-        return not SIGNIFICANT * self.sd < BLIND
+        """Whether even a large effect would not be detected."""
+        return not CORRELATION.significant_sd * self.sd < CORRELATION.untestable
 
     @property
     def allowance(self) -> float:
-        """Relative standard deviation that the effect adds to the gain: none where 2 % would have been seen."""
-        if LEAST_EFFECT + SIGNIFICANT * self.sd <= HARMLESS:
+        """Relative standard deviation that the effect adds to the gain; 0 if 2 % would have been detected."""
+        if CORRELATION.min_effect + CORRELATION.significant_sd * self.sd <= CORRELATION.negligible:
             return 0.0
-        return float(np.hypot(min(abs(self.share), BLIND), min(self.sd, BLIND)))
+        return float(np.hypot(min(abs(self.share), CORRELATION.untestable), min(self.sd, CORRELATION.untestable)))
 
     @property
     def expected(self) -> float:
-        """Root mean square of the effect where none at all is as likely beforehand as any up to `MOST`."""
+        """Root mean square of the effect under a prior with equal odds of zero and of a uniform distribution up to
+        `CORRELATION.max_fraction`."""
         if not self.sd > 0:
-            return min(abs(self.share), BLIND)
-        none = np.exp(-0.5 * (self.share / self.sd) ** 2) * MOST / (self.sd * np.sqrt(2.0 * np.pi))
-        return float(np.sqrt(np.hypot(min(abs(self.share), BLIND), min(self.sd, BLIND)) ** 2 / (1.0 + none)))
+            return min(abs(self.share), CORRELATION.untestable)
+        none = np.exp(-0.5 * (self.share / self.sd) ** 2) * CORRELATION.max_fraction / (self.sd * np.sqrt(2.0 * np.pi))
+        return float(
+            np.sqrt(
+                np.hypot(min(abs(self.share), CORRELATION.untestable), min(self.sd, CORRELATION.untestable)) ** 2
+                / (1.0 + none)
+            )
+        )
 
 
 def allowance_of(neighbours: UndetectedEffect, exposures: UndetectedEffect, *, tube: bool) -> float:
-    """Return the relative standard deviation that what is hidden adds to the gain.
+    """Return the relative standard deviation that undetected correlations add to the gain.
 
-    A screen glows on and a tube blurs: what a test cannot exclude is allowed for. Most chips do neither.
+    Behind a tube, correlations are expected, so everything a test cannot exclude counts.
     """
     parts = [one.allowance if tube else one.expected for one in (neighbours, exposures)]
     return float(np.hypot(parts[0], parts[1]))
 
 
 def spatially_correlated_fraction(series: FlatSeries) -> UndetectedEffect:
-    """Return the share of the light's covariance sum that lies with the eight neighbours of a pixel.
+    """Return the fraction of the covariance sum that lies between a pixel and its eight neighbours.
 
-    Noise of whole rows and columns that the dark holds as well cancels. Separable blur is taken for granted: a diagonal
-    neighbour shares the product of both correlations.
+    Row and column noise of the dark cancels. Blur is assumed separable: a diagonal correlation is the product of both.
     """
     chosen = np.flatnonzero(series.fitted & (series.variance_dn2 > 0))
     beside, beside_sd = inverse_variance_mean([light_correlation(series, int(i), "neighbour") for i in chosen])
@@ -91,7 +85,7 @@ def spatially_correlated_fraction(series: FlatSeries) -> UndetectedEffect:
 
 
 def light_correlation(series: FlatSeries, index: int, name: str) -> tuple[float, float]:
-    """Return the correlation of neighbours in what the light adds to the noise of the dark, and its standard error."""
+    """Return the correlation of neighbours in the noise above the dark's, and its standard error."""
     flat, dark = series.flats[index], series.darks[index]
     variance = series.variance_dn2[index]
     covariance, sd = (
@@ -102,27 +96,26 @@ def light_correlation(series: FlatSeries, index: int, name: str) -> tuple[float,
 
 
 def temporally_correlated_fraction(series: FlatSeries) -> UndetectedEffect:
-    """Return the share of the variance that successive exposures hold in common, earlier and later ones.
+    """Return the fraction of the variance that is correlated with earlier and later exposures.
 
-    Near pairs of frames are set against far ones. With three frames and fewer, the covariance of different frames is
-    set against the signal instead: what unequal pixels put there goes with the square of the signal, and what the
-    light of earlier frames puts there with the signal itself.
+    Near pairs of frames are compared with far ones. With three frames or fewer, the covariance of different frames is
+    fitted against signal: PRNU is quadratic in the signal, image lag linear.
     """
     levels = [flat for flat, fitted in zip(series.flats, series.fitted, strict=True) if fitted]
     known = [(level.successor_correlation, level.successor_sd) for level in levels]
     value, sd = inverse_variance_mean(known)
     most = max(level.frames for level in levels)
-    # Memory itself takes two correlations from the variance, earlier and later; the mean of few frames takes more.
+    # Image lag lowers the variance by two correlations, earlier and later; subtracting the mean of few frames by more.
     taken = 2.0 + 2.0 / most
     near = UndetectedEffect(share=taken * value, sd=taken * sd)
-    if most > FEW_FRAMES:
+    if most > CORRELATION.few_frames:
         return near
     common = _common_variance_fraction(series, taken)
     return common if near.is_untestable or (common.seen and not near.seen) else near
 
 
 def inverse_variance_mean(pairs: list[tuple[float, float]]) -> tuple[float, float]:
-    """Return the weighted mean of values of finite standard error, and its own; infinite for none."""
+    """Return the weighted mean of values of finite standard error, and its standard error; infinite without values."""
     known = np.array([pair for pair in pairs if np.isfinite(pair[1])])
     if not len(known):
         return 0.0, np.inf
@@ -131,7 +124,7 @@ def inverse_variance_mean(pairs: list[tuple[float, float]]) -> tuple[float, floa
 
 
 def _common_variance_fraction(series: FlatSeries, taken: float) -> UndetectedEffect:
-    """Linear part of the covariance of different frames over that of the temporal variance."""
+    """Return the linear part of the covariance of different frames over that of the temporal variance."""
     chosen = np.flatnonzero(series.fitted)
     signal = series.signal_dn[chosen]
     if len(np.unique(np.round(np.log(signal) / 0.05))) < 3:
@@ -141,13 +134,140 @@ def _common_variance_fraction(series: FlatSeries, taken: float) -> UndetectedEff
     weight = 1.0 / np.maximum(sd, 1e-12) ** 2
     design = np.stack([signal, signal**2 / signal.max()])
     curvature = design * weight @ design.T
-    if np.linalg.cond(curvature) > WORST_CONDITION:
+    if np.linalg.cond(curvature) > CORRELATION.max_condition:
         return UndetectedEffect(share=0.0, sd=np.inf)
     covariance = np.linalg.inv(curvature)
     linear, square = covariance @ (design * weight @ common)
     rest = common - linear * design[0] - square * design[1]
     excess = float(weight @ rest**2) / max(1, len(chosen) - 2)
     slope = float(series.variance_dn2[chosen] @ signal / (signal @ signal))
-    # The pattern of unequal pixels may be alike in the dark and in the light: a linear part that is no lag.
+    # Dark and illuminated patterns may be correlated, which adds a linear part that is no image lag.
     error = np.sqrt(max(1.0, excess) * covariance[0, 0])
     return UndetectedEffect(share=taken * linear / slope, sd=taken * float(error) / abs(slope))
+
+
+def processing_findings(series: FlatSeries) -> list[Finding]:
+    """Return findings of filters in the camera, from the noise of a series."""
+    lit = [flat for flat, fitted in zip(series.flats, series.fitted, strict=True) if fitted]
+    return [
+        *_sharpening_findings(lit),
+        *_temporal_filter_findings(series.all_darks),
+        *_level_smoothing_findings(series),
+    ]
+
+
+def _sharpening_findings(levels: list[StackStatistics]) -> list[Finding]:
+    """Return findings of noise that is stronger at high than at low frequency, which blur cannot cause."""
+    for place, correlations in (
+        ("in a row", [(level.neighbour_correlation, level.neighbour_sd) for level in levels]),
+        ("in a column", [(level.below_correlation, level.below_sd) for level in levels]),
+    ):
+        value, sd = inverse_variance_mean(correlations)
+        if value < -CORRELATION.min_correlation - CORRELATION.processing_sd * sd:
+            word = f"the noise of neighbours {place} is anticorrelated ({100 * value:.2g} %)"
+            return [("processed", f"{word}: the camera sharpens its images, which raises the variance")]
+    value, sd = inverse_variance_mean([_rise(level) for level in levels])
+    if value > CORRELATION.min_rise + CORRELATION.processing_sd * sd:
+        word = f"the noise power is {100 * value:.2g} % larger at high than at low frequency"
+        return [("processed", f"{word}: the camera sharpens its images")]
+    return []
+
+
+def _rise(level: StackStatistics) -> tuple[float, float]:
+    """Return the noise power of the outer over the inner band, less one, and its standard error."""
+    radius = np.hypot(level.bins.column_cy_per_px, level.bins.row_cy_per_px)
+    exposures = level.runs * (len(level.time) - len(np.unique(level.parity)))
+    power, modes = [], []
+    for low, high in (CORRELATION.inner_cy_per_px, CORRELATION.outer_cy_per_px):
+        ring = (radius >= low) & (radius < high)
+        if not ring.any():
+            return 0.0, np.inf
+        power.append(float(np.average(level.few.power_dn2[ring, 0], weights=level.bins.modes[ring])))
+        modes.append(float(level.bins.modes[ring].sum()) * level.bins.efficiency * exposures)
+    if min(power) <= 0:
+        return 0.0, np.inf
+    ratio = power[1] / power[0]
+    return ratio - 1.0, ratio * float(np.sqrt(1.0 / modes[0] + 1.0 / modes[1]))
+
+
+def _temporal_filter_findings(darks: tuple[StackStatistics, ...]) -> list[Finding]:
+    """Return findings of temporal noise reduction: darks correlated in time and not in space."""
+    known = [dark for dark in darks if dark.frames > CORRELATION.few_frames]
+    value, sd = inverse_variance_mean([(dark.successor_correlation, dark.successor_sd) for dark in known])
+    around = [inverse_variance_mean([(d.neighbour_correlation, d.neighbour_sd) for d in known]),
+              inverse_variance_mean([(d.below_correlation, d.below_sd) for d in known])]  # fmt: skip
+    if (
+        value < CORRELATION.min_correlation + CORRELATION.processing_sd * sd
+        or max(part for part, _ in around) > CORRELATION.max_spatial_ratio * value
+    ):
+        return []
+    word = f"noise of successive dark frames is correlated ({100 * value:.2g} %), that of neighbouring pixels is not"
+    return [("processed", f"{word}: the camera reduces noise in time")]
+
+
+def _level_smoothing_findings(series: FlatSeries) -> list[Finding]:
+    """Return findings of a neighbour correlation that changes with level.
+
+    Blur and linear filters correlate the noise of all levels alike; an edge-preserving filter smooths weak noise more
+    than strong noise.
+    """
+    chosen = np.flatnonzero(series.fitted & (series.variance_dn2 > 0))
+    if len(chosen) < 2:
+        return []
+    span = np.log(series.signal_dn[chosen])
+    span = (span - span.min()) / max(float(np.ptp(span)), 1e-12)
+    design = np.stack([1.0 - span, span])
+    for place, name in (("in a row", "neighbour"), ("in a column", "below")):
+        share, sd = np.array([light_correlation(series, int(i), name) for i in chosen]).T
+        weight = 1.0 / np.maximum(sd, 1e-9) ** 2
+        covariance = np.linalg.pinv(design * weight @ design.T)
+        low, high = covariance @ (design * weight @ share)
+        error = float(np.sqrt(covariance[0, 0] + covariance[1, 1] - 2.0 * covariance[0, 1]))
+        if abs(high - low) > CORRELATION.min_change + CORRELATION.processing_sd * error:
+            word = f"noise of neighbours {place} is correlated by {100 * low:.2g} % in the dimmest flat"
+            return [("processed", f"{word} and by {100 * high:.2g} % in the brightest: the camera smooths nonlinearly")]
+    return []
+
+
+def gamma_of_light(light: Array, signal: Array) -> list[Finding]:
+    """Return the finding of a signal that is a power of the light, shapes (level,)."""
+    if len(light) < CORRELATION.min_power_law_levels or signal.min() <= 0:
+        return []
+    power, off = _power(light, signal)
+    straight = CORRELATION.linear_exponents[0] < power < CORRELATION.linear_exponents[1]
+    if (
+        straight
+        or not CORRELATION.gamma_exponents[0] < power < CORRELATION.gamma_exponents[1]
+        or off > CORRELATION.power_law_tolerance
+    ):
+        return []
+    word = f"the signal is proportional to the power {power:.2f} of the light within {100 * off:.2g} %"
+    return [("gamma", f"{word}: a gamma curve, or a gain that follows the light")]
+
+
+def gamma_of_noise(signal: Array, gain: Array, sd: Array) -> list[Finding]:
+    """Return the finding of variance over signal that is a power of the signal, shapes (level,).
+
+    The dark's variance is included, because a gamma curve is steep at its start and amplifies dark noise. For v =
+    u^gamma and a variance of u proportional to u, the variance of v over v is proportional to v^(1 - 1/gamma).
+    """
+    if (
+        len(signal) < CORRELATION.min_power_law_levels
+        or gain.min() <= 0
+        or np.any(sd > CORRELATION.power_law_tolerance * gain)
+    ):
+        return []
+    power, off = _power(signal, gain)
+    if power >= 1.0 or off > CORRELATION.power_law_tolerance:
+        return []
+    gamma = 1.0 / (1.0 - power)
+    if CORRELATION.linear_exponents[0] < gamma < CORRELATION.linear_exponents[1]:
+        return []
+    word = f"variance over signal is proportional to the power {power:.2f} of the signal within {100 * off:.2g} %"
+    return [("gamma", f"{word}, as behind a gamma of {gamma:.2f}")]
+
+
+def _power(x: Array, y: Array) -> tuple[float, float]:
+    """Return the exponent of a power law, and the largest relative deviation from it."""
+    slope, level = np.polyfit(np.log(x), np.log(y), 1)
+    return float(slope), float(np.abs(np.expm1(np.log(y) - level - slope * np.log(x))).max())

@@ -4,8 +4,7 @@ import pytest
 import scipy.linalg  # noqa: F401  # its library must be there to be counted
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from charact.method.registry import METHODS, register
-from charact.method.threads import with_single_blas_thread
+from charact.method.registry import METHODS, register, with_single_blas_thread
 from labdata.measurement import Result
 
 

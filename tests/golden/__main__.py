@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 HERE = Path(__file__).parent
-CASES = {"mtf50": 75, "mtf": 75, "covariance_gain": 12, "system_gain": 24, "post_gain_mtf50": 24, "halo_diameter": 30}
+CASES = {"mtf50": 20, "mtf": 20, "covariance_gain": 4, "system_gain": 8, "post_gain_mtf50": 6, "halo_diameter": 6}
 SENSORS = ("pulnix-ag5745ef3", "gen3-digital-iccd", "emccd-512")
 LEVELS_PE = (0.0, 0.03, 0.5, 3.0, 40.0, 400.0)
 SETTINGS = ((), ("--exact",), ("--within", "0"), ("--temperature-c", "0"))

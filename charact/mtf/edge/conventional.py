@@ -21,9 +21,8 @@ from charact.mtf.edge.pixels.line import orientation_deg
 from charact.mtf.edge.pixels.prepare_edge import EdgeRefusal, PreparedEdge, prepare_edge
 from charact.mtf.edge.pixels.profile import EdgeProfile
 from charact.mtf.edge.thresholds import ACCURACY, THRESHOLDS
-from charact.mtf.mean_frame import OrientedFrame
-from charact.mtf.photon_transfer_check import noise_flags
-from charact.mtf.region import Region
+from charact.mtf.mean_frame import OrientedFrame, Region
+from charact.mtf.nonlinearity import noise_flags
 from labdata.frames import FrameStack
 from labdata.measurement import Curve, Measurement, Provenance, Result, make_refusal, measurement_from_sd
 

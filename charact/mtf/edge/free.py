@@ -28,7 +28,7 @@ from charact.mtf.edge.pixels.profile import EVEN_PER_PX, UNEVEN_PER_PX, EdgeProf
 from charact.mtf.edge.result import EdgeFitOutput, edge_refusals, edge_result, window_normalisation_note
 from charact.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.mtf.known_transfer import KnownTransfer, known_transfer
-from charact.mtf.region import Region
+from charact.mtf.mean_frame import Region
 from labdata.frames import FrameStack
 from labdata.measurement import Posterior, Result
 

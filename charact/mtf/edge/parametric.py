@@ -23,7 +23,7 @@ from charact.mtf.edge.pixels.profile import with_shading
 from charact.mtf.edge.result import EdgeFitOutput, edge_refusals, edge_result, window_normalisation_note
 from charact.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.mtf.known_transfer import KnownTransfer, known_transfer
-from charact.mtf.region import Region
+from charact.mtf.mean_frame import Region
 from charact.posterior import importance_sample, laplace, sample_posterior
 from charact.posterior.diagnostics import crowds_at_bound
 from labdata.frames import FrameStack

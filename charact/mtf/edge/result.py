@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 import charact
 from charact.method import Context
-from charact.mtf.curve import FINE, PINNED, REPORTED, crossing_frequency, curve_of
+from charact.mtf.curve import FINE, PINNED, REPORTED, crossing_frequency, curve_of, flag_filter_uncertainty
 from charact.mtf.edge import checks as edge_checks
 from charact.mtf.edge.checks import Facts, sharpening_flags, with_findings
 from charact.mtf.edge.nonlinearity import (
@@ -24,11 +24,9 @@ from charact.mtf.edge.pixels.line import orientation_deg
 from charact.mtf.edge.pixels.prepare_edge import PreparedEdge
 from charact.mtf.edge.pixels.profile import EdgeProfile
 from charact.mtf.edge.thresholds import ACCURACY, THRESHOLDS
-from charact.mtf.filter_uncertainty import flag_filter_uncertainty
-from charact.mtf.mean_frame import OrientedFrame
-from charact.mtf.photon_transfer_check import ln_bayes_factor_nonlinear, noise_flags
-from charact.mtf.region import Region
-from charact.mtf.target_motion import MAX_UNFLAGGED_SD
+from charact.mtf.mean_frame import OrientedFrame, Region
+from charact.mtf.nonlinearity import ln_bayes_factor_nonlinear, noise_flags
+from charact.mtf.thresholds import LIMITS
 from charact.posterior import has_several_peaks
 from labdata.frames import FrameStack
 from labdata.measurement import (
@@ -161,7 +159,7 @@ def _flags(outcome: EdgeFitOutput, halves: Array, context: Context) -> Iterator[
     yield from outcome.flags
     yield from edge.flags
     yield from sharpening_flags(edge, half)
-    untold = MAX_UNFLAGGED_SD * _relative_sd(halves)
+    untold = LIMITS.max_motion_sd * _relative_sd(halves)
     yield from edge.blur_flags(lambda moved: moved.mtf_loss(half) > untold)
 
 

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from charact.method import Context, register
 from charact.mtf.edge.conventional import ConventionalMethod, MtfEstimate, mean_by_cell, measure_conventionally
 from charact.mtf.edge.pixels.line import EdgeLine
-from charact.mtf.mean_frame import OrientedFrame
-from charact.mtf.region import Region
+from charact.mtf.mean_frame import OrientedFrame, Region
 from labdata.frames import FrameStack
 from labdata.measurement import Result
 

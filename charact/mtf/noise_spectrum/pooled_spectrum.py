@@ -12,12 +12,17 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.mtf.noise_spectrum.thresholds import ACCURACY, THRESHOLDS
-from charact.noise.gain.emva1288 import QUANTISATION_DN2
 from charact.noise.gain.series import CLIPPED_SHARE, longest_series, read_levels, series_of
-from charact.noise.snr.rounding import unrounded_variance_range
-from charact.noise.stack.exposure_order import exposures, fluctuations, runs_of
+from charact.noise.rounding import QUANTISATION_DN2, unrounded_variance_range
 from charact.noise.stack.spectrum import Bins, bins_of, cross_spectra
-from charact.noise.stack.temporal import autocovariance, n_effective_samples, usable_lags
+from charact.noise.stack.temporal import (
+    autocovariance,
+    exposures,
+    fluctuations,
+    n_effective_samples,
+    runs_of,
+    usable_lags,
+)
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
 from labdata.session import Session

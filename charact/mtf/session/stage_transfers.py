@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from charact import video_filter
 from charact.mtf.blur_models import transfer as forms
 from charact.mtf.session.thresholds import THRESHOLDS
-from labdata.parameter import Parameter
+from labdata.camera_description import Parameter
 from labdata.sensor import Sensor
 
 Array = NDArray[np.float64]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.region import Region
+from charact.mtf.mean_frame import Region
 from charact.mtf.target_detection.segments import Segment, segments_of
 from charact.mtf.target_detection.smoothed_mean_frame import Gradient, gradient, mean_frame_of
 from charact.mtf.target_detection.thresholds import ACCURACY, THRESHOLDS

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.point.source import DETECTED, ROUNDING_DN, STEADY
-from charact.mtf.region import Region
+from charact.mtf.mean_frame import Region
+from charact.mtf.point.thresholds import LIMITS
 from charact.mtf.target_detection.smoothed_mean_frame import gaussian_blur, local_maximum, mean_frame_of
 from charact.mtf.target_detection.thresholds import ACCURACY, THRESHOLDS
 from labdata.frames import FrameStack
@@ -41,7 +41,7 @@ class SteadySpots:
             return True
         over = self.groups[:, row, col]
         error = max(float(over.std(ddof=1)), self.spread) / np.sqrt(len(over))
-        return bool(over.mean() >= STEADY * error)
+        return bool(over.mean() >= LIMITS.min_steadiness_sd * error)
 
     def far_spread(self, places: list[tuple[int, int]], apart_px: int) -> float:
         """Return the standard deviation that the background's far tail says, places and their surroundings left out."""
@@ -75,7 +75,7 @@ def steady_light(pictures: NDArray | FrameStack, replaced: tuple[NDArray[np.bool
     height = height - middle
     robust = 1.4826 * float(np.median(np.abs(height)))
     tail = float(np.quantile(height[::2, ::2], ACCURACY.tail_quantile)) / ACCURACY.tail_sd
-    rounding = ROUNDING_DN if data.dtype.kind in "ui" else 0.0
+    rounding = LIMITS.min_background_sd_dn if data.dtype.kind in "ui" else 0.0
     spread = max(robust, tail, rounding, 1e-6 * float(np.ptp(height)))
     return SteadySpots(groups=groups - middle, height=height, spread=spread)
 
@@ -164,10 +164,10 @@ def find_pinholes(
 def _sources(light: SteadySpots) -> tuple[list[tuple[int, int]], float]:
     """Return where sources stand, brightest first, and the standard deviation that they stand out of, DN."""
     brightest = THRESHOLDS.min_source * float(light.height.max())
-    likely = _peaks(light.height, max(DETECTED * light.spread, brightest))
+    likely = _peaks(light.height, max(LIMITS.min_height_sd * light.spread, brightest))
     likely = [place for place in likely if light.stays(*place)]
     spread = light.far_spread(likely, MIN_REACH_PX)
-    return [place for place in likely if light.height[place] >= DETECTED * spread], spread
+    return [place for place in likely if light.height[place] >= LIMITS.min_height_sd * spread], spread
 
 
 def _peaks(smooth: Array, least: float) -> list[tuple[int, int]]:
@@ -193,7 +193,7 @@ def _hot_pixels(picture: Array, least_neighbours: float) -> tuple[NDArray[np.boo
     around = np.asarray(cv2.filter2D(picture, -1, cross, borderType=cv2.BORDER_REFLECT_101), np.float32)
     over = picture - ground
     noise = 1.4826 * float(np.median(np.abs(over)))
-    hot = (over > DETECTED * noise) & (around - ground < least_neighbours * over + noise)
+    hot = (over > LIMITS.min_height_sd * noise) & (around - ground < least_neighbours * over + noise)
     return hot, around
 
 

@@ -1,9 +1,8 @@
-"""The law of a filtered dark pixel: pulses of random height at random places, in closed form at any density.
+"""Distribution of a filtered dark pixel: compound Poisson process of pulses.
 
-Photoelectrons that the plate detects fall evenly, each gives a pulse of random height, and everything after the gain
-spreads it, over pixels and over the exposures in which the screen glows on. A pixel of the filtered frame is then a
-compound Poisson number, whose characteristic function is exact: overlapping pulses and pulses lost in the noise are in
-it, and no threshold has to be chosen or corrected for.
+Detected photoelectrons are uniformly distributed; each gives a pulse of random height, spread over pixels and
+exposures. The characteristic function is exact at any density and includes overlapping pulses and pulses below the
+noise, so no threshold is needed.
 """
 
 from dataclasses import dataclass
@@ -12,29 +11,24 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.noise.events.filters import Filter
-from charact.noise.events.spot import PulseSpread, quantise_amplitudes, responses
+from charact.noise.events.filters import Filter, PulseSpread, quantise_amplitudes, responses
+from charact.noise.thresholds import EVENT_ACCURACY
 
 Array = NDArray[np.float64]
-
-# The glow of a pulse is followed until less than this share is left, at most so many exposures.
-LEAST_GLOW, MOST_EXPOSURES = 1e-3, 40
-# Moments at which pulses begin, for the mean over them.
-MOMENTS = 8
 
 
 @dataclass(frozen=True, kw_only=True)
 class PulseDecay:
-    """How the screen gives off the light of a pulse: two exponentials.
+    """Phosphor decay of a pulse: two exponentials.
 
     Parameters
     ----------
     share
-        Share of the light that comes slowly, dimensionless.
+        Fraction of slow light, dimensionless.
     slow_exposures, fast_exposures
-        Times in which the slow light and the rest fall to 1/e, exposures.
+        Decay times of slow and fast light, exposures.
     open_share
-        Share of the exposure's period, from its start, in which pulses begin.
+        Fraction of the exposure period, from its start, in which pulses begin.
     """
 
     share: float = 0.0
@@ -44,19 +38,19 @@ class PulseDecay:
 
     @property
     def lasts(self) -> bool:
-        """Whether any light comes after its own exposure."""
+        """Whether any light falls into later exposures."""
         return self.share > 0.0 or self.fast_exposures > 0.0
 
     @lru_cache(maxsize=256)  # noqa: B019
     def by_exposure(self) -> tuple[Array, Array]:
-        """Return the shares of the light in a pulse's own and the following exposures, and the weights of moments.
+        """Return the fractions of light in a pulse's own and later exposures, and quadrature weights.
 
         Returns
         -------
         light
             Shape (moment, exposure).
         weight
-            Share of the pulses that begin then, shape (moment,).
+            Fraction of the pulses that begin then, shape (moment,).
         """
         if not self.lasts:
             return np.ones((1, 1)), np.ones(1)
@@ -64,16 +58,16 @@ class PulseDecay:
         start = self.open_share * start
         share = np.array([self.share, 1.0 - self.share])
         time = np.maximum([self.slow_exposures, self.fast_exposures], 1e-9)
-        last = float(np.max(time * np.log(np.maximum(share / LEAST_GLOW, 1.0))))
-        end = np.arange(int(np.clip(np.ceil(last), 1, MOST_EXPOSURES)) + 1) + 1.0
+        last = float(np.max(time * np.log(np.maximum(share / EVENT_ACCURACY.min_decay, 1.0))))
+        end = np.arange(int(np.clip(np.ceil(last), 1, EVENT_ACCURACY.max_exposures)) + 1) + 1.0
         left = np.exp(-(end[None, :, None] - start[:, None, None]) / time) @ share
         return -np.diff(left, axis=1, prepend=1.0), weight
 
 
 @lru_cache(maxsize=1)
 def _moments() -> tuple[Array, Array]:
-    """Moments of an exposure of length 1 and their weights, by Gauss and Legendre, closest where light spills over."""
-    node, weight = np.polynomial.legendre.leggauss(MOMENTS)
+    """Return Gauss-Legendre start times in an exposure of length 1 and their weights, densest at its end."""
+    node, weight = np.polynomial.legendre.leggauss(EVENT_ACCURACY.start_times)
     root = 0.5 * (node + 1.0)
     return 1.0 - root**2, root * weight
 
@@ -87,16 +81,16 @@ class PulsePopulation:
     density
         Detected events per pixel and exposure.
     height_dn
-        Mean pulse height, all light of a pulse together, DN.
+        Mean pulse height, total light of a pulse, DN.
     relative_variance
-        Of the pulse heights: those of a Polya (gamma) law of shape 1 over it; 1 is exponential.
+        Relative variance of the pulse heights: Polya (gamma) distribution of inverse shape; 1 is exponential.
     noise_dn2
-        Variance of the noise that pulses have no part in, DN^2.
+        Variance of the noise beneath the pulses, DN^2.
     line_1, line_2
-        Shares of a pixel's signal that the video hands on to the next pixel of the row and to the one after it; noise
-        and light pass the same low pass.
+        Fractions of a pixel's signal that the video filter moves to the next pixel of the row and the one after, for
+        noise and light alike.
     column_px, row_px
-        Standard deviation of the Gaussian part of the spot along a row and along a column, px.
+        Standard deviation of the Gaussian part of the spot along a row and a column, px.
     wings
         Strength of the other part, exp(-wings (f/f0)^exponent) with f0 of 0.1 cycles per column pitch.
     exponent
@@ -104,7 +98,7 @@ class PulsePopulation:
     glow, glow_exposures, fast_exposures
         As `share`, `slow_exposures` and `fast_exposures` of `PulseDecay`.
     row_pitch
-        From row to row of an exposure, in column pitches.
+        Row pitch of an exposure, column pitches.
     open_share
         As in `PulseDecay`.
     """
@@ -130,9 +124,9 @@ class PulsePopulation:
 
         Notes
         -----
-        rate * integral over places of [E exp(i t h a(x)) - 1] - t^2 var / 2, with a(x) the filter's response to a
-        pulse of unit light at x and E exp(i s h) = (1 - i s G v)^(-1/v) of a gamma law of mean G and relative
-        variance v (Campbell's theorem). A mean over time that was taken away is part of the response.
+        rate * integral over positions of [E exp(i t h a(x)) - 1] - t^2 var / 2, with a(x) the filter output of a pulse
+        of unit light at x and E exp(i s h) = (1 - i s G v)^(-1/v) of a gamma distribution of mean G and relative
+        variance v (Campbell's theorem). The output includes the subtracted temporal mean.
         """
         amplitude, area = pulse_outputs(one, self.spot, self.line, self.screen)
         pulse = height_transform(np.multiply.outer(frequency * self.height_dn, amplitude), self.relative_variance)
@@ -140,24 +134,24 @@ class PulsePopulation:
 
     @property
     def line(self) -> tuple[float, float, float]:
-        """Response of the video along a line to one pixel."""
+        """Impulse response of the video filter along a line."""
         return 1.0 - self.line_1 - self.line_2, self.line_1, self.line_2
 
     @property
     def spot(self) -> PulseSpread:
-        """How a pulse spreads."""
+        """Spread of a pulse."""
         return PulseSpread(column_px=self.column_px, row_px=self.row_px, wings=self.wings, exponent=self.exponent,
                     row_pitch=self.row_pitch)  # fmt: skip
 
     @property
     def screen(self) -> PulseDecay:
-        """How its light lasts."""
+        """Phosphor decay."""
         return PulseDecay(share=self.glow, slow_exposures=self.glow_exposures, fast_exposures=self.fast_exposures,
                     open_share=self.open_share)  # fmt: skip
 
 
 def height_transform(z: Array, relative_variance: float) -> NDArray[np.complex128]:
-    """Return E exp(i z h) - 1 of gamma heights h of mean 1."""
+    """Return E exp(i z h) - 1 of gamma-distributed heights h of mean 1."""
     shape = 1.0 / relative_variance
     size = np.exp(-0.5 * shape * np.log1p((z * relative_variance) ** 2))
     phase = shape * np.arctan(z * relative_variance)
@@ -166,7 +160,7 @@ def height_transform(z: Array, relative_variance: float) -> NDArray[np.complex12
 
 @lru_cache(maxsize=512)
 def pulse_outputs(one: Filter, spot: PulseSpread, line: tuple[float, ...], screen: PulseDecay) -> tuple[Array, Array]:
-    """Return the output for a pulse of unit light at any place and any age: amplitudes, and px exposures of each."""
+    """Return the outputs for pulses of unit light at all positions and ages: amplitudes, and px exposures of each."""
     amplitude, area = responses(one, spot, line)
     share, number = age_amplitudes(one, screen)
     value, weight = np.multiply.outer(share, amplitude).ravel(), np.multiply.outer(number, area).ravel()
@@ -175,10 +169,9 @@ def pulse_outputs(one: Filter, spot: PulseSpread, line: tuple[float, ...], scree
 
 @lru_cache(maxsize=512)
 def age_amplitudes(one: Filter, screen: PulseDecay) -> tuple[Array, Array]:
-    """Return what a filter through time makes of pulses of every age: amplitudes and how many there are.
+    """Return the output of a temporal filter for pulses of every age: amplitudes and their numbers.
 
-    A pulse begins in any exposure, at any moment of it; the mean over the run, which holds its light too, is taken
-    away.
+    A pulse begins at any time of any exposure; the subtracted temporal mean contains its light too.
     """
     light, chance = screen.by_exposure()
     amplitude = amplitudes_by_age(one, light)
@@ -200,7 +193,7 @@ def amplitudes_by_age(one: Filter, light: Array) -> Array:
 
 
 def sum_by_phase(one: Filter, light: Array) -> Array:
-    """Return what the mean over time takes away of a pulse, by the rows it began in, shape (moment, phase)."""
+    """Return the part of a pulse removed with the temporal mean, by the parity of its start, shape (moment, phase)."""
     total = np.stack([light[:, phase :: one.stride].sum(axis=1) for phase in range(one.stride)], axis=1)
     return total * sum(one.times) / one.exposures
 
@@ -216,11 +209,11 @@ class CharacteristicFunctionData:
     frequency
         Frequencies of each, shape (filter, t), 1/DN.
     value
-        Logarithms of the characteristic functions, real parts, then imaginary ones, shape (2 filter t,).
+        ln of the characteristic functions, real parts, then imaginary ones, shape (2 filter t,).
     covariance
-        Theirs, from the scatter of blocks, shape (2 filter t, 2 filter t).
+        Covariance of the values, from the scatter of blocks, shape (2 filter t, 2 filter t).
     pixels
-        Pixels it comes from, over all exposures.
+        Number of pixels over all exposures.
     """
 
     filters: tuple[Filter, ...]
@@ -230,7 +223,7 @@ class CharacteristicFunctionData:
     pixels: float
 
     def predicted(self, pulses: PulsePopulation) -> Array:
-        """Return what pulses predict, shape (2 filter t,)."""
+        """Return the model of pulses, shape (2 filter t,)."""
         pairs = zip(self.filters, self.frequency, strict=True)
         return real_and_imaginary(np.stack([pulses.log_characteristic(one, frequency) for one, frequency in pairs]))
 

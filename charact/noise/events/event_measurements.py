@@ -1,4 +1,4 @@
-"""What single photoelectrons in dark frames tell: background illumination, pulse height and its spread."""
+"""Single photoelectrons of dark frames: background illumination, pulse height, excess noise factor."""
 
 from collections import Counter
 from typing import Any
@@ -8,15 +8,16 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.method.stopwatch import with_timing
+from charact.noise.cathode_radiometry import lognormal_draws, photoelectrons_per_lux_s
 from charact.noise.checks import QUANTISED_DN2
-from charact.noise.events.figure_data import pulse_figure_data
-from charact.noise.events.frames import MOST_FRAMES, QUICK_VALUES, DarkFrames, dark_frames, fits_filters, has_pulses
+from charact.noise.events.filters import MIDDLE
+from charact.noise.events.frames import DarkFrames, dark_frames, fits_filters, has_pulses
 from charact.noise.events.pulse_height_fit import PulseFit, fit_pulses
 from charact.noise.findings import Finding, flags_of, notes_of
 from charact.noise.gain.series import gain_of
 from charact.noise.provenance import provenance
-from charact.noise.snr.cathode_radiometry import lognormal_draws, photoelectrons_per_lux_s
 from charact.noise.stack.stack_statistics import StackStatistics
+from charact.noise.thresholds import EVENT_ACCURACY, EVENTS
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
 from labdata.lazy_stack import open_lazy_stack
@@ -25,55 +26,92 @@ from labdata.session import Session, StackEntry
 
 Array = NDArray[np.float64]
 
+
+def pulse_figure_data(found: PulseFit) -> dict[str, Any]:
+    """Return measured and fitted distributions of filtered pixels, and the fit parameters."""
+    best, one = found.peak.pulses, found.observed.filters[MIDDLE]
+    noise = float(np.sqrt(one.noise(best.line) * best.noise_dn2))
+    low, high = -EVENT_ACCURACY.figure_noise_sd * noise, EVENT_ACCURACY.figure_heights * found.signal_to_noise * noise
+    edges = np.linspace(low, high, EVENT_ACCURACY.figure_bins + 1)
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    value = [one.within(change, one.reach)[good[:, one.reach[0] : good.shape[1] - one.reach[0],
+                                                one.reach[1] : good.shape[2] - one.reach[1]]]
+             for change, good in zip(found.frames.changes, found.usable, strict=True)]  # fmt: skip
+    pixels = sum(part.size for part in value)
+    count = sum(np.histogram(part, edges)[0] for part in value)
+    spread = found.posterior["relative_variance"]
+    return {
+        "figure": "pulse-heights",
+        "edge_dn": edges.tolist(),
+        "density_per_dn": (np.asarray(count) / pixels / np.diff(edges)).tolist(),
+        "value_dn": middle.tolist(),
+        "law_per_dn": _density(found, middle, float(high - low)).tolist(),
+        "noise_per_dn": (np.exp(-0.5 * (middle / noise) ** 2) / noise / np.sqrt(2.0 * np.pi)).tolist(),
+        "values": pixels,
+        "filter_px": [one.high, one.broad],
+        "response_to_mean_pulse_dn": found.signal_to_noise * noise,
+        "density_per_px": best.density,
+        "mean_height_dn": best.height_dn,
+        "relative_variance": best.relative_variance,
+        "relative_variance_sd": float(np.std(spread)),
+        "spot_column_px": best.column_px,
+        "spot_row_px": best.row_px,
+        "glow": best.glow,
+        "glow_exposures": best.glow_exposures,
+        "fast_exposures": best.fast_exposures,
+        "signal_to_noise": found.signal_to_noise,
+        "ion_events": len(found.ion_height_dn),
+        "ion_events_per_px": len(found.ion_height_dn) / sum(change.size for change in found.frames.changes),
+        "ion_mean_height_dn": float(np.mean(found.ion_height_dn)) if len(found.ion_height_dn) else None,
+        "chi2": found.peak.chi2,
+        "freedom": found.peak.freedom,
+        "chance": found.peak.chance,
+    }
+
+
+def _density(found: PulseFit, value: Array, span_dn: float) -> Array:
+    """Return the fitted probability density of filtered pixels per DN, from its characteristic function."""
+    step = EVENT_ACCURACY.figure_margin * span_dn / EVENT_ACCURACY.figure_points
+    frequency = np.asarray(2.0 * np.pi * np.fft.rfftfreq(EVENT_ACCURACY.figure_points, step), np.float64)
+    log = found.peak.pulses.log_characteristic(found.observed.filters[MIDDLE], frequency)
+    # NumPy's transform uses exp(-i t y).
+    density = np.fft.irfft(np.exp(np.conj(log)), EVENT_ACCURACY.figure_points) / step
+    place = np.fft.fftfreq(EVENT_ACCURACY.figure_points, 1.0 / (EVENT_ACCURACY.figure_points * step))
+    order = np.argsort(place)
+    return np.interp(value, place[order], np.maximum(density[order], 0.0))
+
+
 METHOD = "pulse-law"
-LEAST_FRAMES = 8
-# Smallest images: what is left inside the filters' reach, px.
-LEAST_INSIDE = 24
-# Response to a mean pulse over the filtered noise below which the law is not looked for, and below which it is doubted.
-LOST, WEAK = 1.2, 3.0
-# Relative standard errors of density or height beyond which nothing, and beyond which little, is known.
-UNKNOWN, VAGUE = 0.4, 0.2
-FEW_EVENTS = 200
-LEAST_GAIN = 40
-# Share of values that stay the same from frame to frame: that of rounded noise of 0.5 DN.
-MOST_STILL = 0.53
-# Shares of pixels that flicker, of bright values at the highest code, of values beside ion events.
-DEFECT_SHARE, FULL_SHARE, SPOILT_SHARE = 0.01, 0.02, 0.5
-LEAST_CHANCE = 1e-4
-# Squared residuals per degree of freedom beyond which the law says nothing.
-WORST_MISFIT = 8.0
-# Share of the photoelectrons that start a pulse, where no sensor states it: open area, film and recovery.
-DETECTION = (0.45, 1.0)
 
 
 def pulses_of_darks(session: Session, darks: list[StackStatistics], *, context: Context) -> Result:
-    """Measure the law of single photoelectrons in a session's dark frames, if they are an intensified camera's.
+    """Measure single photoelectrons in the dark frames of an intensified camera.
 
     Parameters
     ----------
     session, darks
         The session, and the statistics of its dark stacks.
     context
-        Sensor, seed, fields and highest code.
+        Sensor, seed, interlacing and full scale.
 
     Returns
     -------
     Result
-        Of the dark stack at the gain of most flats, or else of most frames; nothing where neither a sensor is named nor
-        a voltage of the plate recorded, for then nobody says that there is an intensifier.
+        Measurements of the dark stack at the gain of most flats, or else of most frames; empty if neither a sensor nor
+        an MCP voltage indicates an intensifier.
     """
     if context.sensor is None and not any(dark.conditions.mcp_v for dark in darks):
         return Result()
     gains = Counter(gain_of(entry.conditions) for entry in session.of_kind("flat"))
     common = max(gains, key=lambda gain: gains[gain], default=None)
-    order = sorted(darks, key=lambda dark: (dark.frames >= LEAST_FRAMES, gain_of(dark.conditions) == common,
+    order = sorted(darks, key=lambda dark: (dark.frames >= EVENTS.min_frames, gain_of(dark.conditions) == common,
                                             dark.frames, dark.conditions.exposure_s or 0.0))  # fmt: skip
     return measure_events(session.stack(order[-1].label), context=context) if order else Result()
 
 
 @with_timing
 def measure_events(dark: StackEntry, *, context: Context) -> Result:
-    """Measure the law of single photoelectrons in a dark stack."""
+    """Measure single photoelectrons in a dark stack."""
     context.progress("single photoelectrons in the darks", 0.95)
     fields: dict[str, Any] = {"method": METHOD, "stack": dark.label, "provenance": provenance(context)}
     found = _fit_dark_frames(_frames(dark), dark.conditions, context)
@@ -88,18 +126,18 @@ def measure_events(dark: StackEntry, *, context: Context) -> Result:
 
 
 def _frames(dark: StackEntry) -> FrameStack:
-    """As many frames as are used, of a stack that may be larger than memory."""
+    """Return the used frames of a stack that may exceed memory."""
     stack = open_lazy_stack(dark)
-    count = min(len(stack), MOST_FRAMES)
+    count = min(len(stack), EVENTS.max_frames)
     return FrameStack(data=stack.frames(0, count), frame_number=stack.frame_number[:count],
                       full_scale_dn=stack.full_scale_dn)  # fmt: skip
 
 
 def _fit_dark_frames(stack: FrameStack, conditions: Conditions, context: Context) -> PulseFit | str:
-    """The law of the pulses, or why it cannot be had."""
-    if len(stack) < LEAST_FRAMES:
-        return f"pulses take at least {LEAST_FRAMES} dark frames, got {len(stack)}"
-    look = dark_frames(stack, context, QUICK_VALUES)
+    """Return the pulse fit, or the reason for refusal."""
+    if len(stack) < EVENTS.min_frames:
+        return f"single photoelectrons need at least {EVENTS.min_frames} dark frames, got {len(stack)}"
+    look = dark_frames(stack, context, EVENTS.quick_values)
     reason = frames_obstacle(look)
     if reason is not None:
         return reason
@@ -108,45 +146,46 @@ def _fit_dark_frames(stack: FrameStack, conditions: Conditions, context: Context
     try:
         found = fit_pulses(look, dark_frames(stack, context), context, period_s=period_s, open_share=share)
     except np.linalg.LinAlgError:
-        return "no law of pulses comes near the darks: what brightens their pixels is not single photoelectrons"
+        return "no pulse-height distribution fits the darks: their bright pixels are not single photoelectrons"
     return found if isinstance(found, str) else fit_obstacle(found) or found
 
 
 def frames_obstacle(frames: DarkFrames) -> str | None:
-    """Why no pulses can be looked for in dark frames, or None."""
-    if not fits_filters(frames, LEAST_INSIDE):
+    """Return why dark frames are not usable, or None."""
+    if not fits_filters(frames, EVENTS.min_inside_px):
         rows, cols = frames.changes[0].shape[1:]
-        return f"exposures of {rows} x {cols} px leave no room around the filters that find pulses"
-    if frames.still > MOST_STILL:
+        return f"exposures of {rows} x {cols} px are too small for the pulse filters"
+    if frames.still > EVENTS.max_unchanged:
         return (
-            f"the noise under the pulses is finer than the digitiser's steps: {100 * frames.still:.0f} % of the values "
-            f"stay the same from frame to frame, at most {100 * MOST_STILL:.0f} % may; a higher gain of the camera "
-            "or a capture of 10 bits and more would show it"
+            "the noise beneath the pulses is smaller than the quantisation step: "
+            f"{100 * frames.still:.0f} % of the values do not change between frames, at most "
+            f"{100 * EVENTS.max_unchanged:.0f} % may; use a higher camera gain or at least 10 bits"
         )
     if not has_pulses(frames):
-        return "noise alone explains the darks: filtered pixels are as often far below their mean as above it"
+        return "no single-photoelectron events detected: filtered pixels are symmetric about their mean"
     return None
 
 
 def fit_obstacle(found: PulseFit) -> str | None:
-    """Why the pulses cannot be measured, or None."""
-    if found.gain_of_pulses < LEAST_GAIN:
+    """Return why the fit is not a measurement, or None."""
+    if found.gain_of_pulses < EVENTS.min_chi2_gain:
         return (
-            f"noise alone explains the darks: pulses improve chi2 by {found.gain_of_pulses:.0f}, less than {LEAST_GAIN}"
+            f"no single-photoelectron events detected: chi2 improvement {found.gain_of_pulses:.0f}, "
+            f"at least {EVENTS.min_chi2_gain} required"
         )
-    if found.signal_to_noise < LOST:
+    if found.signal_to_noise < EVENTS.min_snr:
         return (
-            f"pulses do not stand out of the noise: a mean one is {found.signal_to_noise:.2g} times the noise of a "
-            f"filter that suits it, and {LOST:g} are needed"
+            f"pulses are hidden by noise: a mean pulse is {found.signal_to_noise:.2g} times the noise of a "
+            f"matched filter, at least {EVENTS.min_snr:g} required"
         )
-    if found.peak.chi2 > WORST_MISFIT * found.peak.freedom:
+    if found.peak.chi2 > EVENTS.max_reduced_chi2 * found.peak.freedom:
         return (
-            "no law of pulses comes near the darks: chi2 per degree of freedom is "
-            f"{found.peak.chi2 / found.peak.freedom:.0f}, at most {WORST_MISFIT:g} may be left"
+            "no pulse-height distribution fits the darks: chi2 per degree of freedom is "
+            f"{found.peak.chi2 / found.peak.freedom:.0f}, at most {EVENTS.max_reduced_chi2:g} may be left"
         )
     error = max(_relative_sd(found.posterior, name) for name in ("density", "height_dn"))
-    if error > UNKNOWN:
-        return f"number and height of the pulses are known to {100 * error:.0f} % only: more frames are needed"
+    if error > EVENTS.max_relative_sd:
+        return f"the uncertainty of number or height of pulses is {100 * error:.0f} %; take more frames"
     return None
 
 
@@ -155,39 +194,43 @@ def _relative_sd(posterior: Posterior, name: str) -> float:
 
 
 def pulse_findings(found: PulseFit) -> list[Finding]:
-    """What to distrust, and what was seen."""
+    """Return the findings of a pulse fit."""
     best, frames, out = found.peak.pulses, found.frames, list[Finding]()
-    out.append((None, f"the share p of the photoelectrons that start a pulse shows in no dark frame: {_HOW_P}"))
-    if found.signal_to_noise < WEAK:
+    out.append((None, f"the detection probability p is not measurable in darks: {_HOW_P}"))
+    if found.signal_to_noise < EVENTS.low_snr:
         out.append(("low-signal", f"a mean pulse is {found.signal_to_noise:.2g} times the filtered noise"))
     count = best.density * found.observed.pixels
     error = max(_relative_sd(found.posterior, name) for name in ("density", "height_dn"))
-    if count < FEW_EVENTS or error > VAGUE:
-        out.append(("too-few-frames", f"{count:.0f} events: number and height are known to {100 * error:.0f} %"))
+    if count < EVENTS.few_events or error > EVENTS.high_relative_sd:
+        out.append(
+            ("too-few-frames", f"{count:.0f} events: the uncertainty of number or height is {100 * error:.0f} %")
+        )
     if best.noise_dn2 < QUANTISED_DN2:
-        out.append(("quantised", f"the noise under the pulses is {np.sqrt(best.noise_dn2):.2g} DN"))
-    if frames.full > FULL_SHARE:
-        out.append(("clipped", f"{100 * frames.full:.0f} % of the brightest values are at the highest code"))
-    if frames.defects > DEFECT_SHARE:
-        out.append(("defects", f"{100 * frames.defects:.1f} % of the pixels flicker by themselves"))
-    if found.peak.chance < LEAST_CHANCE:
-        out.append(("model-misfit", f"pulses leave chi2 {found.peak.chi2:.0f} of {found.peak.freedom}"))
-    if found.spoilt > SPOILT_SHARE:
-        out.append(("model-misfit", f"{100 * found.spoilt:.0f} % of the values lie beside ion events"))
+        out.append(("quantised", f"the noise beneath the pulses is {np.sqrt(best.noise_dn2):.2g} DN"))
+    if frames.full > EVENTS.clipped_fraction:
+        out.append(("clipped", f"{100 * frames.full:.0f} % of the brightest values are at full scale"))
+    if frames.defects > EVENTS.blinking_fraction:
+        out.append(("defects", f"{100 * frames.defects:.1f} % of the pixels are blinking"))
+    if found.peak.chance < EVENTS.min_p_value:
+        out.append(
+            ("model-misfit", f"residuals of the pulse fit have chi2 {found.peak.chi2:.0f} of {found.peak.freedom}")
+        )
+    if found.spoilt > EVENTS.contaminated_fraction:
+        out.append(("model-misfit", f"{100 * found.spoilt:.0f} % of the values are near ion feedback events"))
     if len(found.ion_height_dn):
         size = float(np.mean(found.ion_height_dn)) / best.height_dn
         rate = len(found.ion_height_dn) / sum(change.size for change in frames.changes)
-        apart = f"{len(found.ion_height_dn)} ion events, {rate:.2g} per pixel and exposure"
-        out.append((None, f"{apart}, of {size:.0f} mean pulses each are counted apart"))
+        apart = f"{len(found.ion_height_dn)} ion feedback events, {rate:.2g} per pixel and exposure"
+        out.append((None, f"{apart}, of {size:.0f} mean pulses each, are excluded"))
     return out + [(flag, "see the posterior") for flag in found.posterior.flags]
 
 
-_HOW_P = "a flat of known light tells k, and p is k over the pulse height"
+_HOW_P = "take a flat at known illuminance: it gives k, and p = k / pulse height"
 
 
 def _measurements(found: PulseFit, conditions: Conditions, context: Context, fields: dict[str, Any]
                   ) -> list[Measurement]:  # fmt: skip
-    """The quantities of a law that was found."""
+    """Return the quantities of a pulse fit."""
     posterior = found.posterior
     rng = np.random.default_rng([context.seed, 7])
     height, spread = posterior["height_dn"], posterior["relative_variance"]
@@ -200,24 +243,24 @@ def _measurements(found: PulseFit, conditions: Conditions, context: Context, fie
 
 
 def detection(context: Context, rng: np.random.Generator, count: int) -> tuple[Array, str]:
-    """Return draws of the share of photoelectrons that start a pulse, and a sentence on where it is from."""
+    """Return draws of the detection probability, and a note on its source."""
     if context.sensor is None:
-        low, high = DETECTION
-        return rng.uniform(low, high, count), f"no sensor is named: p is taken as anywhere from {low:g} to {high:g}"
+        low, high = EVENTS.detection_range
+        return rng.uniform(low, high, count), f"without a sensor description, p is assumed between {low:g} and {high:g}"
     stated = context.sensor.microchannel_plate.detection_probability
     return np.minimum(
         lognormal_draws(stated, rng, count), 1.0
-    ), f"p is the sensor's, {float(stated):.2g}, within its range"
+    ), f"p from the sensor description, {float(stated):.2g}, within its range"
 
 
 def _open_s(conditions: Conditions) -> float | None:
-    """Time in which photoelectrons come into one exposure, s."""
+    """Return the open time of one exposure, s."""
     return conditions.exposure_s if conditions.gate_ns is None else conditions.gate_ns * 1e-9
 
 
 def _background(density: Array, conditions: Conditions, context: Context, rng: np.random.Generator,
                 fields: dict[str, Any]) -> list[Measurement]:  # fmt: skip
-    """Photoelectrons in the dark, per second and pixel, and the light that would make as many."""
+    """Return the EBI: dark photoelectrons per second and pixel, and the equivalent illumination."""
     open_s = _open_s(conditions)
     if not open_s:
         reason = (

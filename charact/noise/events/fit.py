@@ -1,4 +1,4 @@
-"""The posterior of pulses in dark frames, from the characteristic functions of filtered pixels."""
+"""Posterior of the pulse parameters of dark frames, from characteristic functions of filtered pixels."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.noise.events.event_distribution import CharacteristicFunctionData, PulsePopulation
+from charact.noise.thresholds import EVENT_ACCURACY
 from charact.posterior import laplace
 from labdata.measurement import Posterior
 
@@ -16,7 +17,7 @@ UNITS = {"density": "1/px", "height_dn": "DN", "relative_variance": "1", "noise_
          "line_2": "1", "column_px": "px", "row_px": "px", "wings": "1", "exponent": "1", "glow": "1",
          "glow_exposures": "exposures", "fast_exposures": "exposures"}  # fmt: skip
 SLOW, FAST = ("glow", "glow_exposures"), ("fast_exposures",)
-# These are positive and fitted by their logarithms.
+# Positive parameters, fitted as logarithms.
 LOGARITHMIC = ("density", "height_dn", "noise_dn2", "column_px", "row_px", "glow_exposures")
 BOUNDS = {
     "relative_variance": (0.01, 6.0),
@@ -31,34 +32,24 @@ BOUNDS = {
     "fast_exposures": (0.0, 0.6),
 }
 Priors = dict[str, tuple[float, float]]
-# Parameters that data alone leave open: mean and standard deviation of a normal prior, of the logarithm where positive.
+# Normal priors of weakly constrained parameters: mean and standard deviation.
 PRIORS: Priors = {"line_1": (0.0, 0.2), "line_2": (0.0, 0.1), "exponent": (1.3, 0.2), "wings": (0.0, 1.0)}
-# Share by which the law itself may be wrong: places and amplitudes are finite, and no spot is quite of its form.
-TOLERANCE = 1e-3
-# Places from which a fit starts: spots, px, and heights over the noise of a pixel.
-START_WIDTHS_PX = (0.3, 0.7, 1.3, 2.2)
-START_HEIGHTS = (2.0, 5.0, 12.0, 30.0, 80.0, 200.0)
-# Step by which derivatives are taken.
-STEP = 4e-3
-ITERATIONS = 60
-# Fall of chi2 at which a climb ends, and at which a rough one does.
-ENOUGH, ROUGHLY = 0.01, 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
 class PulseOptimum:
-    """The best pulses.
+    """Optimum of the pulse likelihood.
 
     Parameters
     ----------
     pulses
         Them.
     point
-        Their place, logarithms where positive, shape (parameter,).
+        Parameter vector, with logarithms of positive parameters, shape (parameter,).
     predicted, derivative
-        What they predict and its derivative by the point, shapes (value,) and (value, parameter).
+        Model and its derivative by the parameters, shapes (value,) and (value, parameter).
     covariance
-        Covariance of the point, shape (parameter, parameter).
+        Covariance of the parameters, shape (parameter, parameter).
     chi2, freedom
         Squared residuals over their variance, and degrees of freedom.
     """
@@ -73,7 +64,7 @@ class PulseOptimum:
 
     @property
     def chance(self) -> float:
-        """Probability of a larger chi2 by chance."""
+        """p-value of chi2."""
         from scipy.special import gammaincc
 
         return float(gammaincc(0.5 * self.freedom, 0.5 * self.chi2))
@@ -81,18 +72,18 @@ class PulseOptimum:
 
 @dataclass(frozen=True, kw_only=True)
 class PulseLikelihood:
-    """Which parameters of pulses are to be found, from what.
+    """Likelihood of pulse parameters.
 
     Parameters
     ----------
     observed
-        What the frames show.
+        The data.
     names
-        Parameters to be found.
+        Free parameters.
     priors
-        What is known of some of them.
+        Priors of some of them.
     fixed
-        Pulses whose other parameters hold.
+        Values of the other parameters.
     """
 
     observed: CharacteristicFunctionData
@@ -108,57 +99,65 @@ class PulseLikelihood:
 
     @cached_property
     def known(self) -> tuple[Array, Array]:
-        """Means of the parameters' priors and one over their standard deviations, 0 where there is none."""
+        """Prior means and inverse standard deviations, 0 without a prior."""
         prior = [self.priors.get(name, (0.0, np.inf)) for name in self.names]
         return np.array([mean for mean, _ in prior]), np.array([1.0 / sd for _, sd in prior])
 
     def pulses(self, point: Array) -> PulsePopulation:
-        """Pulses of a point."""
+        """Return the pulses of a parameter vector."""
         value = {name: float(np.exp(x)) if name in LOGARITHMIC else float(x)
                  for name, x in zip(self.names, point, strict=True)}  # fmt: skip
         return replace(self.fixed, **value)
 
     def point(self, pulses: PulsePopulation) -> Array:
-        """Point of pulses, inside the walls."""
+        """Return the parameter vector of pulses, inside the bounds."""
         value = [getattr(pulses, name) for name in self.names]
         point = [np.log(x) if name in LOGARITHMIC else x for name, x in zip(self.names, value, strict=True)]
         return np.clip(np.array(point), self.walls[:, 0], self.walls[:, 1])
 
     def predicted(self, point: Array) -> Array:
-        """Return what the pulses of a point predict, shape (value,)."""
+        """Return the model at a parameter vector, shape (value,)."""
         return self.observed.predicted(self.pulses(point))
 
     def derivative(self, point: Array, at: Array) -> Array:
-        """Derivatives of the prediction by steps into the inside, shape (value, parameter)."""
+        """Return the derivatives of the model by inward steps, shape (value, parameter)."""
         columns = []
         for index in range(len(point)):
-            step = STEP if point[index] + STEP < self.walls[index, 1] else -STEP
+            step = (
+                EVENT_ACCURACY.derivative_step
+                if point[index] + EVENT_ACCURACY.derivative_step < self.walls[index, 1]
+                else -EVENT_ACCURACY.derivative_step
+            )
             moved = point.copy()
             moved[index] += step
             columns.append((self.predicted(moved) - at) / step)
         return np.stack(columns, axis=1)
 
     def noise_alone(self) -> Array:
-        """Return what noise of unit variance without pulses predicts."""
+        """Return the model of noise of unit variance without pulses."""
         return self.observed.predicted(replace(self.fixed, density=0.0, noise_dn2=1.0))
 
 
 def whitening(observed: CharacteristicFunctionData, covariance: Array) -> Array:
-    """Return the matrix that makes residuals independent, each of unit variance.
+    """Return the whitening matrix of the residuals.
 
-    A difference of exposures is as often below zero as above it, but for pulses that the run's ends cut: its imaginary
-    part tells nothing and has no weight.
+    A difference of exposures is symmetric except at the ends of the stack, so its imaginary part has no weight.
     """
     count, times = observed.frequency.shape
     real, imaginary = np.abs(observed.value).reshape(2, count, times)
     balanced = np.array([abs(sum(one.times)) < 1e-9 for one in observed.filters])[:, None]
-    unknown = np.stack([TOLERANCE * real, np.where(balanced, real, TOLERANCE * imaginary)])
+    unknown = np.stack(
+        [
+            EVENT_ACCURACY.model_relative_sd * real,
+            np.where(balanced, real, EVENT_ACCURACY.model_relative_sd * imaginary),
+        ]
+    )
     covariance = covariance + np.diag(unknown.ravel() ** 2 + 1e-24)
     return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), np.float64)
 
 
 def noise_only_chi2(problem: PulseLikelihood, covariance: Array) -> float:
-    """Return chi2 of the noise alone, at its best."""
+    """Return the smallest chi2 of noise alone."""
     root = whitening(problem.observed, covariance)
     white, target = root @ problem.noise_alone(), root @ problem.observed.value
     rest = target - max(float(white @ target / (white @ white)), 0.0) * white
@@ -166,11 +165,11 @@ def noise_only_chi2(problem: PulseLikelihood, covariance: Array) -> float:
 
 
 def best_guess(problem: PulseLikelihood, covariance: Array, pixel_noise_dn: float) -> PulsePopulation:
-    """Return the best of a few guesses; density and noise enter linearly and follow for each."""
+    """Return the best of a grid of start values; density and noise are linear and solved for each."""
     root, best = whitening(problem.observed, covariance), None
     target, noise = root @ problem.observed.value, root @ problem.noise_alone()
-    for width in START_WIDTHS_PX:
-        for height in START_HEIGHTS:
+    for width in EVENT_ACCURACY.start_widths_px:
+        for height in EVENT_ACCURACY.start_heights:
             guess = replace(problem.fixed, density=1.0, noise_dn2=0.0, height_dn=height * pixel_noise_dn,
                             column_px=width, row_px=max(width / problem.fixed.row_pitch, 0.1))  # fmt: skip
             design = np.stack([root @ problem.observed.predicted(guess), noise], axis=1)
@@ -183,12 +182,13 @@ def best_guess(problem: PulseLikelihood, covariance: Array, pixel_noise_dn: floa
     return best[1]
 
 
-def optimise_pulses(problem: PulseLikelihood, covariance: Array, start: PulsePopulation, derivative: Array | None = None, *, rough: bool
-            ) -> PulseOptimum:  # fmt: skip
-    """Return the peak near a start by damped Gauss-Newton steps.
+def optimise_pulses(
+    problem: PulseLikelihood, covariance: Array, start: PulsePopulation, derivative: Array | None = None, *, rough: bool
+) -> PulseOptimum:
+    """Return the optimum near a start by damped Gauss-Newton steps.
 
-    Derivatives, which may be given as they were nearby, are brought up to date by what each step tells (Broyden), and
-    taken anew where that leads nowhere, unless a rough peak will do.
+    Derivatives, optionally given from nearby, are updated after each step (Broyden) and recomputed when progress stops,
+    unless `rough`.
     """
     root, (mean, precision) = whitening(problem.observed, covariance), problem.known
 
@@ -200,19 +200,22 @@ def optimise_pulses(problem: PulseLikelihood, covariance: Array, start: PulsePop
     fresh = derivative is None
     derivative = problem.derivative(point, predicted) if derivative is None else derivative
     at = residual(point, predicted)
-    for _ in range(ITERATIONS):
+    for _ in range(EVENT_ACCURACY.max_iterations):
         slope = np.concatenate([root @ derivative, np.diag(precision)])
         step = _step(slope, at, damping, point, problem.walls)
         moved = np.clip(point + np.clip(step, -1.0, 1.0), problem.walls[:, 0], problem.walls[:, 1])
         reached, way = problem.predicted(moved), moved - point
         there = residual(moved, reached)
         gain = float(at @ at - there @ there)
-        if gain > ENOUGH:
+        if gain > EVENT_ACCURACY.chi2_tolerance:
             derivative = derivative + np.outer(reached - predicted - derivative @ way, way) / (way @ way)
             point, predicted, at, damping, fresh = moved, reached, there, damping / 5.0, False
-        elif not fresh and not (rough and abs(gain) < ROUGHLY):
+        elif not fresh and not (rough and abs(gain) < EVENT_ACCURACY.rough_chi2_tolerance):
             derivative, fresh = problem.derivative(point, predicted), True
-        elif abs(gain) <= (ROUGHLY if rough else ENOUGH) or damping > 1e4:
+        elif (
+            abs(gain) <= (EVENT_ACCURACY.rough_chi2_tolerance if rough else EVENT_ACCURACY.chi2_tolerance)
+            or damping > 1e4
+        ):
             break
         else:
             damping *= 10.0
@@ -230,7 +233,7 @@ def optimise_pulses(problem: PulseLikelihood, covariance: Array, start: PulsePop
 
 
 def _step(slope: Array, at: Array, damping: float, point: Array, walls: Array) -> Array:
-    """A damped step in which parameters at a wall that would go beyond it stay."""
+    """Return a damped step that keeps parameters inside their bounds."""
     free = np.ones(len(point), bool)
     while True:
         step, own = np.zeros(len(point)), slope[:, free]
@@ -243,9 +246,9 @@ def _step(slope: Array, at: Array, damping: float, point: Array, walls: Array) -
 
 
 def laplace_draws(problem: PulseLikelihood, peak: PulseOptimum, *, seed: int) -> Posterior:
-    """Return the posterior by its curvature, of the logarithms where parameters are positive, then turned back.
+    """Return draws of the Laplace approximation, in logarithms for positive parameters.
 
-    How often its intervals hold is measured, see `charact.study.flats.dark_events_coverage`.
+    For the coverage of its intervals see `benchmarks.studies.dark_events_coverage`.
     """
     units = tuple(UNITS[name] for name in problem.names)
     found = laplace(None, names=problem.names, units=units, start=peak.point,  # type: ignore[arg-type]
@@ -254,6 +257,6 @@ def laplace_draws(problem: PulseLikelihood, peak: PulseOptimum, *, seed: int) ->
     for index, name in enumerate(problem.names):
         if name in LOGARITHMIC:
             draws[:, index] = np.exp(draws[:, index])
-    # Spots without wings, and a screen whose glow cannot be timed, lean on their bounds and harm nothing.
+    # Absent wings and an unmeasurable phosphor decay lie at their bounds and are harmless.
     flags = tuple(flag for flag in found.flags if flag != "prior-bound")
     return replace(found, draws=draws, flags=flags)

@@ -1,4 +1,4 @@
-"""Dark frames made ready for looking at single pulses: what changes in time, without pixels that flicker."""
+"""Dark frames without fixed pattern and blinking pixels, for the search of single pulses."""
 
 from dataclasses import dataclass, replace
 
@@ -7,45 +7,32 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.noise.events.filters import MIDDLE, Filter, boxes, common_reach
-from charact.noise.stack.exposure_order import exposures
+from charact.noise.stack.temporal import exposures
+from charact.noise.thresholds import EVENT_ACCURACY, EVENTS
 from labdata.frames import FrameStack
 
 Array = NDArray[np.float64]
 Images = NDArray[np.float32]
 
-# So many frames and pixel values are enough for any law, and more would only take time; so few for a first look.
-MOST_FRAMES, MOST_VALUES, QUICK_VALUES = 64, 4_000_000, 600_000
-# A pixel far brighter than its own mean so often that chance does it in one frame of a thousand is no pulse's.
-BRIGHT, CHANCE = 6.0, 1e-3
-# Correlation of exposures that is beyond so many standard errors is light that stays.
-SEEN = 2.5
-# Third moment of filtered pixels, in standard errors, below which noise alone explains it, unless more than this share
-# of them is so many times the noise.
-SKEWED, OUTSTANDING, OUT = 3.0, 2e-5, 6.0
-# Values that tell a spread.
-SAMPLE = 60_000
-# Side of the blocks whose scatter gives standard errors, px.
-BLOCK_PX = 16
-
 
 @dataclass(frozen=True, kw_only=True)
 class DarkFrames:
-    """Dark exposures without their fixed pattern.
+    """Dark exposures without fixed pattern.
 
     Parameters
     ----------
     changes
-        What changes in time, for the exposures of each set of rows, shape (exposure, row, col), DN.
+        Fluctuations of the exposures of each parity, shape (exposure, row, col), DN.
     stride
-        Exposures from one of the same rows to the next.
+        Exposures between successive ones of one parity.
     row_pitch
-        From row to row of an exposure, in column pitches.
+        Row pitch of an exposure, column pitches.
     defects
-        Share of the pixels that flicker by themselves; they are set to nothing.
+        Fraction of blinking pixels, which are set to zero.
     still
-        Share of the values that are the same in the next exposure of the same rows.
+        Fraction of values unchanged in the next exposure of the same parity.
     full
-        Share of the bright values that are at the highest code.
+        Fraction of bright values at full scale.
     """
 
     changes: tuple[Images, ...]
@@ -56,11 +43,11 @@ class DarkFrames:
     full: float
 
     def filters(self, step: int, *, lag: bool) -> tuple[Filter, ...]:
-        """Return filters for a spot of some `step` pixels."""
+        """Return filters for a spot of half width `step`, px."""
         return boxes(step, stride=self.stride, exposures=len(self.changes[0]), lag=lag)
 
     def without_mean(self, usable: list[NDArray[np.bool_]]) -> "DarkFrames":
-        """Return the same with each pixel's mean taken over the values that count."""
+        """Return a copy with each pixel's mean computed from the usable values."""
         changes = []
         for change, good in zip(self.changes, usable, strict=True):
             count = np.maximum(good.sum(axis=0), 1)
@@ -68,9 +55,9 @@ class DarkFrames:
         return replace(self, changes=tuple(changes))
 
 
-def dark_frames(stack: FrameStack, context: Context, most_values: int = MOST_VALUES) -> DarkFrames:
-    """Split fields, take each pixel's mean away, and put pixels that flicker at rest."""
-    frames = min(len(stack), MOST_FRAMES)
+def dark_frames(stack: FrameStack, context: Context, most_values: int = EVENTS.max_values) -> DarkFrames:
+    """Split fields, subtract each pixel's mean, and set blinking pixels to zero."""
+    frames = min(len(stack), EVENTS.max_frames)
     middle = _middle(stack, frames, most_values)
     shots = exposures(middle, 0, frames, interlaced=context.interlaced)
     changes, bad, pixels, still = [], 0, 0, []
@@ -90,7 +77,7 @@ def dark_frames(stack: FrameStack, context: Context, most_values: int = MOST_VAL
 
 
 def _middle(stack: FrameStack, frames: int, most_values: int) -> FrameStack:
-    """The first frames, of large ones the middle; its first row is an even one, so that fields stay what they are."""
+    """Return the first frames, cropped to the centre at an even row, which preserves the fields."""
     rows, cols = stack.data.shape[1:]
     share = min(1.0, np.sqrt(most_values / (frames * rows * cols)))
     high, wide = max(1, int(share * rows)), max(1, int(share * cols))
@@ -100,64 +87,74 @@ def _middle(stack: FrameStack, frames: int, most_values: int) -> FrameStack:
 
 
 def spread(values: NDArray) -> float:
-    """Return the standard deviation of the noise under the pulses, from the lower half of the values."""
-    sample = values.ravel()[:: max(1, values.size // SAMPLE)]
+    """Return the standard deviation of the noise beneath the pulses, from the lower half of the values."""
+    sample = values.ravel()[:: max(1, values.size // EVENT_ACCURACY.sample)]
     low, middle = np.quantile(sample, [0.15866, 0.5])
     return max(float(middle - low), 1e-6)
 
 
 def _flickering(change: Images) -> NDArray[np.bool_]:
-    """Pixels that are bright far more often than pulses that fall anywhere make them."""
+    """Return pixels that are bright more often than random pulses allow."""
     from scipy.special import gammaincc
 
-    often = np.count_nonzero(change > BRIGHT * spread(change), axis=0)
+    often = np.count_nonzero(change > EVENTS.bright_sd * spread(change), axis=0)
     expected = max(float(np.mean(often)), 1e-3)
-    # Pulses of pixels side by side are the same: robust against the few pixels that make the mean.
+    # Neighbouring pixels see the same pulses: robust against few pixels that dominate the mean.
     expected = max(min(expected, float(np.quantile(often, 0.9)) + 1e-3, len(change) - 1.0), 1e-3 * len(change))
     suspect = (often > 1) & (often > 2.0 * expected)
-    suspect[suspect] = (1.0 - gammaincc(often[suspect], expected)) * often.size < CHANCE
+    suspect[suspect] = (1.0 - gammaincc(often[suspect], expected)) * often.size < EVENTS.blinking_false_alarm
     return suspect
 
 
 def _full(data: NDArray, full_scale_dn: float | None) -> float:
-    """Share at the highest code of the values that stand out as much as the brightest thousandth."""
+    """Return the fraction at full scale of the brightest thousandth of the values."""
     if full_scale_dn is None:
         return 0.0
     return float(np.mean(data >= full_scale_dn)) / 1e-3
 
 
 def filter_exposures(frames: DarkFrames) -> list[Array]:
-    """Return what the filter of a small spot makes of the exposures of each set of rows."""
+    """Return the exposures of each parity filtered for a small spot."""
     one = frames.filters(1, lag=False)[MIDDLE]
     return [one.within(change, one.reach).astype(np.float64) for change in frames.changes]
 
 
 def has_pulses(frames: DarkFrames) -> bool:
-    """Tell whether filtered pixels are skewed towards the bright side, as pulses make them."""
+    """Return whether filtered pixels have the positive skewness of pulses."""
     parts, out = [], []
     for value in filter_exposures(frames):
         noise = spread(value)
-        out.append(float(np.mean(value > OUT * noise)))
+        out.append(float(np.mean(value > EVENTS.outlier_sd * noise)))
         limit = 20.0 * noise
         cubes = np.clip(value, -limit, limit) ** 3
-        rows, cols = (size // BLOCK_PX * BLOCK_PX for size in cubes.shape[1:])
-        blocks = cubes[:, :rows, :cols].reshape(len(cubes), rows // BLOCK_PX, BLOCK_PX, cols // BLOCK_PX, BLOCK_PX)
+        rows, cols = (
+            size // EVENT_ACCURACY.skewness_block_px * EVENT_ACCURACY.skewness_block_px for size in cubes.shape[1:]
+        )
+        blocks = cubes[:, :rows, :cols].reshape(
+            len(cubes),
+            rows // EVENT_ACCURACY.skewness_block_px,
+            EVENT_ACCURACY.skewness_block_px,
+            cols // EVENT_ACCURACY.skewness_block_px,
+            EVENT_ACCURACY.skewness_block_px,
+        )
         parts.append(blocks.sum(axis=(2, 4)).ravel())
     total = np.concatenate(parts)
-    # The sides of bright pulses are dark, and few bright ones make no skewness.
-    return max(out) > OUTSTANDING or float(total.mean()) > SKEWED * float(total.std()) / np.sqrt(len(total))
+    # Bright pulses have negative sides, and few of them give no significant skewness.
+    return max(out) > EVENTS.outlier_fraction or float(total.mean()) > EVENTS.skewness_sd * float(
+        total.std()
+    ) / np.sqrt(len(total))
 
 
 @dataclass(frozen=True, kw_only=True)
 class ImageLagCorrelation:
-    """Where light of one exposure is seen again.
+    """Exposures with image lag.
 
     Parameters
     ----------
     across
-        In the other field that follows at once.
+        In the next field.
     later
-        Two exposures on.
+        Two exposures later.
     """
 
     across: bool
@@ -165,7 +162,7 @@ class ImageLagCorrelation:
 
 
 def image_lag_correlation(frames: DarkFrames) -> ImageLagCorrelation:
-    """Tell where pulses are seen again."""
+    """Return in which later exposures image lag is detected."""
     one, values = frames.filters(1, lag=False)[MIDDLE], filter_exposures(frames)
     if frames.stride == 1:
         return ImageLagCorrelation(across=False, later=_is_correlated(values[0][:-2], values[0][2:], one))
@@ -175,34 +172,34 @@ def image_lag_correlation(frames: DarkFrames) -> ImageLagCorrelation:
 
 
 def _is_correlated(before: Array, after: Array, one: Filter, lowered: float | None = None) -> bool:
-    """Tell whether pixels vary together from one set of exposures to another.
+    """Return whether pixels are correlated between two sets of exposures.
 
-    The mean over the exposures that was taken away has lowered the correlation; by one over their number if None.
+    `lowered` is the bias of the correlation by the subtracted mean; None: one over the number of exposures.
     """
-    # One pulse counts once, however bright.
+    # Limit the weight of a single bright pulse.
     limit = 12.0 * spread(before)
     before, after = (np.clip(value, -limit, limit) for value in (before, after))
     before, after = before - before.mean(axis=0), after - after.mean(axis=0)
     product = before * after
     power = float(np.mean(before**2))
-    # Values within the box of the filter, and its video neighbours, are not independent.
+    # Values within the filter box and its video neighbours are correlated.
     area = 2.0 * one.high * one.broad
     sd = float(np.sqrt(np.mean(product**2) / (product.size / area))) / power
     correlation = float(np.mean(product)) / power + (1.0 / len(before) if lowered is None else lowered)
-    return correlation > SEEN * sd
+    return correlation > EVENTS.lag_sd * sd
 
 
 def usable_values(change: Images, one: Filter, limit_dn: float, after: int) -> tuple[NDArray[np.bool_], Array]:
-    """Return which values lie far from every pulse above a limit, and the largest value of each of those.
+    """Return which values are far from every pulse above a limit, and the heights of these pulses.
 
-    The brightest value is a pulse, and all around it are its own; then the brightest of the rest, and so on.
+    Starting with the brightest value, each pulse claims its surroundings.
 
     Parameters
     ----------
     one
         Filter whose output is compared with the limit, DN.
     after
-        Exposures after such a pulse that it spoils as well.
+        Exposures after such a pulse that are excluded too.
     """
     value = one.within(change, one.reach)
     usable, heights = np.ones(change.shape, bool), []
@@ -221,6 +218,6 @@ def usable_values(change: Images, one: Filter, limit_dn: float, after: int) -> t
 
 
 def fits_filters(frames: DarkFrames, least: int) -> bool:
-    """Tell whether images leave so many rows and columns inside the reach of the widest filters."""
+    """Return whether images have enough rows and columns inside the margin of the widest filters."""
     reach = common_reach(boxes(3, stride=1, exposures=2, lag=False))
     return all(size - 2 * far >= least for size, far in zip(frames.changes[0].shape[1:], reach, strict=True))

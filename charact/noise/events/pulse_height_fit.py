@@ -1,4 +1,4 @@
-"""From dark frames to the law of their pulses: filters as wide as the spot, ion events apart, a fit in two rounds."""
+"""Pulse-height fit of dark frames: matched filters, exclusion of ion feedback, fit in two rounds."""
 
 from dataclasses import dataclass, replace
 
@@ -6,10 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.noise.events.characteristic_function_covariance import blend_covariances, scatter
-from charact.noise.events.characteristic_functions import observe
+from charact.noise.events.characteristic_functions import blend_covariances, observe, scatter
 from charact.noise.events.event_distribution import CharacteristicFunctionData, PulsePopulation
-from charact.noise.events.filters import MIDDLE, Filter
+from charact.noise.events.filters import MIDDLE, REFERENCE_CY_PER_PX, Filter, responses
 from charact.noise.events.fit import (
     FAST,
     PRIORS,
@@ -24,51 +23,35 @@ from charact.noise.events.fit import (
     optimise_pulses,
 )
 from charact.noise.events.frames import DarkFrames, ImageLagCorrelation, image_lag_correlation, spread, usable_values
-from charact.noise.events.spot import REFERENCE_CY_PER_PX, responses
+from charact.noise.thresholds import EVENTS
 from labdata.measurement import Posterior
 
 Array = NDArray[np.float64]
 
-# Half widths of the filter that suits the spot, px, from the first guess of the spot's.
+# Half width of the matched filter, px, below each spot width.
 STEPS = ((1.0, 1), (1.8, 2), (np.inf, 3))
-ROUNDS = 2
-# The law of the pulses makes none above the limit beyond which events are ions' in so many stacks of a hundred.
-RARE = 0.01
-# An ion event stands out of the filtered noise at least so many times.
-LEAST_ION = 15.0
-# Exposures of the same rows that the light of an ion event spoils where light lingers.
-SPOILT_AFTER = 6
-# A guess of a glow to start from: its share, and its time in exposures of the same rows.
-GLOW, GLOW_TIME = 0.4, 1.0
-# A fit that leaves more than chance does in so many cases is begun again from these shares.
-UNLIKELY, GLOWS = 1e-3, (0.2, 0.6)
-# How well a sensor's description knows the spot's wings: standard deviations of the exponent, and of the strength as a
-# share of it; and the screen's fast time, as a share of that.
-EXPONENT_SD, WINGS_SHARE, FAST_SHARE = 0.05, 0.25, 0.2
-# That time where no sensor is known, exposures: mean and standard deviation, of fields and of whole frames.
-FAST_OF_FIELDS, FAST_OF_FRAMES = (0.06, 0.04), (0.03, 0.1)
 
 
 @dataclass(frozen=True, kw_only=True)
 class PulseFit:
-    """The law of the pulses of dark frames.
+    """Pulse-height fit of dark frames.
 
     Parameters
     ----------
     peak, posterior
-        Best pulses and draws.
+        Optimum and draws.
     observed
-        What they were fitted to.
+        Data of the fit.
     usable
-        Values far from ion events, for each set of rows, shape (exposure, row, col).
+        Values far from ion feedback, for each parity, shape (exposure, row, col).
     frames
-        The exposures, each pixel's mean taken over those values.
+        Exposures, centred on the mean of those values.
     signal_to_noise
-        Response of the filter that suits the spot to a mean pulse in its own exposure, over its noise.
+        Output of the matched filter for a mean pulse in its own exposure, over its noise.
     ion_height_dn
-        Heights of the ion events, shape (event,), DN: all light together.
+        Heights of the ion feedback events, total light, shape (event,), DN.
     gain_of_pulses
-        By how much chi2 falls as pulses are put to noise.
+        Decrease of chi2 by pulses in addition to noise.
     """
 
     peak: PulseOptimum
@@ -82,13 +65,13 @@ class PulseFit:
 
     @property
     def spoilt(self) -> float:
-        """Share of the values left out around ion events."""
+        """Fraction of the values excluded around ion feedback."""
         return 1.0 - float(np.mean([part.mean() for part in self.usable]))
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Fit:
-    """A fit to frames of which some values are left out."""
+    """A fit to frames with some values excluded."""
 
     problem: PulseLikelihood
     covariance: Array
@@ -100,13 +83,13 @@ class _Fit:
 
     @property
     def middle(self) -> Filter:
-        """The filter that suits the spot."""
+        """The matched filter."""
         return self.problem.observed.filters[MIDDLE]
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Setup:
-    """What a fit is told: priors, pulses whose other parameters hold, and what of the screen's decay is to be found."""
+    """Settings of a fit: priors, fixed parameters, and free parameters of the phosphor decay."""
 
     priors: Priors
     fixed: PulsePopulation
@@ -123,30 +106,30 @@ class _Setup:
 
 def fit_pulses(look: DarkFrames, frames: DarkFrames, context: Context, *, period_s: float | None = None,
                open_share: float = 1.0) -> PulseFit | str:  # fmt: skip
-    """Fit the law of the pulses of dark frames, or say why that cannot be.
+    """Fit the pulses of dark frames, or return the reason for refusal.
 
     Parameters
     ----------
     look, frames
-        A part of the exposures, by which the fit begins, and all that are to be used.
+        A part of the exposures for the start of the fit, and all used exposures.
     period_s
-        From one exposure to the next, s; None: unknown.
+        Exposure period, s; None: unknown.
     open_share
-        Share of it, from its start, in which photoelectrons come.
+        Fraction of the period, from its start, in which photoelectrons arrive.
     """
     seen, fast = image_lag_correlation(frames), fast_prior(context, period_s, frames.stride)
     known = context.sensor is not None and period_s is not None
     if seen.across and not seen.later and not known:
         return (
-            "the screen's light spills into the next field, and the rows of one field alone do not show how much: "
-            "name the sensor, whose screen has a known decay, and the exposure_s of the darks"
+            "image lag reaches the next field, whose amount is not measurable from one field alone: "
+            "name the sensor, with its phosphor decay, and state the exposure_s of the darks"
         )
     screen = _screen(seen, frames.stride)
     priors = spot_priors(context) | fast
     setup = _Setup(priors=priors, fixed=_guess(frames, priors, open_share=open_share, screen=screen), screen=screen)
     first = _without_ions(look, _from_scratch(look, setup), setup, 0)
     fit = _without_ions(frames, first, setup, -1)
-    if "glow" in screen and fit.peak.chance < UNLIKELY:
+    if "glow" in screen and fit.peak.chance < EVENTS.restart_p_value:
         fit = _without_ions(frames, replace(fit, peak=_from_elsewhere(fit, frames.stride)), setup, -1)
     pulses = fit.peak.pulses
     response, noise = _response(fit.middle, pulses), np.sqrt(fit.middle.noise(pulses.line) * pulses.noise_dn2)
@@ -163,9 +146,9 @@ def fit_pulses(look: DarkFrames, frames: DarkFrames, context: Context, *, period
 
 
 def _screen(seen: ImageLagCorrelation, stride: int) -> tuple[str, ...]:
-    """What of the screen's decay is to be found.
+    """Return the free parameters of the phosphor decay.
 
-    Whole frames always show what little spills into the next one; fields only tell whether any does.
+    Frames always measure light in the next frame; fields only detect it.
     """
     if seen.later:
         return (*SLOW, *FAST)
@@ -173,8 +156,11 @@ def _screen(seen: ImageLagCorrelation, stride: int) -> tuple[str, ...]:
 
 
 def _from_elsewhere(fit: _Fit, stride: int) -> PulseOptimum:
-    """The best peak of those near a fit's and near other screens: a glow that few frames show can be taken amiss."""
-    near = [replace(fit.peak.pulses, glow=share, glow_exposures=GLOW_TIME * stride) for share in GLOWS]
+    """Return the best optimum from several decay start values, because few frames constrain it poorly."""
+    near = [
+        replace(fit.peak.pulses, glow=share, glow_exposures=EVENTS.start_decay * stride)
+        for share in EVENTS.restart_fractions
+    ]
     return min([fit.peak, *(optimise_pulses(fit.problem, fit.covariance, one, rough=False) for one in near)],
                key=lambda peak: peak.chi2)  # fmt: skip
 
@@ -184,7 +170,7 @@ def _all(frames: DarkFrames) -> list[NDArray[np.bool_]]:
 
 
 def _from_scratch(frames: DarkFrames, setup: _Setup) -> _Fit:
-    """A fit that begins with a guess; the scatter is counted, and held loosely."""
+    """Return a fit from start values, with the empirical covariance."""
     usable, step = _all(frames), 1
     while True:
         problem = setup.problem(observe(frames.changes, usable, frames.filters(step, lag=setup.lag)))
@@ -194,15 +180,22 @@ def _from_scratch(frames: DarkFrames, setup: _Setup) -> _Fit:
         if _step(guess) <= step:
             break
         step = _step(guess)
-    return _Fit(problem=problem, covariance=covariance, peak=optimise_pulses(problem, covariance, guess, rough=True), step=step,
-                frames=frames, usable=usable, ions_dn=np.empty(0))  # fmt: skip
+    return _Fit(
+        problem=problem,
+        covariance=covariance,
+        peak=optimise_pulses(problem, covariance, guess, rough=True),
+        step=step,
+        frames=frames,
+        usable=usable,
+        ions_dn=np.empty(0),
+    )
 
 
 def _again(frames: DarkFrames, usable: list[NDArray[np.bool_]], ions_dn: Array, near: _Fit, setup: _Setup) -> _Fit:
-    """A fit that begins with another; the scatter is that of the pulses found so far."""
+    """Return a fit that starts from another, with the covariance of its pulses."""
     problem = setup.problem(observe(frames.changes, usable, frames.filters(near.step, lag=setup.lag)))
     peak, covariance = near.peak, near.covariance
-    for left in reversed(range(ROUNDS)):
+    for left in reversed(range(EVENTS.rounds)):
         covariance = blend_covariances(scatter(peak.pulses, problem.observed), problem.observed.covariance)
         peak = optimise_pulses(problem, covariance, peak.pulses, peak.derivative, rough=left > 0)
     return _Fit(problem=problem, covariance=covariance, peak=peak, step=near.step, frames=frames, usable=usable,
@@ -210,12 +203,9 @@ def _again(frames: DarkFrames, usable: list[NDArray[np.bool_]], ions_dn: Array, 
 
 
 def _without_ions(frames: DarkFrames, fit: _Fit, setup: _Setup, known: int) -> _Fit:
-    """A fit to frames from which every pulse that its law cannot make is left out; so many of them it knows.
-
-    As long as more of those come to light, it begins again.
-    """
+    """Return a fit without pulses beyond its own distribution (ion feedback), repeated until no more are found."""
     while True:
-        limit, after = _ion_limit(frames, fit), SPOILT_AFTER if setup.lag else 0
+        limit, after = _ion_limit(frames, fit), EVENTS.ion_exposures if setup.lag else 0
         parts = [usable_values(change, fit.middle, limit, after) for change in frames.changes]
         heights, usable = np.concatenate([height for _, height in parts]), [good for good, _ in parts]
         if len(heights) <= known:
@@ -226,9 +216,9 @@ def _without_ions(frames: DarkFrames, fit: _Fit, setup: _Setup, known: int) -> _
 
 
 def spot_priors(context: Context) -> Priors:
-    """Return what the sensor, where known, says of the wings of a spot: mean and standard deviation by name.
+    """Return the priors of the wings of a spot from the sensor: mean and standard deviation by name.
 
-    The tube's transfer is exp(-(f/fc)^n) at the cathode, of which the share behind the gain spreads pulses.
+    The tube's transfer is exp(-(f/fc)^n) at the photocathode; its post-gain fraction spreads pulses.
     """
     if context.sensor is None:
         return PRIORS
@@ -236,27 +226,40 @@ def spot_priors(context: Context) -> Priors:
     at_cathode = REFERENCE_CY_PER_PX / (pitch_um * 1e-3 * float(context.sensor.taper.demagnification))
     exponent = float(tube.mtf_exponent)
     wings = float(tube.post_gain_share) * (at_cathode / float(tube.mtf_frequency_lp_per_mm)) ** exponent
-    return PRIORS | {"exponent": (exponent, EXPONENT_SD), "wings": (wings, WINGS_SHARE * wings)}
+    return PRIORS | {"exponent": (exponent, EVENTS.exponent_sd), "wings": (wings, EVENTS.wings_relative_sd * wings)}
 
 
 def fast_prior(context: Context, period_s: float | None, stride: int) -> Priors:
-    """Return what is known of the time of the screen's fast light, in exposures: more where the sensor is known.
+    """Return the prior of the fast phosphor decay, exposures.
 
-    Frames show it themselves, but fields of the same rows come too late for it.
+    Frames measure it, fields of one parity do not.
     """
     if context.sensor is None or period_s is None:
-        return {"fast_exposures": FAST_OF_FIELDS if stride > 1 else FAST_OF_FRAMES}
+        return {"fast_exposures": EVENTS.fast_of_fields if stride > 1 else EVENTS.fast_of_frames}
     fast = 1e-3 * float(context.sensor.phosphor.fast_decay_ms) / period_s
-    return {"fast_exposures": (fast, FAST_SHARE * fast)}
+    return {"fast_exposures": (fast, EVENTS.fast_relative_sd * fast)}
 
 
 def _guess(frames: DarkFrames, priors: Priors, *, open_share: float, screen: tuple[str, ...]) -> PulsePopulation:
-    """Pulses to start from, and what is not fitted."""
+    """Return start values and fixed parameters."""
     fast = priors["fast_exposures"][0] if screen else 0.0
-    return PulsePopulation(density=1.0, height_dn=1.0, relative_variance=1.0, noise_dn2=1.0, line_1=0.0, line_2=0.0,
-                  column_px=1.0, row_px=1.0, wings=0.0, exponent=priors["exponent"][0],
-                  glow=GLOW if "glow" in screen else 0.0, glow_exposures=GLOW_TIME * frames.stride,
-                  fast_exposures=fast, row_pitch=frames.row_pitch, open_share=open_share)  # fmt: skip
+    return PulsePopulation(
+        density=1.0,
+        height_dn=1.0,
+        relative_variance=1.0,
+        noise_dn2=1.0,
+        line_1=0.0,
+        line_2=0.0,
+        column_px=1.0,
+        row_px=1.0,
+        wings=0.0,
+        exponent=priors["exponent"][0],
+        glow=EVENTS.start_slow_fraction if "glow" in screen else 0.0,
+        glow_exposures=EVENTS.start_decay * frames.stride,
+        fast_exposures=fast,
+        row_pitch=frames.row_pitch,
+        open_share=open_share,
+    )
 
 
 def _step(guess: PulsePopulation) -> int:
@@ -265,19 +268,24 @@ def _step(guess: PulsePopulation) -> int:
 
 
 def _response(one: Filter, pulses: PulsePopulation) -> float:
-    """Response to a pulse of unit light amid its pixel, in its own exposure."""
+    """Return the output for a pulse of unit light at a pixel centre, in its own exposure."""
     amplitude, _ = responses(one, pulses.spot, pulses.line)
     light, weight = pulses.screen.by_exposure()
     return float(amplitude.max() * (weight @ light[:, 0]))
 
 
 def _ion_limit(frames: DarkFrames, fit: _Fit) -> float:
-    """Output of the filter that suits the spot, DN, that the law of the pulses hardly ever makes."""
+    """Return the output of the matched filter, DN, that pulses hardly ever exceed."""
     from scipy.special import gammainccinv
 
     pulses, changes = fit.peak.pulses, frames.changes
     shape = 1.0 / pulses.relative_variance
     events = max(pulses.density * sum(change.size for change in changes), 10.0)
-    limit = float(gammainccinv(shape, RARE / events)) / shape * pulses.height_dn * _response(fit.middle, pulses)
-    # Without pulses to speak of the law knows no limit, and the noise sets one.
-    return max(limit, LEAST_ION * spread(fit.middle.within(changes[0], fit.middle.reach)))
+    limit = (
+        float(gammainccinv(shape, EVENTS.rare_pulses / events))
+        / shape
+        * pulses.height_dn
+        * _response(fit.middle, pulses)
+    )
+    # Without pulses the noise sets the limit.
+    return max(limit, EVENTS.min_ion_sd * spread(fit.middle.within(changes[0], fit.middle.reach)))

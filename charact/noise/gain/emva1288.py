@@ -1,4 +1,4 @@
-"""The quantities of EMVA 1288 Release 4 (linear model) of a camera whose noise is white: gain, efficiency, range.
+"""EMVA 1288 Release 4 (linear model) for white noise: system gain, responsivity, sensitivity.
 
 Mean and variance of the grey value are mu = mu_dark + K eta p and s^2 = s_dark^2 + K (mu - mu_dark) for p photons on
 a pixel; K is the slope of the photon transfer curve and R = K eta that of the responsivity, both fitted over 0-70 % of
@@ -11,16 +11,64 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.noise.gain.excess import excess_of
 from charact.noise.gain.series import FlatSeries
-from charact.noise.snr.rounding import QUANTISATION_DN2, rounding_sd
+from charact.noise.rounding import QUANTISATION_DN2, rounding_sd
+from charact.noise.thresholds import GAIN
 from charact.posterior import find_maximum, laplace, sample
+from labdata.conditions import Conditions
 from labdata.measurement import Posterior
+from labdata.solid_state import excess_noise_factor
+
+
+@dataclass(frozen=True, kw_only=True)
+class Excess:
+    """Excess noise factor of a register.
+
+    Parameters
+    ----------
+    factor
+        F^2; 1 without a register.
+    relative_sd
+        Relative standard deviation of F^2.
+    note
+        Source of the value; None without a register.
+    """
+
+    factor: float = 1.0
+    relative_sd: float = 0.0
+    note: str | None = None
+
+    def divide(self, slope: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
+        """Return draws of the gain per electron: slope over F^2."""
+        if self.note is None:
+            return slope
+        chance = np.random.default_rng([seed, 18]).standard_normal(len(slope))
+        return slope / (self.factor * np.exp(self.relative_sd * chance))
+
+
+def excess_of(conditions: Conditions, context: Context) -> Excess:
+    """Return the excess noise factor of the register, from the stated gain or else the described one."""
+    gain, register = conditions.em_gain, context.register
+    if context.sensor is not None or (gain is None and register is None):
+        return Excess()
+    source = f"em_gain {gain:g} of the session" if gain is not None else ""
+    if gain is None and register is not None:
+        gain, source = float(register.em_gain), f"em_gain {float(register.em_gain):g} of the description"
+    if gain is None or gain <= 1.0:
+        return Excess()
+    # Between many equal stages and exponential pulse heights, which differ by 1 or 2 %.
+    least = excess_noise_factor(gain, GAIN.min_stages if register is None else register.stages)
+    factor, half = 0.5 * (2.0 + least), 0.5 * (2.0 - least)
+    if gain < GAIN.exponential_gain:
+        factor, half = excess_noise_factor(gain), excess_noise_factor(gain) - least
+    note = (
+        f"per electron before the multiplying register: variance over signal is K F2, and F2 = {factor:.4g} "
+        f"({source}; Robbins & Hadwen 2003) is divided out"
+    )
+    return Excess(factor=factor, relative_sd=half / factor, note=note)
+
 
 Array = NDArray[np.float64]
-
-# Stacks whose levels differ by less than this share show the same level.
-SAME_LEVEL = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,11 +78,11 @@ class GainLine:
     Parameters
     ----------
     posterior
-        Draws of the slope and of the departure of the levels from the line beyond their noise.
+        Draws of the slope and of the model departure beyond the noise.
     slope
         Draws of the slope, shape (draw,).
     residual
-        Departure of each stack from the best line, shape (stack,).
+        Residual of each stack, shape (stack,).
     """
 
     posterior: Posterior
@@ -44,22 +92,22 @@ class GainLine:
 
 def line(x: Array, y: Array, sd: Array, *, names: tuple[str, str], units: tuple[str, str], seed: int,
          quick: bool, shared_sd: float = 0.0) -> GainLine:  # fmt: skip
-    """Fit y = a x where the levels depart from the line by an unknown amount of equal size besides their noise.
+    """Fit y = a x with an unknown model departure of equal standard deviation at all levels.
 
     Parameters
     ----------
     x, y, sd
         Levels and standard errors of y, shape (level,).
     names, units
-        Of the slope and of the departure.
+        Names and units of slope and departure.
     shared_sd
-        Standard error of an offset that all y have in common.
+        Standard error of an offset common to all y.
 
     Notes
     -----
-    No camera is exactly linear. Where the departure outweighs the noise this is the unweighted fit of the standard,
-    with an interval from the residuals; where it does not, the weighted fit. Prior of the departure: flat in its
-    logarithm over the ten-thousandfold range below the largest y.
+    No camera is exactly linear. If the departure exceeds the noise, the result is the unweighted fit of the standard
+    with an interval from the residuals, else the weighted fit. The prior of the departure is uniform in its logarithm
+    from 1e-5 to 1 of the largest y.
     """
     given = x, y
     x, y, sd = pool_equal_levels(x, y, sd)
@@ -84,7 +132,7 @@ def line(x: Array, y: Array, sd: Array, *, names: tuple[str, str], units: tuple[
         log_probability, names=(names[0], f"log_{names[1]}"), units=units, start=point, covariance=covariance,
         seed=seed, bounds=bounds,
     )  # fmt: skip
-    # That the departure is too small to be seen leans on its lower bound and harms nothing.
+    # An undetectably small departure at its lower bound is harmless.
     kept = tuple(flag for flag in drawn.flags if flag != "prior-bound")
     posterior = replace(drawn, flags=kept)
     slope = posterior[names[0]]
@@ -92,9 +140,9 @@ def line(x: Array, y: Array, sd: Array, *, names: tuple[str, str], units: tuple[
 
 
 def pool_equal_levels(x: Array, y: Array, sd: Array) -> tuple[Array, Array, Array]:
-    """Return the mean of the stacks at each level: those of equal x share what departs from the line there."""
+    """Return the weighted mean of the stacks at each level, which have their departure in common."""
     order = np.argsort(x)
-    level = np.concatenate([[0], np.cumsum(np.diff(x[order]) > SAME_LEVEL * x[order][1:])])
+    level = np.concatenate([[0], np.cumsum(np.diff(x[order]) > GAIN.same_level * x[order][1:])])
     weight = 1.0 / np.maximum(sd[order], 1e-12) ** 2
     total = np.bincount(level, weight)
     return (np.bincount(level, weight * x[order]) / total, np.bincount(level, weight * y[order]) / total,
@@ -102,9 +150,9 @@ def pool_equal_levels(x: Array, y: Array, sd: Array) -> tuple[Array, Array, Arra
 
 
 def gain_line(series: FlatSeries, *, context: Context, allowance: float = 0.0) -> GainLine:
-    """Return the photon transfer curve's slope, DN per electron: variance over signal, over F^2 behind a register.
+    """Return the slope of the photon transfer curve, DN per electron, divided by F^2 behind a register.
 
-    `allowance` is the relative standard deviation of what may be hidden from the variance.
+    `allowance` is the relative standard deviation due to undetected effects.
     """
     chosen = series.fitted
     sd, shared = errors_of(series)
@@ -123,10 +171,10 @@ def gain_line(series: FlatSeries, *, context: Context, allowance: float = 0.0) -
 
 
 def errors_of(series: FlatSeries) -> tuple[Array, float]:
-    """Return the standard errors of the variances above the dark, shape (flat,), and of what all have in common, DN^2.
+    """Return the standard errors of the variances above the dark, shape (flat,), and their common error, DN^2.
 
-    Flats of one dark share its error, and what the steps of the digitiser do to its variance; see
-    `charact.noise.snr.rounding`.
+    Flats of one dark have its error in common, and the rounding of its variance; see
+    `charact.noise.rounding`.
     """
     own = np.array([flat.variance_sd_dn2 for flat in series.flats])
     dark = np.array([np.hypot(dark.variance_sd_dn2, rounding_sd(dark.variance_dn2)[1]) for dark in series.darks])
@@ -136,10 +184,7 @@ def errors_of(series: FlatSeries) -> tuple[Array, float]:
 
 
 def with_relative_error(posterior: Posterior, name: str, relative_sd: float, rng: np.random.Generator) -> Posterior:
-    """Return the posterior with one more independent error on a parameter, of a relative standard deviation.
-
-    It widens the parameter and leaves its median where it is.
-    """
+    """Return the posterior with one more independent relative error of a parameter; its median is unchanged."""
     draws, column = posterior.draws.copy(), posterior.names.index(name)
     wider = draws[:, column] * np.exp(relative_sd * rng.standard_normal(len(draws)))
     middle = float(np.median(wider))
@@ -148,13 +193,13 @@ def with_relative_error(posterior: Posterior, name: str, relative_sd: float, rng
 
 
 def photons_of(series: FlatSeries) -> Array | None:
-    """Photons on a pixel of every flat, or None where one is unknown."""
+    """Return the photons per pixel of every flat; None if one is unknown."""
     photons = [flat.conditions.photons_per_px for flat in series.flats]
     return None if any(value is None for value in photons) else np.array(photons, float)
 
 
 def responsivity_line(series: FlatSeries, photons: Array, *, context: Context) -> GainLine:
-    """Return the slope of signal over photons on a pixel, DN per photon."""
+    """Return the responsivity: slope of signal against photons per pixel, DN per photon."""
     chosen = series.fitted
     error = [np.sqrt(flat.variance_dn2 / (flat.pixels * flat.frames)) for flat in series.flats]
     return line(photons[chosen], series.signal_dn[chosen], np.array(error)[chosen],
@@ -163,17 +208,17 @@ def responsivity_line(series: FlatSeries, photons: Array, *, context: Context) -
 
 
 def dark_noise_dn(series: FlatSeries) -> tuple[float, float]:
-    """Temporal noise of the dark of the shortest exposure and its standard error, DN."""
+    """Return temporal noise and standard error of the dark of the shortest exposure, DN."""
     dark = min(series.all_darks, key=lambda level: level.conditions.exposure_s or 0.0)
     return noise_of(dark.variance_dn2, dark.variance_sd_dn2)
 
 
 def noise_of(variance_dn2: float, sd_dn2: float) -> tuple[float, float]:
-    """Standard deviation and its standard error from a variance and its own."""
+    """Return a standard deviation and its standard error from those of the variance."""
     noise = float(np.sqrt(max(variance_dn2, 0.0)))
     return noise, sd_dn2 / (2.0 * noise) if noise > 0 else 0.0
 
 
 def sensitivity_photons(efficiency: Array, dark_e2: Array, gain: Array, excess: float = 1.0) -> Array:
-    """Photons at which signal equals noise (EMVA 1288 R4, eq. 26): (sqrt(s_d^2 + s_q^2/K^2 + F^4/4) + F^2/2) / eta."""
+    """Return the photons at SNR 1 (EMVA 1288 R4, eq. 26): (sqrt(s_d^2 + s_q^2/K^2 + F^4/4) + F^2/2) / eta."""
     return (np.sqrt(dark_e2 + QUANTISATION_DN2 / gain**2 + 0.25 * excess**2) + 0.5 * excess) / efficiency

@@ -1,42 +1,103 @@
-"""The posterior of the covariance gain under the forms of the blur: which of them the noise spectrum asks for."""
+"""Posterior of the covariance gain, averaged over blur models by evidence."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.noise.gain.data import BEGIN, SpectrumData
-from charact.noise.gain.forms import EXPONENT_PRIOR, NONE, SPREAD_SEEN, GainBlurModel
-from charact.noise.gain.model import NAMES, UNITS, leakage_ratio, spectrum_at
+from charact.noise.gain.model import NAMES, NONE, UNITS, GainBlurModel, leakage_ratio, spectrum_at
 from charact.noise.gain.pooled_noise import PooledNoise
+from charact.noise.gain.white_floor import integrals
+from charact.noise.thresholds import GAIN, GAIN_PRIORS
 from charact.posterior import find_maximum, importance_sample, laplace
 from charact.posterior.importance import ENOUGH, FIRST_DRAWS
 from labdata.measurement import Posterior
 
 Array = NDArray[np.float64]
 
+
+# Start values of tail and spread fraction.
+BEGIN = (GAIN_PRIORS.tail[0], 0.2)
+
+
+class SpectrumData:
+    """Data of the fit: power in the used bins, and integrals beyond the band if available.
+
+    Attributes
+    ----------
+    measured
+        Shape (datum,), DN.
+    root
+        Inverse root of their covariance, shape (datum, datum), 1/DN, including the common error by pulse heights.
+    whitened
+        The same without the common error.
+    log_volume
+        ln of the determinant of the root.
+    """
+
+    def __init__(self, summary: PooledNoise, used: NDArray[np.bool_]) -> None:
+        self.summary, self.used = summary, used
+        self.column, self.row = summary.column_cy_per_px[used], summary.row_cy_per_px[used]
+        self.measured = summary.power_dn[used]
+        if summary.beyond is not None:
+            self.measured = np.concatenate([self.measured, summary.beyond.value_dn])
+        self.leak = np.ones(len(self.column))
+
+    def start(self, exponent: float) -> Array:
+        """Return start values of all parameters by a linear fit of the logarithm above the floor."""
+        summary, used, beyond = self.summary, self.used, self.summary.beyond
+        highest = summary.power_dn[used].max()
+        floor = 0.0 if beyond is None else 0.8 * float(np.clip(beyond.value_dn[0] / beyond.share.sum(), 0.0, highest))
+        x, y = (f / GAIN_PRIORS.reference_cy_per_px for f in (self.column, self.row))
+        power = np.maximum(summary.power_dn[used] - floor, 1e-3 * highest)
+        design = np.stack([np.ones_like(x), -(np.hypot(x, y) ** exponent), -(x**2), -(y**2)])
+        root = np.sqrt(summary.modes[used])
+        level, strength, columns, rows = np.linalg.lstsq((design * root).T, np.log(power) * root, rcond=None)[0]
+        falls = np.clip([columns + strength, rows + strength, strength], -0.8, 5.0)
+        whole = np.exp(level) + floor
+        return np.array([whole, *falls, exponent, floor / whole if floor else GAIN_PRIORS.few_electrons[0], *BEGIN])
+
+    def expected(self, points: Array) -> Array:
+        """Return the model of the data, shape (draw, datum), DN."""
+        reading, beyond = self.summary.reading, self.summary.beyond
+        inside = self.leak * spectrum_at(points, self.column, self.row, reading)
+        if beyond is None:
+            return inside
+        return np.concatenate([inside, integrals(beyond, partial(spectrum_at, points, reading=reading))], axis=1)
+
+    def weigh(self, point: Array) -> None:
+        """Compute leakage and errors at the parameters (1, parameter)."""
+        summary, beyond = self.summary, self.summary.beyond
+        self.leak = leakage_ratio(point, self.column, self.row, summary.reading, summary.leak_cy2_per_px2)
+        model, bins = self.expected(point)[0], len(self.column)
+        covariance = np.zeros((len(model), len(model)))
+        own = summary.power_sd_dn[self.used] * model[:bins] / np.maximum(self.measured[:bins], 0.2 * model[:bins])
+        covariance[np.arange(bins), np.arange(bins)] = own**2
+        if beyond is not None:
+            power = spectrum_at(point, beyond.column_cy_per_px, beyond.row_cy_per_px, summary.reading)[0]
+            covariance[bins:, bins:] = beyond.covariance(power)
+        self.whitened = _inverse_root(covariance)
+        self.root = _inverse_root(covariance + summary.height_sd**2 * np.outer(model, model))
+        self.log_volume = float(np.linalg.slogdet(self.root)[1])
+
+
+def _inverse_root(covariance: Array) -> Array:
+    """Return a matrix that whitens data of this covariance."""
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)).T, np.float64)
+
+
 DERIVED = ("covariance_gain", "blur_factor", "lag_factor")
+
+
 DERIVED_UNITS = ("DN", "1", "1")
-# The spectrum is fitted up to one of these radii, the widest that the model describes.
-REACHES_CY_PER_PX = (0.25, 0.21, 0.18, 0.15, 0.12, 0.1)
-# Least probability of the residuals by chance for the model to pass.
-LEAST_CHANCE = 0.05
-# None of the forms is the blur itself: they are weighed by the root of their evidence, for the same reason as those of
-# `charact.mtf.noise_spectrum.model`.
-EVIDENCE_POWER = 0.5
-# Share of the whole below which a form has no say.
-LEAST_WEIGHT = 0.01
-# Draws of all forms together.
-DRAWS = 1000
-# Effective number of weighted draws below which a posterior is not trusted.
-LEAST_EFFECTIVE = 1000.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fit:
-    """Posterior of the noise model with what it was fitted to.
+    """Posterior of the noise model and its fit.
 
     Parameters
     ----------
@@ -45,9 +106,9 @@ class Fit:
     used
         Bins fitted, shape (bin,).
     model_dn
-        Power of the best fit in every bin, shape (bin,), DN.
+        Power of the best model in every bin, shape (bin,), DN.
     chi2, freedom, chance
-        Squared residuals over their variance, degrees of freedom, and the probability of more by chance.
+        Squared residuals over their variance, degrees of freedom, and p-value.
     """
 
     posterior: Posterior
@@ -60,16 +121,16 @@ class Fit:
 
 @dataclass(frozen=True, kw_only=True)
 class GainSpectrumOptimum:
-    """The best fit of a form over a range of frequency.
+    """Optimum of a blur model.
 
     Parameters
     ----------
     form, point, covariance, log_probability
-        The form, its free parameters at the peak, their covariance, and ln of the posterior density.
+        The blur model, its free parameters at the optimum, their covariance, and ln of the posterior density.
     log_evidence
-        Laplace's approximation of the evidence, up to a constant that all forms share.
+        Laplace approximation of the evidence, up to a constant common to all models.
     chi2, freedom, chance
-        Squared residuals over their variance, degrees of freedom, and the probability of more by chance.
+        Squared residuals over their variance, degrees of freedom, and p-value.
     """
 
     form: GainBlurModel
@@ -83,8 +144,8 @@ class GainSpectrumOptimum:
 
 
 def form_optima(data: SpectrumData, forms: Sequence[GainBlurModel]) -> list[GainSpectrumOptimum]:
-    """Find the peak of every form; the errors of the data are those of the power fitted by the first."""
-    first, begin = forms[0], data.start(EXPONENT_PRIOR[0])
+    """Return the optimum of every blur model; the errors of the data follow from the first one."""
+    first, begin = forms[0], data.start(GAIN_PRIORS.exponent[0])
     for _ in range(2):
         data.weigh(first.whole(first.part(begin)[None]))
         peak = _form_optimum(data, first, begin)
@@ -94,19 +155,19 @@ def form_optima(data: SpectrumData, forms: Sequence[GainBlurModel]) -> list[Gain
     for form in forms[1:]:
         peaks.append(_form_optimum(data, form, begin))
         begin = peaks[1].form.whole(peaks[1].point[None])[0]
-        # Half of the blur, wider than the other half, for what has both.
+        # Start with half of the blur in the extended part.
         begin[3], begin[6:] = max(0.25 * float(begin[1] + begin[2]), 0.05), BEGIN
     at = int(np.argmax([peak.log_evidence for peak in peaks]))
     best = peaks[at]
     if "spread_share" in best.form.names:
         place = best.form.names.index("spread_share")
-        if best.point[place] > SPREAD_SEEN * np.sqrt(best.covariance[place, place]):
+        if best.point[place] > GAIN_PRIORS.spread_sd * np.sqrt(best.covariance[place, place]):
             peaks[at] = _form_optimum(data, best.form.freed, best.form.whole(best.point[None])[0])
     return peaks
 
 
 def _form_optimum(data: SpectrumData, form: GainBlurModel, begin: Array) -> GainSpectrumOptimum:
-    """Climb from all parameters of the model."""
+    """Optimise one blur model from start values of all parameters."""
     from scipy.stats import chi2 as chi_squared
 
     log_probability = _log_probability(data, form)
@@ -121,7 +182,7 @@ def _form_optimum(data: SpectrumData, form: GainBlurModel, begin: Array) -> Gain
 
 
 def _log_probability(data: SpectrumData, form: GainBlurModel) -> Callable[[Array], Array]:
-    """Gaussian likelihood of the data as they are weighed now, and the priors."""
+    """Return the normal log-likelihood with the current errors, plus the priors."""
     bounds, measured, root, volume = form.bounds, data.measured, data.root, data.log_volume
     centre = np.where(np.isfinite(bounds[:, 1]), bounds.mean(axis=1), 1.0)
 
@@ -135,22 +196,22 @@ def _log_probability(data: SpectrumData, form: GainBlurModel) -> Callable[[Array
 
 
 def fit_spectrum(summary: PooledNoise, *, seed: int, quick: bool, forms: tuple[GainBlurModel, ...]) -> Fit:
-    """Fit the model to the pooled spectrum, the variance and the correlation in time.
+    """Fit the blur models to the pooled spectrum, variance and temporal correlation.
 
     Parameters
     ----------
     summary
         The statistics.
     seed, quick
-        Seed of the draws; draws from the curvature at the peak.
+        Seed of the draws; whether to use the Laplace approximation.
     forms
-        Forms of the blur that are thought possible, weighed by their evidence; see `charact.noise.gain.forms`.
+        Candidate blur models, averaged by evidence; see `charact.noise.gain.model`.
     """
     radius = np.hypot(summary.column_cy_per_px, summary.row_cy_per_px)
-    for reach in REACHES_CY_PER_PX:
+    for reach in GAIN.band_limits_cy_per_px:
         used = radius <= reach
         peaks = form_optima(SpectrumData(summary, used), forms)
-        if max(peak.chance for peak in peaks) > LEAST_CHANCE or used.sum() < 24:
+        if max(peak.chance for peak in peaks) > GAIN.min_p_value or used.sum() < 24:
             break
     best = max(peaks, key=lambda peak: peak.log_evidence)
     posterior = _with_gain(_mixture_draws(peaks, seed, quick), summary, np.random.default_rng([seed, 1]))
@@ -161,15 +222,15 @@ def fit_spectrum(summary: PooledNoise, *, seed: int, quick: bool, forms: tuple[G
 
 
 def _mixture_draws(peaks: Sequence[GainSpectrumOptimum], seed: int, quick: bool) -> Posterior:
-    """Draw from the posteriors of all forms, each its share of the root of the evidence."""
+    """Return draws from the posteriors of all blur models, weighted by the root of the evidence."""
     height = np.array([peak.log_evidence for peak in peaks])
-    share = np.exp(EVIDENCE_POWER * (height - height.max()))
-    share = np.where(share < LEAST_WEIGHT * share.sum(), 0.0, share) / share.sum()
-    # Shares rounded one by one would not always add up to all draws.
-    numbers = np.diff(np.rint(np.cumsum(share / share.sum()) * DRAWS).astype(int), prepend=0)
+    share = np.exp(GAIN.evidence_power * (height - height.max()))
+    share = np.where(share < GAIN.min_weight * share.sum(), 0.0, share) / share.sum()
+    # Rounding cumulative sums keeps the total number of draws.
+    numbers = np.diff(np.rint(np.cumsum(share / share.sum()) * GAIN.draws).astype(int), prepend=0)
     own = [(peak, _form_draws(peak, int(n), seed, quick)) for peak, n in zip(peaks, numbers, strict=True) if n]
     draws = np.concatenate([peak.form.whole(drawn.draws) for peak, drawn in own])
-    # What a form needs no more of, such as a tail, leans on its bound and harms nothing where another goes without.
+    # A parameter that a model does not need, such as a tail, may lie at its bound if another model omits it.
     harmless = {"prior-bound"} if len(peaks) > 1 else set()
     known = [drawn.effective_sample_size[0] for _, drawn in own if len(drawn.effective_sample_size)]
     return replace(
@@ -180,11 +241,11 @@ def _mixture_draws(peaks: Sequence[GainSpectrumOptimum], seed: int, quick: bool)
 
 
 def _form_draws(peak: GainSpectrumOptimum, number: int, seed: int, quick: bool) -> Posterior:
-    """Draw a form's part of all draws.
+    """Return the draws of one blur model.
 
-    By importance where there is time: strength, falls and exponent lie on a curved ridge along which a chain is slow.
+    Importance sampling, because a chain moves slowly along the curved ridge of strength, falls and exponent.
     """
-    form, part = peak.form, number / DRAWS
+    form, part = peak.form, number / GAIN.draws
     told: dict[str, Any] = {
         "names": form.names, "units": ("1",) * len(form.names), "start": peak.point, "covariance": peak.covariance,
         "seed": seed, "bounds": form.bounds, "draws": number,
@@ -194,15 +255,14 @@ def _form_draws(peak: GainSpectrumOptimum, number: int, seed: int, quick: bool) 
     drawn = importance_sample(
         peak.log_probability, **told, enough=part * ENOUGH, first_draws=max(500, round(part * FIRST_DRAWS))
     )
-    few = drawn.effective_sample_size[0] < part * LEAST_EFFECTIVE
+    few = drawn.effective_sample_size[0] < part * GAIN.min_effective_samples
     return replace(drawn, flags=(*drawn.flags, "not-converged")) if few else drawn
 
 
 def _with_gain(drawn: Posterior, summary: PooledNoise, rng: np.random.Generator) -> Posterior:
-    """Put the gain, the blur factor and the lag factor before the draws of the spectrum.
+    """Prepend draws of gain, blur factor and lag factor.
 
-    The variance and the correlation in time are measured apart from the spectrum's height: their errors are drawn
-    independently.
+    Errors of variance and temporal correlation are independent of the spectrum's level.
     """
     power, count = drawn["power"], len(drawn.draws)
     few = rng.standard_normal(count) if np.isinf(summary.lag.freedom) else rng.standard_t(summary.lag.freedom, count)

@@ -1,50 +1,114 @@
-"""All flats of one gain brought to one noise spectrum per DN of signal, with its sampling error and its lag."""
+"""Pooled noise spectrum over signal of all flats of one setting, with its errors and image lag."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from charact.noise.gain.beyond import Beyond, beyond_of
-from charact.noise.gain.image_lag_tail import untruncated_lag_sum
-from charact.noise.gain.pixel_readout_model import PixelReadoutModel
+from charact.noise.gain.model import PixelReadoutModel
 from charact.noise.gain.series import FlatSeries
-from charact.noise.stack.stack_statistics import StackStatistics, rows_lags
-from charact.noise.stack.temporal import error_correlation, n_effective_samples
+from charact.noise.gain.white_floor import Beyond, beyond_of
+from charact.noise.stack.frame_block import rows_lags
+from charact.noise.stack.stack_statistics import StackStatistics
+from charact.noise.stack.temporal import error_correlation, n_effective_samples, truncation_bias
+from charact.noise.thresholds import GAIN
 from labdata.sensor import Sensor
 
 Array = NDArray[np.float64]
 
-# Exposures of opposite rows are compared below this frequency only, cycles per row of the exposure: beyond it the
-# rows alias, and the aliases of odd and even rows have opposite signs.
-ODD_LAG_CY_PER_ROW = 0.08
-# Chance that noise alone passes for lag at a lag: four and a half standard errors, where many bins tell them.
-CHANCE = 3e-6
-# Mean correlation at the last lags above which the lag does not end with them.
-OPEN = 0.02
+
+# Fraction of the light left one exposure later, uniform prior.
+KEPT = np.linspace(0.02, 0.9, 45)
+
+
+def untruncated_lag_sum(
+    flats: Sequence[StackStatistics], share: Array, lags: NDArray[np.int64], correlation: Array, covariance: Array
+) -> tuple[float, Array]:
+    """Return the missing part of the correlation sum over all lags, and its derivative by the correlations.
+
+    Parameters
+    ----------
+    flats
+        The pooled levels.
+    share
+        Weight of each flat in the pooled covariances, sum 1, shape (flat,).
+    lags
+        Common lags from 0, exposures, shape (lag + 1,).
+    correlation, covariance
+        Correlation at the lags from 1, shape (lag,), and the covariance of its errors.
+
+    Notes
+    -----
+    Beyond the first lag the correlation is b r^(lag - 2), r the fraction of the light left one exposure later; centring
+    lowers it at each lag, see `truncation_bias`. The result is the mean over uniform b and r, and over no decay with
+    equal total weight, weighted by the likelihood exp(-chi^2/2). Its derivative by the correlations is the posterior
+    covariance of the missing part with the model, times the inverse covariance of the errors.
+    """
+    none = np.zeros(len(correlation))
+    use = lags[1:] >= GAIN.first_lag
+    if use.sum() < GAIN.min_decay_lags:
+        return 0.0, none
+    last, taken = KEPT ** (lags[-1] - GAIN.first_lag), _truncation_biases(flats, share, lags)
+    form = (KEPT[:, None] ** (lags[1:] - GAIN.first_lag) + last[:, None] * taken[:, 1:])[:, use]
+    lacking = last * (2.0 * KEPT / (1.0 - KEPT) - taken[:, 0] - 2.0 * taken[:, 1:].sum(axis=1))
+    precision = np.asarray(np.linalg.inv(covariance[np.ix_(use, use)]), np.float64)
+    measured = correlation[use]
+    heights, step = _heights(form, measured, precision)
+    rest = measured - heights[:, :, None] * form
+    chi2 = np.einsum("brk,kl,brl->br", rest, precision, rest)
+    chi2_none = measured @ precision @ measured
+    least = min(chi2.min(), chi2_none)
+    likely = np.exp(-0.5 * (chi2 - least)) * step / len(KEPT)
+    likely /= likely.sum() + np.exp(-0.5 * (chi2_none - least))
+    value = heights * lacking
+    mean = float(np.sum(likely * value))
+    change = none.copy()
+    change[use] = precision @ np.einsum("br,br,rk->k", likely * (value - mean), heights, form)
+    return mean, change
+
+
+def _heights(form: Array, correlation: Array, precision: Array) -> tuple[Array, Array]:
+    """Return the amplitudes for each decay, shape (height, kept), and their spacing, shape (kept,)."""
+    weighed = form @ precision
+    information = np.einsum("rk,rk->r", weighed, form)
+    height = weighed @ correlation / information
+    width = GAIN.amplitude_sd / np.sqrt(information)
+    low, high = np.clip(height - width, 0.0, 1.0), np.clip(np.maximum(height, 0.0) + width, 0.0, 1.0)
+    parts = (np.arange(GAIN.amplitudes) + 0.5) / GAIN.amplitudes
+    return low + (high - low) * parts[:, None], (high - low) / GAIN.amplitudes
+
+
+def _truncation_biases(flats: Sequence[StackStatistics], share: Array, lags: NDArray[np.int64]) -> Array:
+    """Return the bias of each pooled covariance per covariance at the last lag, shape (kept, lag + 1); negative."""
+    out = np.zeros((len(KEPT), len(lags)))
+    for weight, flat in zip(share, flats, strict=True):
+        distance, added = truncation_bias(flat.time, flat.parity, flat.many.lags)
+        out += weight * KEPT[:, None] ** (distance - lags[-1]) @ added[: len(lags)].T
+    return out
 
 
 @dataclass(frozen=True, kw_only=True)
 class ImageLag:
-    """How much of the light of earlier exposures is in the present one.
+    """Image lag: correlation of exposures in time.
 
     Parameters
     ----------
     lag
-        Exposures apart, shape (lag,), from 1.
+        Lags, exposures, shape (lag,), from 1.
     correlation, correlation_sd
-        Correlation of the modes at those lags and standard errors, shape (lag,).
+        Correlation of the modes at the lags and standard errors, shape (lag,).
     seen
-        Whether any is there beyond its noise.
+        Whether image lag is detected.
     factor, factor_sd
-        Sum of the correlation over all lags, earlier and later, and its standard error: 1 without lag.
+        Sum of the correlation over all lags, positive and negative, and its standard error: 1 without lag.
     freedom
-        Bins, less one, whose scatter tells that error: with few of them its law is Student's.
+        Degrees of freedom of the standard error.
     tested
-        Whether there were frames enough to look for it.
+        Whether there were enough frames for the test.
     open
-        Whether it goes on beyond the last lag, so that its sum is too small.
+        Whether image lag extends beyond the last lag, so that its sum is too small.
     """
 
     lag: NDArray[np.int64]
@@ -67,21 +131,21 @@ class PooledNoise:
     column_cy_per_px, row_cy_per_px
         Frequencies of the bins, cycles per column pitch, shape (bin,).
     reading
-        How the light is read.
+        Pixel readout.
     leak_cy2_per_px2
         Variance of the frequencies mixed into one mode, along rows and along columns.
     modes
-        Independent modes behind each bin, exposures counted, shape (bin,).
+        Independent modes of each bin over all exposures, shape (bin,).
     power_dn, power_sd_dn
-        Power of the fluctuations over the signal, both above the dark's, shape (bin,), DN.
+        Noise power over signal, both above the dark's, shape (bin,), DN.
     variance_dn, variance_sd_dn
-        Variance of a pixel over the signal, DN.
+        Variance of a pixel over signal, DN.
     height_sd
-        Relative standard error that few pulses of unequal heights give to the power of all bins in common.
+        Common relative standard error of all bins by the pulse-height distribution.
     lag
-        Correlation in time.
+        Temporal correlation.
     beyond
-        What pixels tell of the light's noise beyond the bins; None where no floor is white.
+        Integrals beyond the band; None if no white floor is possible.
     """
 
     column_cy_per_px: Array
@@ -99,16 +163,16 @@ class PooledNoise:
 
 
 def pool_noise(series: FlatSeries, sensor: Sensor | None, *, floor: bool = False) -> PooledNoise:
-    """Pool the fitted flats of a series, each by what it knows.
+    """Pool the fitted flats of a series, weighted by their information.
 
     Parameters
     ----------
     series
-        The flats of one gain with their darks.
+        The flats of one setting with their darks.
     sensor
-        If described, it says how they are read.
+        Sensor description for the readout model; None if unknown.
     floor
-        Whether electrons may make a white floor, for which pixels are looked at beyond the band of the spectrum.
+        Whether a white floor is possible; includes the integrals beyond the band.
     """
     chosen, weight = pooling(series)
     pairs = [(series.flats[i], series.darks[i]) for i in chosen]
@@ -139,12 +203,12 @@ def pool_noise(series: FlatSeries, sensor: Sensor | None, *, floor: bool = False
 
 
 def _beyond(pairs, weight: Array, signal: Array, known: Array, name: str) -> Beyond:
-    """What pixels tell beyond the band."""
+    """Return the integrals beyond the band."""
     return beyond_of([flat for flat, _ in pairs], [dark for _, dark in pairs], weight, signal, known, name)
 
 
 def pooling(series: FlatSeries) -> tuple[NDArray[np.int64], Array]:
-    """Return the flats to pool and the weight of what each has above its dark, shape (flat,), 1/DN.
+    """Return the flats to pool and the weight of each above its dark, shape (flat,), 1/DN.
 
     Weighted sums of variances are variances over signal.
     """
@@ -155,15 +219,15 @@ def pooling(series: FlatSeries) -> tuple[NDArray[np.int64], Array]:
 
 
 def _exposures(level: StackStatistics) -> float:
-    """Independent exposures of a level."""
+    """Return the number of independent exposures of a stack."""
     return float(level.runs * (len(level.time) - len(np.unique(level.parity))))
 
 
 def _by_heights(flat: StackStatistics, exposures: float) -> float:
-    """Square of the standard error of a level's variance beyond that of normal modes of the same spectrum, DN^4.
+    """Return the squared standard error of a variance beyond that of normal modes of the same spectrum, DN^4.
 
-    A variance v of N pixels is the mean power of N modes, known to 2 sum P^2 / (N v)^2 from one exposure. Modes beyond
-    the band share what power is left to them.
+    A variance v of N pixels is the mean power of N modes, of relative variance 2 sum P^2 / (N v)^2 from one exposure.
+    The remaining power is distributed evenly over modes beyond the band.
     """
     pixels, power, modes = flat.pixels / len(np.unique(flat.parity)), flat.few.power_dn2[:, 0], 2.0 * flat.bins.modes
     beyond = max(pixels * flat.variance_dn2 - float(modes @ power), 0.0) ** 2 / (pixels - modes.sum())
@@ -172,14 +236,14 @@ def _by_heights(flat: StackStatistics, exposures: float) -> float:
 
 
 def _power(pairs, weight: Array, name: str) -> tuple[Array, NDArray[np.int64]]:
-    """Pooled spectrum above the dark's, shape (bin, lag), and its lags."""
+    """Return the pooled spectrum above the dark's, shape (bin, lag), and its lags."""
     lags = min((getattr(level, name).lags for pair in pairs for level in pair), key=len)
     above = [getattr(f, name).power_dn2[:, : len(lags)] - getattr(d, name).power_dn2[:, : len(lags)] for f, d in pairs]
     return np.tensordot(weight, np.array(above), 1), lags
 
 
 def _independent(level: StackStatistics, name: str, lag: ImageLag) -> tuple[float, float]:
-    """Independent exposures behind the spectrum and behind the variance of a level."""
+    """Return the independent exposures of the spectrum and of the variance of a stack."""
     lags = getattr(level, name).lags
     correlation = lag.correlation if lag.seen else np.empty(0)
     spectrum = n_effective_samples(level.time, level.parity, lags, correlation)
@@ -189,7 +253,7 @@ def _independent(level: StackStatistics, name: str, lag: ImageLag) -> tuple[floa
 
 
 def _power_sd(pairs, weight: Array, name: str, known: Array, lag: ImageLag) -> Array:
-    """Standard error of the pooled spectrum; stacks that share a dark share its error."""
+    """Return the standard error of the pooled spectrum; a common dark is a common error."""
     bins = pairs[0][0].bins
     modes = bins.modes * bins.efficiency
     square = sum(
@@ -205,7 +269,7 @@ def _power_sd(pairs, weight: Array, name: str, known: Array, lag: ImageLag) -> A
 
 
 def _variance_sd(pairs, weight: Array, inflation: Array) -> float:
-    """Standard error of the pooled variance over signal; `inflation` is the price of the lags allowed for."""
+    """Return the standard error of the pooled variance over signal; `inflation` is the variance factor of the lags."""
     square = sum((w * f.variance_sd_dn2) ** 2 * more for w, (f, _), more in zip(weight, pairs, inflation, strict=True))
     for dark in {d.label: d for _, d in pairs}.values():
         shared = sum(w for w, (_, d) in zip(weight, pairs, strict=True) if d.label == dark.label)
@@ -214,9 +278,9 @@ def _variance_sd(pairs, weight: Array, inflation: Array) -> float:
 
 
 def lag_of(power: Array, lags: NDArray[np.int64], dark: Array, flats: list[StackStatistics], share: Array) -> ImageLag:
-    """Correlation in time, pooled over the bins by what the dark's power lets them know; errors from their scatter.
+    """Return the temporal correlation, pooled over bins by information; errors from their scatter.
 
-    Covariances at different lags come of the same frames: their errors go together bin by bin.
+    Covariances at different lags use the same frames, so their errors are correlated bin by bin.
     """
     if len(lags) < 2:
         none = np.empty(0)
@@ -228,18 +292,18 @@ def lag_of(power: Array, lags: NDArray[np.int64], dark: Array, flats: list[Stack
     known = bins.modes * (smooth / (smooth + 2.0 * np.maximum(dark, 0.0))) ** 2
     weight = np.repeat(known[:, None], len(lags) - 1, axis=1)
     if len(np.unique(flats[0].parity)) > 1:
-        weight *= (bins.row_cy_per_px * bins.row_pitch < ODD_LAG_CY_PER_ROW)[:, None] | (lags[1:] % 2 == 0)
+        weight *= (bins.row_cy_per_px * bins.row_pitch < GAIN.odd_lag_cy_per_row)[:, None] | (lags[1:] % 2 == 0)
     weight /= weight.sum(axis=0)
-    # Blur is not the same along rows and columns: each lag is compared with lag 0 in its own bins.
+    # Blur differs along rows and columns: each lag is compared with lag 0 in the same bins.
     relative = power / smooth[:, None]
     height = weight.T @ relative[:, 0]
     value = (weight * relative[:, 1:]).sum(axis=0) / height
     square = (weight**2).sum(axis=0)
-    # Residuals about a weighted mean are smaller than their errors, the more so the fewer the bins.
+    # Residuals about a weighted mean underestimate the errors, more so for few bins.
     rest = weight * (relative[:, 1:] - value * relative[:, :1]) / height / np.sqrt(np.maximum(1.0 - square, 0.1))
     sd = np.sqrt((rest**2).sum(axis=0))
     freedom = max(2.0, float(1.0 / square.max() - 1.0))
-    seen = bool((value[:3] > -stdtrit(freedom, CHANCE) * sd[:3]).any())
+    seen = bool((value[:3] > -stdtrit(freedom, GAIN.lag_false_alarm) * sd[:3]).any())
     reach = len(value) if seen else min(2, len(value))
     left = abs(float(value[max(0, reach - 3) : reach].mean())) if seen else 0.0
     errors = error_correlation(flats[0].time, flats[0].parity, lags)[1:, 1:] * np.outer(sd, sd)
@@ -251,11 +315,11 @@ def lag_of(power: Array, lags: NDArray[np.int64], dark: Array, flats: list[Stack
     return ImageLag(lag=lags[1:], correlation=value, correlation_sd=sd, seen=seen, factor=factor,
                factor_sd=float(np.hypot(own, 2.0 * left)),
                freedom=max(2.0, float(1.0 / square[:reach].max() - 1.0)),
-               tested=True, open=seen and left > OPEN)  # fmt: skip
+               tested=True, open=seen and left > GAIN.open_lag)  # fmt: skip
 
 
 def smooth_power(power: Array, radius: Array, modes: Array) -> Array:
-    """Power as a smooth function of radius: a parabola in the logarithm of ring means."""
+    """Return power as a smooth function of radius: a cubic in the logarithm of ring means."""
     ring = np.round(radius * 100).astype(int)
     where = np.unique(ring, return_inverse=True)[1]
     count = np.bincount(where, modes)

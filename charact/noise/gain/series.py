@@ -1,52 +1,53 @@
-"""The flats of one gain with their darks: which stacks belong together and which of them a gain may be fitted to."""
+"""Flat series: flats of one gain with their darks, and the range of the gain fit."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.noise.stack.parallel_reading import read_levels_of
-from charact.noise.stack.stack_statistics import StackStatistics
+from charact.noise.stack.stack_statistics import StackStatistics, read_levels_of
+from charact.noise.thresholds import GAIN
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.session import Session
 
 Array = NDArray[np.float64]
 
-# EMVA 1288 Release 4, 6.5: gain and responsivity are fitted up to 70 % of saturation.
-FIT_SHARE = 0.7
-# Share of values at the highest code above which a level's variance is cut short by it.
+
+# Fraction of values at full scale above which clipping lowers the variance.
 CLIPPED_SHARE = 1e-4
+
+
 # Conditions that set the gain.
 GAINS = ("mcp_v", "gain_control", "em_gain", "camera_gain_db")
 
 
 @dataclass(frozen=True, kw_only=True)
 class FlatSeries:
-    """Flats at one gain in order of rising level, each with the dark it is measured against.
+    """Flats of one gain in order of rising level, each with its dark.
 
     Parameters
     ----------
     flats
-        Levels.
+        Statistics of the flats.
     darks
-        The dark of each flat, as many.
+        The dark of each flat.
     all_darks
         Every dark of the session.
     signal_dn, variance_dn2, variance_sd_dn2
-        Mean and variance above the dark's, shape (flat,), and the standard error of the variance.
+        Mean and variance above the dark's, and standard error of the variance, shape (flat,), DN and DN^2.
     fitted
-        Which flats a gain is fitted to, shape (flat,).
+        Whether each flat is in the range of the gain fit, shape (flat,).
     peak
-        Index of the flat where the variance peaks, or None while it still rises.
+        Index of the flat of peak variance; None if the variance still rises.
     reference
-        "dark" or "lowest flat": what the signal is counted from.
+        "dark" or "lowest flat": reference of the signal.
     left_out
-        Flats at another gain, which took no part.
+        Flats at another gain, excluded.
     single
-        Stacks of a single frame, which took no part either.
+        Stacks of a single frame, excluded.
     """
 
     flats: tuple[StackStatistics, ...]
@@ -63,24 +64,24 @@ class FlatSeries:
 
 
 def without_noise(single: Sequence[str]) -> str:
-    """Say which stacks take no part as they have a single frame, such as a dark that others averaged; "" for none."""
-    return f"left out, of a single frame, which shows no noise: {', '.join(single)}" if single else ""
+    """Return the note on stacks excluded for having a single frame; "" for none."""
+    return f"excluded (single frame, no noise): {', '.join(single)}" if single else ""
 
 
 def read_levels(
     session: Session, *, context: Context, spectra: bool, cubes: bool = False
 ) -> tuple[list[StackStatistics], list[StackStatistics], list[str]]:
-    """Read every dark and flat of a session, part by part.
+    """Read the statistics of every dark and flat of a session.
 
     Returns
     -------
     darks, flats, single
-        Their statistics, and the labels of stacks with a single frame, which have none.
+        Statistics, and the labels of stacks with a single frame.
 
     Raises
     ------
     BadInput
-        If the images are not all of one size.
+        If the images differ in size.
     """
     darks, flats, single = [], [], []
     entries = session.of_kind("dark", "flat")
@@ -98,15 +99,15 @@ def read_levels(
 
 
 def gain_of(conditions: Conditions) -> tuple[float | None, ...]:
-    """What sets the gain: the plate's voltage or control word, the register's multiplication, the camera's own gain."""
+    """Return the conditions that set the gain: MCP voltage or control word, register gain, camera gain."""
     return tuple(getattr(conditions, name) for name in GAINS)
 
 
 def longest_series(flats: list[StackStatistics]) -> list[StackStatistics]:
-    """The flats of the gain that most of them were taken at, in order of rising level.
+    """Return the flats of the most frequent gain, in order of rising level.
 
-    Of gains with as many, the one with the brightest flat that is not cut by the highest code: its noise stands
-    furthest above that of the camera and above its steps.
+    Of equally frequent gains, the one with the brightest unclipped flat, where read and quantisation noise matter
+    least.
     """
 
     def worth(group: list[StackStatistics]) -> tuple[int, float]:
@@ -120,7 +121,7 @@ def longest_series(flats: list[StackStatistics]) -> list[StackStatistics]:
 
 
 def series_of(flats: list[StackStatistics], darks: list[StackStatistics], single: Sequence[str] = ()) -> FlatSeries:
-    """Set the flats of the gain that most were taken at against their darks."""
+    """Return the series of the most frequent gain."""
     chosen = longest_series(flats)
     here = {flat.label for flat in chosen}
     left_out = tuple(flat.label for flat in flats if flat.label not in here)
@@ -128,7 +129,7 @@ def series_of(flats: list[StackStatistics], darks: list[StackStatistics], single
 
 
 def series_of_one_gain(chosen: list[StackStatistics], darks: list[StackStatistics]) -> FlatSeries:
-    """Set flats of one gain, in order of rising level, against their darks; find where a gain may be fitted."""
+    """Return the series of flats of one gain, in order of rising level, with the range of the gain fit."""
     reference = "dark"
     if not darks:
         reference = "lowest flat"
@@ -141,14 +142,14 @@ def series_of_one_gain(chosen: list[StackStatistics], darks: list[StackStatistic
     high = np.array([flat.high_fraction for flat in chosen])
     fitted = (signal > 0) & (high <= CLIPPED_SHARE)
     if peak is not None:
-        fitted &= signal <= FIT_SHARE * signal[peak]
+        fitted &= signal <= GAIN.fit_fraction * signal[peak]
     return FlatSeries(flats=tuple(chosen), darks=matched, all_darks=tuple(darks) if reference == "dark" else (),
                   signal_dn=signal, variance_dn2=variance, variance_sd_dn2=sd, fitted=fitted, peak=peak,
                   reference=reference)  # fmt: skip
 
 
 def _dark_of(flat: StackStatistics, darks: list[StackStatistics]) -> StackStatistics:
-    """The dark whose conditions agree in most; of equals the one of the nearest exposure, then of most frames."""
+    """Return the dark with most equal conditions; of equals the one of nearest exposure, then of most frames."""
 
     def unlike(dark: StackStatistics) -> tuple[int, float, int]:
         here, there = flat.conditions, dark.conditions
@@ -163,11 +164,28 @@ def _dark_of(flat: StackStatistics, darks: list[StackStatistics]) -> StackStatis
 
 
 def _peak(flats: list[StackStatistics], signal: Array) -> int | None:
-    """Index of the variance peak if the variance falls beyond it, and levels below it show that it rose before."""
+    """Return the index of the variance peak if the variance rises before and falls after it."""
     if len(flats) < 3:
         return None
     variance = np.array([flat.variance_dn2 for flat in flats])
     top = int(np.argmax(variance))
     beyond = variance[top + 1 :]
-    rose = signal.min() < FIT_SHARE * signal[top]
+    rose = signal.min() < GAIN.fit_fraction * signal[top]
     return top if rose and len(beyond) and beyond.min() < 0.9 * variance[top] else None
+
+
+# Conditions that imply an intensifier.
+OF_TUBES = ("mcp_v", "gain_control", "luminous_gain", "brightness_control")
+
+
+def has_intensifier(conditions: Iterable[Conditions], context: Context) -> bool:
+    """Return whether an intensifier is described, or one of its settings stated."""
+    return context.sensor is not None or any(getattr(one, name) is not None for one in conditions for name in OF_TUBES)
+
+
+def has_multiplication(session: Session, context: Context) -> bool:
+    """Return whether single electrons are multiplied, in a tube or in a register."""
+    known = [entry.conditions for entry in session.of_kind("dark", "flat")]
+    return (
+        has_intensifier(known, context) or context.register is not None or any((c.em_gain or 1.0) > 1.0 for c in known)
+    )

@@ -1,4 +1,4 @@
-"""The covariance gain of the flats of one gain: pooled noise, the blur fitted to it, and what is wrong with either."""
+"""Covariance gain of the flats of one setting: pooled noise, fitted blur, findings."""
 
 from dataclasses import dataclass, replace
 
@@ -10,10 +10,11 @@ from charact.noise.checks import QUANTISED_DN2, exposure_findings
 from charact.noise.findings import Finding
 from charact.noise.gain import emva1288
 from charact.noise.gain.fit import Fit, fit_spectrum
-from charact.noise.gain.forms import blur_models
+from charact.noise.gain.model import blur_models
 from charact.noise.gain.pooled_noise import PooledNoise, pool_noise, pooling
 from charact.noise.gain.series import FlatSeries
 from charact.noise.gain.white_floor import has_analogue_chain
+from charact.noise.thresholds import GAIN
 from charact.noise.undetected_correlation import (
     UndetectedEffect,
     spatially_correlated_fraction,
@@ -23,20 +24,10 @@ from labdata.measurement import Posterior
 
 Array = NDArray[np.float64]
 
-# Levels whose covariance over signal departs by more than this share and this many standard errors lie on no line.
-LEVEL_SHARE = 0.06
-LEVEL_ERRORS = 5.0
-# Standard errors beyond which covariance over signal is seen to rise with the signal.
-RISING_ERRORS = 3.0
-# Relative standard error beyond which the posterior is too skewed for its interval to hold what it promises.
-WIDEST_SHARE = 0.35
-# Bins of spatial frequency that the blur's five parameters need.
-LEAST_BINS = 24
-
 
 @dataclass(frozen=True, kw_only=True)
 class SingleSetting:
-    """Noise of the flats of one gain.
+    """Noise of the flats of one setting.
 
     Parameters
     ----------
@@ -45,11 +36,11 @@ class SingleSetting:
     summary
         Their noise per DN of signal.
     fit
-        Blur and covariance gain fitted to it; `posterior` holds what few frames cannot exclude of lag.
+        Fitted blur and covariance gain; its posterior includes image lag that few frames cannot exclude.
     levels_dn, levels_sd_dn
-        Covariance over signal of every flat under the common blur, and its standard error, shape (flat,), DN.
+        Covariance over signal of every flat with the common blur, and its standard error, shape (flat,), DN.
     neighbours, exposures
-        Noise shared by neighbouring pixels and by successive exposures.
+        Correlation between neighbouring pixels and between successive exposures.
     """
 
     series: FlatSeries
@@ -62,26 +53,26 @@ class SingleSetting:
 
     @property
     def white(self) -> bool:
-        """Whether no noise is seen to be shared by neighbours."""
+        """Whether no correlation between neighbours is detected."""
         return not self.neighbours.seen
 
     @property
     def posterior(self) -> Posterior:
-        """Draws of covariance gain, blur factor and lag factor, and of the blur."""
+        """Draws of covariance gain, blur factor, lag factor and blur parameters."""
         return self.fit.posterior
 
     def at_low_signal(self, context: Context) -> "SingleSetting":
-        """Return the same with the covariance gain carried to small signals."""
+        """Return a copy with the covariance gain extrapolated to small signals."""
         posterior = _at_low_signal(self.posterior, self.series, self.levels_dn, self.levels_sd_dn, context)
         return replace(self, fit=replace(self.fit, posterior=posterior))
 
     def allowing(self, relative_sd: float, rng: np.random.Generator) -> "SingleSetting":
-        """Return the same with one more independent error on the covariance gain."""
+        """Return a copy with one more independent relative error of the covariance gain."""
         posterior = emva1288.with_relative_error(self.posterior, "covariance_gain", relative_sd, rng)
         return replace(self, fit=replace(self.fit, posterior=posterior))
 
     def level_share(self, index: int) -> float:
-        """Covariance over signal of a flat, by the straight line along the levels, over that of all."""
+        """Return covariance over signal of a flat, by the line along the levels, over the pooled one."""
         if self.series.fitted.sum() < 3:
             return 1.0
         trend = _trend(self.series, self.levels_dn, self.levels_sd_dn)
@@ -89,26 +80,26 @@ class SingleSetting:
         return float((trend.first + trend.rise * signal[index] / signal[self.series.fitted].max()) / trend.pooled)
 
     def findings(self) -> list[Finding]:
-        """What spectrum and lag say against or about the covariance gain."""
+        """Return the findings of spectrum and image lag."""
         return _model_findings(self.summary, self.fit) + _lag_findings(self.summary, self.exposures)
 
     def departures(self) -> list[Finding]:
-        """Levels whose covariance over signal is far from that of the others, or rises along them."""
+        """Return findings of levels whose covariance over signal deviates or rises."""
         told = self.series, self.levels_dn, self.levels_sd_dn
         return _level_findings(*told) + ([] if self.white else _rise_findings(*told))
 
 
 def fit_single_setting(series: FlatSeries, *, context: Context, quick: bool) -> SingleSetting:
-    """Fit blur and covariance gain to a series.
+    """Fit blur and covariance gain to a flat series.
 
     Parameters
     ----------
     series
-        The flats of one gain.
+        The flats of one setting.
     context
-        Seed, and the sensor for the prior of the blur.
+        Seed, and sensor for the blur prior.
     quick
-        Without a Markov chain.
+        Whether to omit the Markov chain.
     """
     neighbours = spatially_correlated_fraction(series)
     summary = pool_noise(series, context.sensor, floor=neighbours.seen and not has_analogue_chain(context))
@@ -120,18 +111,18 @@ def fit_single_setting(series: FlatSeries, *, context: Context, quick: bool) -> 
     exposures = temporally_correlated_fraction(series)
     pooled = SingleSetting(series=series, summary=summary, fit=found, levels_dn=levels, levels_sd_dn=spread,
                      neighbours=neighbours, exposures=exposures)  # fmt: skip
-    # What too few frames cannot exclude of lag.
+    # Image lag that too few frames cannot exclude.
     hidden = 0.0 if summary.lag.tested else exposures.allowance
     return pooled.allowing(hidden, np.random.default_rng([context.seed, 6])) if hidden else pooled
 
 
 def quantisation_fraction(series: FlatSeries, summary: PooledNoise) -> float:
-    """Share of the pooled variance that the steps of the digitiser may have added, relative; 0 where they cannot.
+    """Return the possible fraction of quantisation noise in the pooled variance; 0 if negligible.
 
     Notes
     -----
-    Rounding adds 1/12 DN^2 to noise of half a step and more. A quieter dark shows another amount, or none, so that
-    what is left above it is too much by as much; over the signal it weighs most in the dimmest flats.
+    Rounding adds 1/12 DN^2 to noise of half a step or more, and another amount to a quieter dark, which biases the
+    difference; the relative bias is largest in the dimmest flats.
     """
     chosen, weight = pooling(series)
     levels = [level for i in chosen for level in (series.flats[i], series.darks[i])]
@@ -141,9 +132,9 @@ def quantisation_fraction(series: FlatSeries, summary: PooledNoise) -> float:
 
 
 def _with_steps(posterior: Posterior, power_dn: float, context: Context) -> Posterior:
-    """Return the posterior with white noise of unknown height, of a standard deviation, in variance and spectrum alike.
+    """Return the posterior with white noise of standard deviation `power_dn` added to variance and spectrum.
 
-    Neighbours share none of the error of rounding: it stands at every frequency, also at none.
+    Rounding errors of neighbours are independent, so they add to all frequencies.
     """
     draws, power = posterior.draws.copy(), posterior["power"]
     steps = np.maximum(power_dn * np.random.default_rng([context.seed, 17]).standard_normal(len(draws)), -0.9 * power)
@@ -154,10 +145,10 @@ def _with_steps(posterior: Posterior, power_dn: float, context: Context) -> Post
 
 
 def _at_low_signal(posterior: Posterior, series: FlatSeries, levels, spread, context: Context) -> Posterior:
-    """Return the posterior with the covariance gain carried to small signals.
+    """Return the posterior with the covariance gain extrapolated to small signals.
 
-    A microchannel plate tires as its current rises and takes gain and covariance gain along; both are stated for
-    small signals. The share lost per DN of signal is the slope of the levels' covariance over signal.
+    Strip-current saturation of the MCP lowers the gain; quantities refer to small signals. The relative loss per DN is
+    the slope of covariance over signal along the levels.
     """
     if series.fitted.sum() < 3:
         return posterior
@@ -172,9 +163,9 @@ def _at_low_signal(posterior: Posterior, series: FlatSeries, levels, spread, con
 
 @dataclass(frozen=True, kw_only=True)
 class _Trend:
-    """Covariance over signal along the levels, DN: at no signal, pooled, and its change up to the brightest.
+    """Covariance over signal along the levels, DN: at zero signal, pooled, and its rise up to the brightest.
 
-    The first standard error is of the difference to the pooled one.
+    `first_sd` is that of the difference to the pooled value.
     """
 
     first: float
@@ -185,7 +176,7 @@ class _Trend:
 
 
 def _trend(series: FlatSeries, levels: Array, spread: Array) -> _Trend:
-    """A straight line through the fitted levels, three at least."""
+    """Fit a straight line through the fitted levels, at least three."""
     chosen = series.fitted
     signal, weight = series.signal_dn[chosen], 1.0 / spread[chosen] ** 2
     design = np.stack([np.ones_like(signal), signal / signal.max()])
@@ -199,7 +190,7 @@ def _trend(series: FlatSeries, levels: Array, spread: Array) -> _Trend:
 
 
 def blur_exponent(context: Context) -> tuple[float, float] | None:
-    """Return the exponent of the described tube's blur and its standard deviation; None where none is described."""
+    """Return the exponent of the described tube's blur and its standard deviation; None without a description."""
     if context.sensor is None:
         return None
     known = context.sensor.tube.mtf_exponent
@@ -208,7 +199,7 @@ def blur_exponent(context: Context) -> tuple[float, float] | None:
 
 
 def _level_gains(series: FlatSeries, summary: PooledNoise, fit: Fit):
-    """Return the covariance over signal of every flat under the common blur, and its standard error, DN."""
+    """Return covariance over signal of every flat with the common blur, and its standard error, DN."""
     shape = fit.model_dn / float(np.median(fit.posterior["power"]))
     name = "many" if summary.lag.seen else "few"
     use = fit.used
@@ -225,35 +216,38 @@ def _level_gains(series: FlatSeries, summary: PooledNoise, fit: Fit):
 
 
 def _lag_findings(summary: PooledNoise, exposures: UndetectedEffect) -> list[Finding]:
-    """Light of earlier exposures that is there and was not summed to its end."""
+    """Return findings of image lag that was detected and not summed completely."""
     if summary.lag.seen and summary.lag.open:
-        return [("lag", f"earlier exposures still glow after {summary.lag.lag[-1]} more, where the sum over lags ends")]
+        return [("lag", f"image lag has not decayed after {summary.lag.lag[-1]} exposures, the end of the lag sum")]
     if summary.lag.seen:
         return []
     return exposure_findings(exposures)
 
 
 def _model_findings(summary: PooledNoise, fit: Fit) -> list[Finding]:
-    """What the fit itself says against or about its numbers."""
+    """Return the findings of the fit."""
     found: list[Finding] = []
     if fit.chance < 1e-4:
         found.append(("model-misfit", f"residuals of the noise spectrum have chi2 {fit.chi2:.0f} of {fit.freedom}"))
     blur = float(np.median(fit.posterior["blur_factor"]))
     if blur < 0.9:
-        found.append((None, f"noise is correlated between pixels (blur factor {blur:.3g}) and was treated as such"))
+        found.append((None, f"noise is correlated between pixels (blur factor {blur:.3g}); accounted for"))
     if summary.lag.seen:
-        found.append((None, f"earlier exposures glow on (lag factor {summary.lag.factor:.3g}); all lags were summed"))
+        found.append((None, f"image lag (lag factor {summary.lag.factor:.3g}); all lags were summed"))
     low, middle, high = np.quantile(fit.posterior["covariance_gain"], [0.16, 0.5, 0.84])
-    if 0.5 * (high - low) > WIDEST_SHARE * middle:
+    if 0.5 * (high - low) > GAIN.max_relative_sd * middle:
         found.append(
-            ("too-few-frames", "the power at frequency 0 is known to worse than a third: more frames or pixels")
+            (
+                "too-few-frames",
+                "the relative uncertainty of the power at frequency 0 exceeds a third; take more frames or pixels",
+            )
         )
     found += [(flag, "see the posterior") for flag in fit.posterior.flags]
     return found
 
 
 def _level_findings(series: FlatSeries, levels, spread) -> list[Finding]:
-    """Levels whose covariance over signal is far from that of the others."""
+    """Return findings of levels whose covariance over signal deviates from the others."""
     chosen = np.flatnonzero(series.fitted)
     middle = float(np.median(levels[chosen]))
     return [
@@ -262,17 +256,17 @@ def _level_findings(series: FlatSeries, levels, spread) -> list[Finding]:
             f"covariance over signal of {series.flats[i].label} is {levels[i]:.3g} DN, not {middle:.3g} DN",
         )
         for i in chosen
-        if abs(levels[i] - middle) > max(LEVEL_SHARE * middle, LEVEL_ERRORS * spread[i])
+        if abs(levels[i] - middle) > max(GAIN.level_fraction * middle, GAIN.level_sd * spread[i])
     ]
 
 
 def _rise_findings(series: FlatSeries, levels, spread) -> list[Finding]:
-    """Covariance over signal that rises with the signal: a plate and charge that tire only ever lower it."""
+    """Return the finding of covariance over signal that rises; MCP saturation and charge effects lower it."""
     if series.fitted.sum() < 3:
         return []
     trend = _trend(series, levels, spread)
-    if trend.rise <= RISING_ERRORS * trend.rise_sd:
+    if trend.rise <= GAIN.rise_sd * trend.rise_sd:
         return []
     share = 100.0 * trend.rise / trend.pooled
-    sentence = f"covariance over signal rises by {share:.2g} % up to the brightest flat, which no tiring plate does"
-    return [("nonlinear", f"{sentence}: a gamma curve, or levels counted from a wrong dark")]
+    sentence = f"covariance gain rises by {share:.2g} % up to the brightest flat; MCP saturation would make it fall"
+    return [("nonlinear", f"{sentence}: check for gamma or a wrong dark")]

@@ -1,1 +1,1 @@
-"""What the light adds: signal-to-noise ratio against it, and the gains that it parts."""
+"""Signal-to-noise ratio, minimum illumination, and gains that need the illumination."""

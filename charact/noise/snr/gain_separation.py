@@ -1,45 +1,102 @@
-"""K, k, k F^2 and F^2 taken apart as far as a session allows; what it cannot tell apart is refused with what would.
+"""Separation of K, k, k F^2 and F^2.
 
-Flats give K + k F^2 and no more. The white floor of the spectrum, or the sensor's sheet, gives K and so k F^2. A light
-of known size gives k, the signal over its photoelectrons. Single photoelectrons in dark frames give k/p, the mean
-height of those that start a pulse, and so p F^2, one plus the relative variance of heights; with the share p that the
-tube's sheet bounds, or a known light, k and F^2.
+Flats give K + k F^2. The white-noise floor or the sensor description gives K and so k F^2. A known illumination gives
+k, the signal per photoelectron. Single photoelectrons in darks give the mean pulse height k/p, and p F^2 = one plus the
+relative variance of heights; with the detection probability p or a known light, k and F^2 follow. Quantities that a
+session cannot separate are refused, with the measurement that would separate them.
 """
 
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from charact.method import Context
-from charact.noise.gain.series import FlatSeries
-from charact.noise.gain.white_floor import WIDEST_SHARE, Floor, floor_of
-from charact.noise.snr.cathode_radiometry import photoelectrons_per_lux_s, photoelectrons_per_photon, pixel_area_m2
+from charact.noise.cathode_radiometry import (
+    ELECTRON_C,
+    lognormal_draws,
+    photoelectrons_per_lux_s,
+    photoelectrons_per_photon,
+    pixel_area_m2,
+)
+from charact.noise.gain.series import FlatSeries, gain_of
+from charact.noise.gain.white_floor import Floor, floor_of
 from charact.noise.snr.stated_illumination import StatedIllumination, light_of_series, response_draws, signal_sd
-from charact.noise.snr.tube_snr import snr_from_measurement
-from labdata.measurement import Measurement, Posterior, make_refusal, measurement_from_draws
+from charact.noise.thresholds import GAIN, SNR
+from labdata.measurement import Measurement, Posterior, Result, make_refusal, measurement_from_draws
+from labdata.session import Session
 
 Array = NDArray[np.float64]
 
-APART = "the light's size (illuminance_lux with gate or exposure, or photons_per_px at a wavelength_nm, and the sensor)"
+
+ILLUMINANCE_LUX = 108e-6
+
+
+SPOT_MM = 0.2
+
+
+BANDWIDTH_HZ = 10.0
+
+
+SPOT_M2 = np.pi / 4.0 * (SPOT_MM * 1e-3) ** 2
+
+
+def snr_from_specification(sensitivity_ua_per_lm: ArrayLike, excess_noise_factor: ArrayLike) -> Array:
+    """Return the signal-to-noise ratio of a specified tube.
+
+    Parameters
+    ----------
+    sensitivity_ua_per_lm
+        Luminous sensitivity S of the photocathode at 2856 K, uA/lm.
+    excess_noise_factor
+        F^2 including undetected photoelectrons; the square of the noise factor NF.
+    """
+    photoelectrons = np.asarray(sensitivity_ua_per_lm) * 1e-6 / ELECTRON_C
+    return _snr(photoelectrons / np.asarray(excess_noise_factor))
+
+
+def snr_from_measurement(response_dn_per_lux_s: ArrayLike, pulse_gain_dn: ArrayLike, pixel_area_m2: ArrayLike) -> Array:
+    """Return the signal-to-noise ratio of a measured tube and camera.
+
+    Parameters
+    ----------
+    response_dn_per_lux_s
+        Signal of a pixel per lux and second at the photocathode, DN.
+    pulse_gain_dn
+        k F^2: covariance sum of the scintillation noise over the signal, DN.
+    pixel_area_m2
+        Area of a pixel at the photocathode, m2.
+    """
+    return _snr(np.asarray(response_dn_per_lux_s) / (np.asarray(pulse_gain_dn) * np.asarray(pixel_area_m2)))
+
+
+def _snr(effective_per_lux_s_m2: Array) -> Array:
+    """Return the signal-to-noise ratio from the photoelectrons per lux, second and m2 over F^2."""
+    return np.sqrt(effective_per_lux_s_m2 * ILLUMINANCE_LUX * SPOT_M2 / (2.0 * BANDWIDTH_HZ))
+
+
+APART = "a known light (illuminance_lux with gate or exposure, or photons_per_px at a wavelength_nm, and the sensor)"
+
+
 PULSES = "the heights of single photoelectrons in dark frames"
 
 
 @dataclass(frozen=True, kw_only=True)
 class ResponsivityEstimate:
-    """What a light of known size tells.
+    """Responsivity and photoelectron gain from a known light.
 
     Parameters
     ----------
     gain
-        Draws of k, DN per photoelectron; None where the photocathode is unknown.
+        Draws of k, DN per photoelectron; None if the photocathode is unknown.
     per_lux_s
-        Draws of the signal per lux and second, DN; None where the light is not stated in lux over a time.
+        Draws of the signal per lux and second, DN; None without illuminance and time.
     note
-        How well the light is known.
+        Note on the uncertainty of the light.
     why_not
-        Why there is no k.
+        Reason for the absence of k.
     """
 
     gain: Array | None = None
@@ -50,25 +107,25 @@ class ResponsivityEstimate:
 
 def separate_gains(series: FlatSeries, posterior: Posterior, *, context: Context, flags: tuple[str, ...],
               covariance_flags: tuple[str, ...], **fields: Any) -> list[Measurement]:  # fmt: skip
-    """Return K, k F^2, k, F^2 and the tube's signal-to-noise ratio, each where the flats and their light tell it.
+    """Return K, k F^2, k, F^2 and the tube's signal-to-noise ratio, measured or refused.
 
     Parameters
     ----------
     series, posterior
-        The flats of one gain, and draws of their covariance gain and blur.
+        The flats of one gain, and draws of covariance gain and blur.
     context
         Sensor and seed.
     flags, covariance_flags
-        What the signal, and what the covariance gain, is suspect for.
+        Flags of the signal, and of the covariance gain.
     """
     floor = floor_of(series, posterior, context=context)
     response = response_of(series, len(posterior.draws), context)
     pulses = posterior["covariance_gain"] - floor.draws * posterior["lag_factor"]
-    told = spread_of(floor, posterior) <= WIDEST_SHARE
+    told = spread_of(floor, posterior) <= GAIN.max_floor_range
     noisy = {"flags": covariance_flags, **fields}
     out = [_electrons(floor, **noisy), _pulses(pulses, floor, told, context.seed, **noisy)]
     if response.gain is None:
-        reason = f"k and F2 cannot be told apart: {response.why_not}; {PULSES} would tell as well"
+        reason = f"k and F2 are not separable: {response.why_not}; {PULSES} would also separate them"
         out += [make_refusal(name, unit, reason, **fields) for name, unit in _GAINS]
     else:
         out += _known_light_gains(
@@ -81,15 +138,15 @@ _GAINS = (("photoelectron_gain", "DN/pe"), ("excess_noise_factor", "1"))
 
 
 def _pulses(pulses: Array, floor: Floor, told: bool, seed: int, **fields: Any) -> Measurement:
-    """k F^2, where K is known or too small to matter."""
+    """Return k F^2, if K is known or negligible."""
     if told:
         kept = posterior_of("pulse_gain", "DN", pulses, seed)
         note = (f"covariance_gain less K, which is {floor.source}",)
         return measurement_from_draws("pulse_gain", "DN", pulses, notes=note, posterior=kept, **fields)
     fields.pop("flags")
     reason = (
-        f"k F2 lies anywhere between {np.quantile(pulses, 0.025):.3g} and {np.quantile(pulses, 0.975):.3g} DN, for no "
-        "white floor is seen: flats with the tube's gain down, or the sensor's conversion gain, would give K"
+        f"k F2 lies between {np.quantile(pulses, 0.025):.3g} and {np.quantile(pulses, 0.975):.3g} DN, because no "
+        "white-noise floor is detected: flats at low tube gain, or the sensor's conversion gain, would give K"
     )
     return make_refusal("pulse_gain", "DN", reason, **fields)
 
@@ -103,8 +160,8 @@ def _known_light_gains(
     signal_flags: tuple[str, ...],
     **fields: Any,
 ) -> list[Measurement]:
-    """k and F^2 by a light of known size; k is not suspect for what the covariance gain alone is."""
-    notes = (response.note, "the interval holds the photocathode's sensitivity, which flats cannot narrow")
+    """Return k and F^2 from a known light; k does not take the flags of the covariance gain."""
+    notes = (response.note, "the interval includes the uncertainty of the photocathode's sensitivity")
     kept = posterior_of("photoelectron_gain", "DN/pe", gain, seed)
     own = {**fields, "flags": signal_flags}
     out = [measurement_from_draws("photoelectron_gain", "DN/pe", gain, notes=notes, posterior=kept, **own)]
@@ -115,18 +172,18 @@ def _known_light_gains(
 
 
 def posterior_of(name: str, unit: str, draws: Array, seed: int) -> Posterior:
-    """Keep the draws of one derived quantity."""
+    """Return the posterior of one derived quantity."""
     return Posterior(names=(name,), units=(unit,), draws=draws[:, None], sampler="laplace", seed=seed)
 
 
 def spread_of(floor: Floor, posterior: Posterior) -> float:
-    """Return the range of K that is left open, as a share of the covariance gain."""
+    """Return the 95 % range of K over the covariance gain."""
     low, high = np.quantile(floor.draws * posterior["lag_factor"], [0.025, 0.975])
     return float((high - low) / np.median(posterior["covariance_gain"]))
 
 
 def _electrons(floor: Floor, **fields: Any) -> Measurement:
-    """K, where the spectrum shows its floor."""
+    """Return K, if the white-noise floor is detected."""
     if floor.seen:
         return measurement_from_draws("conversion_gain", "DN/e-", floor.draws, **fields)
     fields.pop("flags")
@@ -134,7 +191,7 @@ def _electrons(floor: Floor, **fields: Any) -> Measurement:
 
 
 def response_of(series: FlatSeries, count: int, context: Context) -> ResponsivityEstimate:
-    """Return what the light of the flats tells of k."""
+    """Return k and responsivity from the light of the flats."""
     light = light_of_series(series)
     if isinstance(light, str):
         return ResponsivityEstimate(why_not=f"{APART} would tell ({light})")
@@ -151,9 +208,9 @@ def response_of(series: FlatSeries, count: int, context: Context) -> Responsivit
 def _of_lux(
     per_lux: Array, light: StatedIllumination, context: Context, rng: np.random.Generator
 ) -> ResponsivityEstimate:
-    """k from illuminance, time and luminous sensitivity."""
+    """Return k from illuminance, time and luminous sensitivity."""
     if light.seconds is None:
-        return ResponsivityEstimate(why_not="the time for which light is gathered is unknown (gate_ns, exposure_s)")
+        return ResponsivityEstimate(why_not="the exposure time is unknown (gate_ns, exposure_s)")
     per_lux_s = per_lux / light.seconds
     if context.sensor is None:
         return ResponsivityEstimate(
@@ -163,13 +220,14 @@ def _of_lux(
     return ResponsivityEstimate(gain=gain, per_lux_s=per_lux_s, note=light.note)
 
 
-def _of_photons(per_photon: Array, light: StatedIllumination, series: FlatSeries, context: Context, rng: np.random.Generator
-                ) -> ResponsivityEstimate:  # fmt: skip
-    """k from photons of one wavelength and the quantum efficiency there."""
+def _of_photons(
+    per_photon: Array, light: StatedIllumination, series: FlatSeries, context: Context, rng: np.random.Generator
+) -> ResponsivityEstimate:
+    """Return k from photons of one wavelength and the quantum efficiency."""
     wavelengths = {flat.conditions.wavelength_nm for flat in series.flats}
     known = next(iter(wavelengths)) if len(wavelengths) == 1 else None
     if context.sensor is None or known is None:
-        return ResponsivityEstimate(why_not="photons need one wavelength_nm and the photocathode of a sensor")
+        return ResponsivityEstimate(why_not="photons need a single wavelength_nm and the photocathode of a sensor")
     efficiency = photoelectrons_per_photon(context, known, rng, len(per_photon))
     if np.median(efficiency) <= 0:
         return ResponsivityEstimate(why_not=f"the photocathode has no efficiency at {known:g} nm")
@@ -177,22 +235,104 @@ def _of_photons(per_photon: Array, light: StatedIllumination, series: FlatSeries
 
 
 def _tube(response: ResponsivityEstimate, pulses: Array | None, context: Context, **fields: Any) -> Measurement:
-    """The tube's specification from the response to light and the noise per signal."""
+    """Return the tube's signal-to-noise ratio from responsivity and k F^2."""
     name = "tube_snr"
     plain = {key: value for key, value in fields.items() if key != "flags"}
     if response.per_lux_s is None:
-        reason = f"it takes the signal per lux and second: {response.why_not}"
+        reason = f"it needs the signal per lux and second: {response.why_not}"
         return make_refusal(name, "1", reason, **plain)
     if context.sensor is None:
-        return make_refusal(name, "1", "it takes the size of a pixel at the photocathode: name the sensor", **plain)
+        return make_refusal(name, "1", "it needs the pixel size at the photocathode: name the sensor", **plain)
     if pulses is None:
         return make_refusal(name, "1", "k F2 is not known; see pulse_gain", **plain)
     rng = np.random.default_rng([context.seed, 33])
     area = pixel_area_m2(context, rng, len(pulses))
     notes = (
-        "spot of 0.2 mm at 108 microlux, bandwidth 10 Hz, 2856 K; noise of dark frames left out; luminous sensitivity "
+        "spot of 0.2 mm at 108 microlux, bandwidth 10 Hz, 2856 K; noise of dark frames excluded; luminous sensitivity "
         "and noise factor cancel",
         response.note,
     )
     draws = snr_from_measurement(response.per_lux_s, np.maximum(pulses, 1e-12), area)
     return measurement_from_draws(name, "1", draws, notes=notes, **fields)
+
+
+def add_event_gains(result: Result, session: Session, *, context: Context) -> Result:
+    """Return the result with k and F^2 from flats, light and pulses, if pulses were measured at the same gain.
+
+    Parameters
+    ----------
+    result
+        `pulse_gain` of the flats and `detected_photoelectron_gain` of a dark stack, with their posteriors; without
+        either it is returned unchanged.
+    session
+        The session, with the gain of the dark stack.
+    context
+        The sensor, and the seed.
+    """
+    flats = [one for one in result.find("pulse_gain") if one.posterior is not None]
+    darks = [one for one in result.find("detected_photoelectron_gain") if one.posterior is not None]
+    if not flats or not darks or not _same_gain(session, darks[0]):
+        return result
+    parted = _event_gains(result, flats[0], darks[0], context)
+    better = {one.quantity for one in result.find("tube_snr") if one.value is not None}
+    new = tuple(one for one in parted if one.quantity not in better)
+    named = {one.quantity for one in new}
+    return replace(result, measurements=(*(one for one in result.measurements if one.quantity not in named), *new))
+
+
+def _same_gain(session: Session, dark: Measurement) -> bool:
+    """Return whether a dark stack was taken at the gain of most flats."""
+    (most, _), *_ = Counter(gain_of(entry.conditions) for entry in session.of_kind("flat")).most_common()
+    here = [gain_of(entry.conditions) for entry in session.of_kind("dark") if entry.label == dark.stack]
+    return most in here
+
+
+def _event_gains(result: Result, flats: Measurement, darks: Measurement, context: Context) -> list[Measurement]:
+    """Return k and F^2, and the tube's signal-to-noise ratio."""
+    from charact.noise.events.event_measurements import detection
+
+    assert flats.posterior is not None and darks.posterior is not None
+    rng = np.random.default_rng([context.seed, 41])
+    pulses = rng.choice(flats.posterior["pulse_gain"], SNR.separation_draws)
+    height = rng.choice(darks.posterior["height_dn"], SNR.separation_draws)
+    share, note = detection(context, rng, SNR.separation_draws)
+    gain, agreement = _gain(result, flats.method, height, share, rng)
+    flags = tuple(dict.fromkeys((*flats.flags, *darks.flags)))
+    fields = {"method": f"{flats.method} + {darks.method}", "provenance": flats.provenance}
+    out = [measurement_from_draws("pulse_height_factor", "1", pulses / height, flags=flags, **fields)]
+    flags += ("model-misfit",) if agreement < SNR.min_agreement else ()
+    notes = (note, "from the light and single photoelectrons" if agreement < 1.0 else
+             "from single photoelectrons of the dark frames")  # fmt: skip
+    kept = posterior_of("photoelectron_gain", "DN/pe", gain, context.seed)
+    out.append(
+        measurement_from_draws("photoelectron_gain", "DN/pe", gain, flags=flags, notes=notes, posterior=kept, **fields)
+    )
+    factor = pulses / gain
+    out.append(measurement_from_draws("excess_noise_factor", "1", factor, flags=flags, notes=notes, **fields))
+    if context.sensor is not None:
+        sensitivity = lognormal_draws(
+            context.sensor.photocathode.luminous_sensitivity_ua_per_lm, rng, SNR.separation_draws
+        )
+        told = (*notes, "luminous sensitivity from the sensor description")
+        out.append(
+            measurement_from_draws(
+                "tube_snr", "1", snr_from_specification(sensitivity, factor), flags=flags, notes=told, **fields
+            )
+        )
+    return out
+
+
+def _gain(result: Result, method: str, height: Array, share: Array, rng: np.random.Generator) -> tuple[Array, float]:
+    """Return draws of k, and the effective fraction consistent with light and pulses; 1 without a known light."""
+    lit = [one for one in result.find("photoelectron_gain", method=method) if one.posterior is not None]
+    if not lit or lit[0].posterior is None:
+        return share * height, 1.0
+    gain = rng.choice(lit[0].posterior["photoelectron_gain"], SNR.separation_draws)
+    density, edges = np.histogram(np.log(share), bins=SNR.bins, density=True)
+    place = np.searchsorted(edges, np.log(gain / height)) - 1
+    inside = (place >= 0) & (place < SNR.bins)
+    weight = np.where(inside, density[np.clip(place, 0, SNR.bins - 1)], 0.0)
+    if not weight.any():
+        return gain, 0.0
+    agreement = float(weight.sum() ** 2 / (weight**2).sum() / SNR.separation_draws)
+    return gain[rng.choice(SNR.separation_draws, SNR.separation_draws, p=weight / weight.sum())], min(agreement, 0.999)

@@ -1,8 +1,8 @@
-"""How noise grows with the signal at one gain, and the light at which the signal is so many times the noise.
+"""Noise law of one gain setting: variance against signal.
 
-One exposure above a dark of many: v(mu) = r^2 + a mu + b mu^2, read noise, shot noise and what bends it (a plate that
-tires); unequal pixels add p mu^2 where no flat field is divided out. The signal over the noise rises as mu, then as
-its square root, then stays. For a pixel a is (K + k F^2) times the blur factor, for an area K + k F^2 over its pixels.
+One exposure less the mean dark has the variance v(mu) = r^2 + a mu + b mu^2: read noise, shot noise and nonlinearity
+(MCP saturation). PRNU adds p mu^2 without flat-field correction. For a pixel a is (K + k F^2) times the blur factor,
+for an area (K + k F^2) over its number of pixels.
 """
 
 from dataclasses import dataclass
@@ -10,25 +10,28 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.noise.gain.pooled_noise import ImageLag
+from charact.noise.gain.series import CLIPPED_SHARE, FlatSeries
+from charact.noise.rounding import rounding_sd
+from charact.noise.snr.stated_illumination import signal_sd
+from charact.noise.stack.frame_block import BlockSpectrum, rows_lags
+from charact.noise.stack.stack_statistics import StackStatistics, area_variance, shares_of
+from charact.noise.stack.temporal import n_effective_samples
+from charact.noise.thresholds import SNR
 from labdata.measurement import Posterior
 
 Array = NDArray[np.float64]
 
+
 NAMES = ("read_variance", "shot_gain", "bend", "pattern_variance")
+
+
 UNITS = ("DN2", "DN", "1", "1")
-# Normal prior, mean 0, of the share by which shot noise departs from a straight line at the brightest level.
-BEND_SHARE_SD = 0.1
-# Departures from the law that make a misfit: probability, and share of the variance.
-LEAST_CHANCE = 1e-4
-MISFIT_SHARE = 0.03
-# Signal over its own error from which a level counts as lit.
-LIT = 5.0
-DRAWS = 2000
 
 
 @dataclass(frozen=True, kw_only=True)
 class SignalNoiseSeries:
-    """Signal and temporal noise of one exposure at every level of one gain, in a pixel or the mean of an area.
+    """Signal and temporal noise of one exposure at every level of one gain, of a pixel or an area mean.
 
     Parameters
     ----------
@@ -37,13 +40,13 @@ class SignalNoiseSeries:
     variance_dn2, variance_sd_dn2
         Variance and its standard error, shape (flat,), DN^2.
     dark
-        Which dark each flat is counted from, shape (flat,).
+        Index of the dark of each flat, shape (flat,).
     dark_variance_dn2, dark_variance_sd_dn2
-        The same of every dark, shape (dark,), DN^2.
+        Variance of every dark and its standard error, shape (dark,), DN^2.
     fitted
-        Levels of the linear range, shape (flat,).
+        Whether each level is in the linear range, shape (flat,).
     pattern, pattern_sd
-        Squared relative non-uniformity of the pixels and its standard error, dimensionless; 0 and 0 for none.
+        Squared PRNU and its standard error, dimensionless; 0 and 0 for none.
     """
 
     signal_dn: Array
@@ -59,17 +62,17 @@ class SignalNoiseSeries:
 
     @property
     def lit(self) -> NDArray[np.bool_]:
-        """Which levels are brighter than their dark beyond doubt, shape (flat,)."""
-        return self.signal_dn > LIT * self.signal_sd_dn
+        """Whether each level is significantly brighter than its dark, shape (flat,)."""
+        return self.signal_dn > SNR.lit_sd * self.signal_sd_dn
 
     @property
     def snr(self) -> Array:
-        """Signal over temporal noise at each level, shape (flat,)."""
+        """SNR (temporal noise) of each level, shape (flat,)."""
         return self.signal_dn / self._noise_dn
 
     @property
     def snr_sd(self) -> Array:
-        """Standard error of that, shape (flat,)."""
+        """Standard error of the SNR, shape (flat,)."""
         relative = 0.5 * self.variance_sd_dn2 / self._noise_dn**2
         return np.hypot(self.signal_sd_dn / self._noise_dn, self.snr * relative)
 
@@ -80,26 +83,26 @@ class SignalNoiseSeries:
 
 @dataclass(frozen=True, kw_only=True)
 class NoiseLaw:
-    """Posterior of the law.
+    """Posterior of the noise law.
 
     Parameters
     ----------
     posterior
         Draws of `NAMES`.
     misfit
-        Sentence on how the levels depart from the law, or None.
+        Note on deviations from the law, or None.
     """
 
     posterior: Posterior
     misfit: str | None
 
     def snr(self, signal: Array, *, pattern: bool = False) -> Array:
-        """Return signal over noise, shape (draw, signal), with or without unequal pixels."""
+        """Return the SNR, shape (draw, signal), with or without PRNU."""
         read, shot, bend, fixed = (self.posterior[name][:, None] for name in NAMES)
         return signal / np.sqrt(np.maximum(read + shot * signal + (bend + fixed * pattern) * signal**2, 1e-300))
 
     def signal_at(self, snr: float) -> Array:
-        """Return draws of the signal at which signal over noise, unequal pixels included, is given; inf where never."""
+        """Return draws of the signal at an SNR including PRNU; inf if not reached."""
         read, shot, bend, fixed = (self.posterior[name] for name in NAMES)
         square = 1.0 - snr**2 * (fixed + bend)
         root = np.sqrt(snr**4 * shot**2 + 4.0 * np.maximum(square, 0.0) * snr**2 * read)
@@ -107,20 +110,19 @@ class NoiseLaw:
 
 
 def noise_law(levels: SignalNoiseSeries, rng: np.random.Generator, *, reference: int) -> NoiseLaw:
-    """Fit the law to the levels of the linear range.
+    """Fit the noise law to the levels of the linear range.
 
     Parameters
     ----------
     levels
         The levels; at least one is fitted.
     reference
-        The dark whose noise is the law's read noise.
+        Index of the dark that gives the read noise.
 
     Notes
     -----
-    Linear in its parameters, so that the posterior is normal but for read and shot noise being positive. Where the
-    levels scatter about the law by more than their errors, errors are stretched to that scatter (Birge, Phys. Rev. 40,
-    207 (1932)).
+    The law is linear in its parameters, so the posterior is normal, truncated at zero read and shot noise. If the
+    levels scatter by more than their errors, the errors are scaled to the scatter (Birge, Phys. Rev. 40, 207 (1932)).
     """
     design, data, sd = _equations(levels)
     covariance = np.linalg.inv((design / sd[:, None] ** 2).T @ design).astype(float)
@@ -138,7 +140,7 @@ def noise_law(levels: SignalNoiseSeries, rng: np.random.Generator, *, reference:
 
 
 def _equations(levels: SignalNoiseSeries) -> tuple[Array, Array, Array]:
-    """Design, data and errors: the darks, the fitted flats, and the prior of the bend at the brightest of them."""
+    """Return design, data and errors: darks, fitted flats, and the prior of the nonlinearity at the brightest flat."""
     chosen = np.flatnonzero(levels.fitted)
     darks, signal = len(levels.dark_variance_dn2), levels.signal_dn[chosen]
     own = np.eye(darks)[levels.dark[chosen]]
@@ -149,35 +151,133 @@ def _equations(levels: SignalNoiseSeries) -> tuple[Array, Array, Array]:
         [np.hstack([np.eye(darks), np.zeros((darks, 2))]), np.column_stack([own, signal, bend]), np.eye(darks + 2)[-1:]]
     )
     data = np.concatenate([levels.dark_variance_dn2, levels.variance_dn2[chosen], [0.0]])
-    sd = [levels.dark_variance_sd_dn2, levels.variance_sd_dn2[chosen], [BEND_SHARE_SD * brightest]]
+    sd = [levels.dark_variance_sd_dn2, levels.variance_sd_dn2[chosen], [SNR.nonlinearity_sd * brightest]]
     return design, data, np.maximum(np.concatenate(sd), 1e-12)
 
 
 def _misfit(rest: Array, levels: SignalNoiseSeries, chi2: float, freedom: int) -> str | None:
-    """How far the levels depart from the law, if that is neither chance nor little."""
+    """Return the note on a significant deviation of the levels from the law, or None."""
     from scipy.stats import chi2 as chi_squared
 
     flats = rest[len(levels.dark_variance_dn2) : -1] / levels.variance_dn2[levels.fitted]
-    if freedom < 1 or chi_squared.sf(chi2, freedom) > LEAST_CHANCE or np.abs(flats).max() < MISFIT_SHARE:
+    if freedom < 1 or chi_squared.sf(chi2, freedom) > SNR.min_p_value or np.abs(flats).max() < SNR.misfit_fraction:
         return None
-    return f"the noise departs from read and shot noise by up to {100 * np.abs(flats).max():.2g} % of its variance"
+    return f"the noise deviates from read and shot noise by up to {100 * np.abs(flats).max():.2g} % of its variance"
 
 
 def _positive(rng: np.random.Generator, mean: Array, covariance: Array, which: tuple[int, int]) -> Array:
-    """Normal draws of which some parameters must not be negative."""
-    drawn = rng.multivariate_normal(mean, covariance, 4 * DRAWS, method="eigh")
+    """Return normal draws with some parameters not negative."""
+    drawn = rng.multivariate_normal(mean, covariance, 4 * SNR.draws, method="eigh")
     good = drawn[(drawn[:, which] >= 0).all(axis=1)]
-    if len(good) >= DRAWS:
-        return good[:DRAWS]
+    if len(good) >= SNR.draws:
+        return good[: SNR.draws]
     drawn[:, which] = np.abs(drawn[:, which])
-    return drawn[:DRAWS]
+    return drawn[: SNR.draws]
 
 
 def _above_zero(rng: np.random.Generator, mean: float, sd: float) -> Array:
-    """Draws of a normal cut off at zero."""
+    """Return draws of a normal distribution truncated at zero."""
     from scipy.special import ndtr, ndtri
 
     if sd <= 0:
-        return np.full(DRAWS, max(mean, 0.0))
+        return np.full(SNR.draws, max(mean, 0.0))
     low = ndtr(-mean / sd)
-    return np.maximum(mean + sd * ndtri(low + (1.0 - low) * rng.uniform(1e-9, 1.0 - 1e-9, DRAWS)), 0.0)
+    return np.maximum(mean + sd * ndtri(low + (1.0 - low) * rng.uniform(1e-9, 1.0 - 1e-9, SNR.draws)), 0.0)
+
+
+# Images too small for a spectrum, in which image lag is measured.
+NO_LAG = ImageLag(
+    lag=np.empty(0, np.int64),
+    correlation=np.empty(0),
+    correlation_sd=np.empty(0),
+    seen=False,
+    factor=1.0,
+    factor_sd=0.0,
+    freedom=np.inf,
+    tested=False,
+    open=False,
+)
+
+
+def pixel_levels(series: FlatSeries, lag: ImageLag) -> SignalNoiseSeries:
+    """Return the levels of a pixel, corrected for the correlation of few frames by image lag."""
+    pattern, pattern_sd = pattern_of(series)
+    return _levels(series, [_pixel(level, lag) for level in _stacks(series)], pattern=pattern, pattern_sd=pattern_sd)
+
+
+def area_levels(series: FlatSeries, lag: ImageLag) -> SignalNoiseSeries:
+    """Return the levels of the mean of a square of pixels, see `charact.noise.stack.stack_statistics`."""
+    shares = shares_of(series.flats[0].bins)
+
+    def of(level: StackStatistics) -> tuple[float, float]:
+        spectrum, count = _spectrum(level, lag)
+        return area_variance(level, spectrum, shares, count)
+
+    return _levels(series, [of(level) for level in _stacks(series)])
+
+
+def unclipped_flats(series: FlatSeries) -> NDArray[np.bool_]:
+    """Return which flats have unclipped noise: neither at full scale nor beyond the variance peak."""
+    whole = np.array([flat.high_fraction <= CLIPPED_SHARE for flat in series.flats])
+    return whole & (np.arange(len(whole)) <= (len(whole) if series.peak is None else series.peak))
+
+
+def pattern_of(series: FlatSeries) -> tuple[float, float]:
+    """Return the squared PRNU and its standard error, from all fitted flats."""
+    chosen = np.flatnonzero(series.fitted)
+    pairs = [(series.flats[i], series.darks[i]) for i in chosen]
+    square = series.signal_dn[chosen] ** 2
+    value = np.array([f.spatial_variance_dn2 - d.spatial_variance_dn2 for f, d in pairs]) / square
+    sd = np.array([np.hypot(f.spatial_sd_dn2, d.spatial_sd_dn2) for f, d in pairs]) / square
+    known = np.isfinite(sd) & (sd > 0)
+    if not known.any():
+        return 0.0, 0.0
+    weight = 1.0 / sd[known] ** 2
+    mean = float(weight @ value[known] / weight.sum())
+    excess = float(weight @ (value[known] - mean) ** 2) / max(1, known.sum() - 1)
+    return mean, float(np.sqrt(max(1.0, excess) / weight.sum()))
+
+
+def _stacks(series: FlatSeries) -> list[StackStatistics]:
+    """Return the darks of the flats without repetition, then the flats."""
+    return [*{dark.label: dark for dark in series.darks}.values(), *series.flats]
+
+
+def _levels(series: FlatSeries, known: list[tuple[float, float]], **fields) -> SignalNoiseSeries:
+    """Combine the variances of darks and flats with the signals."""
+    labels = list(dict.fromkeys(dark.label for dark in series.darks))
+    variance, sd = np.array(known, float).T
+    darks = len(labels)
+    return SignalNoiseSeries(
+        signal_dn=series.signal_dn,
+        signal_sd_dn=np.array([signal_sd(f, d) for f, d in zip(series.flats, series.darks, strict=True)]),
+        variance_dn2=variance[darks:],
+        variance_sd_dn2=sd[darks:],
+        dark=np.array([labels.index(dark.label) for dark in series.darks]),
+        dark_variance_dn2=variance[:darks],
+        dark_variance_sd_dn2=sd[:darks],
+        fitted=series.fitted,
+        **fields,
+    )
+
+
+def _pixel(level: StackStatistics, lag: ImageLag) -> tuple[float, float]:
+    """Return the temporal variance of a pixel and its standard error, DN^2."""
+    steps = rounding_sd(level.variance_dn2)[1]
+    if not lag.seen:
+        return level.variance_dn2, float(np.hypot(level.variance_sd_dn2, steps))
+    correlation = lag.correlation
+    same = rows_lags(level.many.lags, level.parity)
+    known, plain = (
+        n_effective_samples(level.time, level.parity, lags, correlation, within_parity=True)
+        for lags in (same, same[:1])
+    )
+    stretch = np.sqrt(max(1.0, plain / known))
+    return level.many.variance_dn2, float(np.hypot(level.variance_sd_dn2 * stretch, steps))
+
+
+def _spectrum(level: StackStatistics, lag: ImageLag) -> tuple[BlockSpectrum, float]:
+    """Return the spectrum with enough lags, and its independent exposures."""
+    spectrum = level.many if lag.seen else level.few
+    correlation = lag.correlation if lag.seen else np.empty(0)
+    return spectrum, level.runs * n_effective_samples(level.time, level.parity, spectrum.lags, correlation)

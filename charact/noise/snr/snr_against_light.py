@@ -1,6 +1,7 @@
-"""Signal-to-noise ratio against the light, for every gain of a session, and the light at which it is one."""
+"""Signal-to-noise ratio against illumination, and minimum illumination, for every gain of a session."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,27 +13,233 @@ from charact.noise.checks import exposure_findings, is_quantisation_limited, ser
 from charact.noise.findings import Finding, flags_of, notes_of
 from charact.noise.gain.pooled_noise import pool_noise
 from charact.noise.gain.series import GAINS, FlatSeries, gain_of, series_of, without_noise
-from charact.noise.gain_feasibility import gain_obstacle
 from charact.noise.provenance import provenance
-from charact.noise.snr.area import SIDE_PX
-from charact.noise.snr.figure_data import setting_figure_data, snr_figure_data
-from charact.noise.snr.levels import NO_LAG, area_levels, pixel_levels, unclipped_flats
-from charact.noise.snr.minimum_illumination import Scope, minimum_illumination, scope_of
-from charact.noise.snr.noise_law import DRAWS, LIT, SignalNoiseSeries
+from charact.noise.quantities import gain_obstacle
+from charact.noise.snr.noise_law import (
+    NAMES,
+    NO_LAG,
+    UNITS,
+    NoiseLaw,
+    SignalNoiseSeries,
+    area_levels,
+    noise_law,
+    pixel_levels,
+    unclipped_flats,
+)
 from charact.noise.snr.stated_illumination import StatedIllumination, gathering_s, light_of_series, response_draws
-from charact.noise.stack.stack_statistics import StackStatistics
+from charact.noise.stack.stack_statistics import SIDE_PX, StackStatistics
+from charact.noise.thresholds import SNR
 from charact.noise.undetected_correlation import temporally_correlated_fraction
 from labdata.conditions import Conditions
-from labdata.measurement import Measurement, Result, make_refusal, measurement_from_sd
+from labdata.measurement import (
+    Measurement,
+    Posterior,
+    Result,
+    make_refusal,
+    measurement_from_draws,
+    measurement_from_sd,
+)
 
 Array = NDArray[np.float64]
 
+
+# Defining signal-to-noise ratio.
+LEAST_SNR = 1.0
+
+
+ALTERNATIVE = "the signal is not proportional to the light: an automatic gain or brightness control was active"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scope:
+    """A signal-to-noise ratio of a pixel or an area.
+
+    Parameters
+    ----------
+    suffix
+        Suffix of the quantity names.
+    sentence
+        Description for notes.
+    levels
+        Signal and noise.
+    law
+        Fitted noise law.
+    """
+
+    suffix: str
+    sentence: str
+    levels: SignalNoiseSeries
+    law: NoiseLaw
+
+
+def scope_of(suffix: str, sentence: str, levels: SignalNoiseSeries, reference: int, context: Context) -> Scope:
+    """Fit the noise law of a pixel or an area; its read noise is that of the dark of flat `reference`."""
+    rng = np.random.default_rng([context.seed, 23, len(suffix)])
+    law = noise_law(levels, rng, reference=int(levels.dark[reference]))
+    return Scope(suffix=suffix, sentence=sentence, levels=levels, law=law)
+
+
+def minimum_illumination(
+    scope: Scope,
+    light: StatedIllumination | str,
+    response: Array | None,
+    findings: list[Finding],
+    *,
+    seed: int,
+    **fields: Any,
+) -> Measurement:
+    """Return the light at which the SNR is `LEAST_SNR`, or a refusal.
+
+    Parameters
+    ----------
+    scope
+        Pixel or area.
+    light
+        Light of the flats, or why it is unknown.
+    response
+        Draws of the signal per recorded light.
+    findings
+        Findings of the series.
+    seed
+        Seed of the error of the light.
+    """
+    name = f"minimum_illumination{scope.suffix}"
+    if isinstance(light, str) or response is None:
+        return make_refusal(name, "lux", str(light), **fields)
+    if "agc" in flags_of(findings):
+        return make_refusal(name, light.unit, ALTERNATIVE, **fields)
+    amount = scope.law.signal_at(LEAST_SNR) / response
+    reason, farther = _beyond(amount, scope.levels, light)
+    if reason is not None:
+        return make_refusal(name, light.unit, reason, **fields)
+    scale = light.scale(seed, len(amount))
+    found = [*findings, *farther, *law_findings(scope.law)]
+    unequal = ", unequal pixels counted" if scope.levels.pattern_sd else ""
+    sentence = f"signal-to-noise ratio {LEAST_SNR:g} {scope.sentence}{unequal}{_time(light)}"
+    notes = (sentence, light.note, *notes_of(found))
+    posterior = Posterior(
+        names=(*NAMES, "response", "light_scale", name),
+        units=(*UNITS, f"DN/{light.unit}", "1", light.unit),
+        draws=np.column_stack([scope.law.posterior.draws, response, scale, amount * scale]),
+        sampler="laplace",
+        seed=seed,
+    )
+    return measurement_from_draws(
+        name, light.unit, amount * scale, flags=flags_of(found), notes=notes, posterior=posterior, **fields
+    )
+
+
+def law_findings(law: NoiseLaw) -> list[Finding]:
+    """Return the findings of the noise law."""
+    return [] if law.misfit is None else [("model-misfit", law.misfit)]
+
+
+def _time(light: StatedIllumination) -> str:
+    return "" if light.seconds is None else f", light gathered for {light.seconds:.3g} s"
+
+
+def _beyond(amount: Array, levels: SignalNoiseSeries, light: StatedIllumination) -> tuple[str | None, list[Finding]]:
+    """Return the reason to refuse an extrapolation, or None, and the findings of a smaller one."""
+    chosen = levels.fitted & levels.lit
+    low, high = float(light.amount[chosen].min()), float(light.amount[chosen].max())
+    if np.mean(~np.isfinite(amount)) > SNR.max_unreached:
+        return f"the ratio may stay below {LEAST_SNR:g} at any light", []
+    middle = float(np.median(amount))
+    if middle > SNR.max_factor_above * high:
+        return f"the ratio stays below {LEAST_SNR:g} up to the brightest flat, {high:.3g} {light.unit}", []
+    if middle < low / SNR.max_factor_below:
+        return (
+            f"it is about {middle:.1g} {light.unit}, too far below the dimmest flat of {low:.3g} {light.unit} to "
+            "assume a linear camera response"
+        ), []
+    if middle > high:
+        return None, [("extrapolated", f"the brightest flat has {high:.3g} {light.unit}")]
+    if middle < low:
+        sentence = f"the dimmest flat has {low:.3g} {light.unit}; below it the camera response is assumed linear"
+        return None, [("extrapolated" if middle < low / SNR.interpolation_factor else None, sentence)]
+    return None, []
+
+
+def snr_figure_data(gains: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the figure data of all gains; the unit of light is empty if they differ."""
+    units = {gain["unit"] for gain in gains}
+    return {
+        "figure": "snr-light",
+        "least_snr": LEAST_SNR,
+        "unit": units.pop() if len(units) == 1 else "",
+        "gains": gains,
+    }
+
+
+def setting_figure_data(
+    series: FlatSeries,
+    words: str,
+    light: StatedIllumination | str,
+    response: Array | None,
+    scopes: list[Scope],
+    found: list[Measurement],
+) -> dict[str, Any]:
+    """Return levels, noise laws and minima of one gain.
+
+    Parameters
+    ----------
+    series, words
+        The flats, and their gain setting in words.
+    light, response
+        Recorded light and signal per light; without light the signal is the abscissa.
+    scopes
+        Pixel and area.
+    found
+        The measurements.
+    """
+    if isinstance(light, str) or response is None:
+        amount, per_amount, unit = series.signal_dn, 1.0, "DN"
+    else:
+        amount, per_amount, unit = light.amount, float(np.median(response)), light.unit
+    shown = scopes[0].levels.lit & unclipped_flats(series)
+    return {
+        "gain": words,
+        "unit": unit,
+        "label": [flat.label for flat in series.flats],
+        "amount": amount[shown].tolist(),
+        "fitted": series.fitted[shown].tolist(),
+        "scopes": [_scope(scope, shown, amount, per_amount, found) for scope in scopes],
+    }
+
+
+def _scope(scope: Scope, shown: NDArray[np.bool_], amount: Array, per_amount: float, found: list[Measurement]
+           ) -> dict[str, Any]:  # fmt: skip
+    """Return levels, noise law and minimum of a pixel or an area."""
+    least = [m for m in found if m.quantity == f"minimum_illumination{scope.suffix}" and m.value is not None]
+    middle = float(np.median(scope.law.signal_at(LEAST_SNR))) / per_amount
+    low = min(float(amount[shown].min(initial=np.inf)), middle if np.isfinite(middle) else np.inf) / 2.0
+    grid = np.geomspace(low, 2.0 * float(amount[shown].max(initial=low)), SNR.figure_points)
+    temporal = np.quantile(scope.law.snr(grid * per_amount), [0.025, 0.5, 0.975], axis=0)
+    total = np.median(scope.law.snr(grid * per_amount, pattern=True), axis=0)
+    return {
+        "name": "area" if scope.suffix else "pixel",
+        "snr": scope.levels.snr[shown].tolist(),
+        "snr_sd": scope.levels.snr_sd[shown].tolist(),
+        "law_amount": grid.tolist(),
+        "law_low": temporal[0].tolist(),
+        "law_snr": temporal[1].tolist(),
+        "law_high": temporal[2].tolist(),
+        "law_with_pattern": total.tolist(),
+        "minimum": least[0].value if least else None,
+        "minimum_interval95": list(least[0].interval95 or ()) if least else None,
+    }
+
+
 METHOD = "light-transfer"
-# A square must fit so many times into a side of the image for the spectrum to hold it.
-SQUARES = 6
+
+
 PIXEL = "of a pixel: temporal noise of one exposure"
-AREA = f"of the mean of {SIDE_PX} x {SIDE_PX} pixels of one exposure, noise that they share included"
-AXES = "noise of whole rows, columns and frames is left out of the area: too few frames to see it"
+
+
+AREA = f"of the mean of {SIDE_PX} x {SIDE_PX} pixels of one exposure, including correlated noise"
+
+
+AXES = "excludes row, column and frame noise: too few frames to measure it"
 
 
 @with_timing
@@ -46,7 +253,7 @@ def snr_against_light(
     darks, flats
         Stacks read with their spectra.
     single
-        Labels of darks and flats of a single frame, which are not among them.
+        Labels of excluded stacks of a single frame.
     context
         Seed.
 
@@ -54,12 +261,12 @@ def snr_against_light(
     -------
     Result
         `snr` and `snr_area` of every flat, `minimum_illumination` and `minimum_illumination_area` of every gain, the
-        light at which the ratio is `charact.noise.snr.minimum_illumination.LEAST_SNR`; as evidence all of it with the law fitted.
+        light at SNR `LEAST_SNR`; as figure data the levels with the fitted noise law.
 
     Notes
     -----
-    Noise is that of one exposure from which a mean dark is taken away. The minimum illumination also counts unequal
-    pixels, and its interval the uncertainty of the light, common to the session; see `charact.noise.snr.stated_illumination`.
+    Noise is that of one exposure less the mean dark. The minimum illumination includes PRNU, and its interval the
+    common uncertainty of the light; see `charact.noise.snr.stated_illumination`.
     """
     groups: dict[tuple, list[StackStatistics]] = {}
     for flat in flats:
@@ -71,9 +278,9 @@ def snr_against_light(
 
 
 def gain_in_words(conditions: Conditions) -> str:
-    """What the gain was set to."""
+    """Return the gain setting in words."""
     known = [(name, getattr(conditions, name)) for name in GAINS if getattr(conditions, name) is not None]
-    words = {"mcp_v": "plate at {:g} V", "gain_control": "gain control at {:g}", "em_gain": "multiplication of {:g}",
+    words = {"mcp_v": "MCP at {:g} V", "gain_control": "gain control at {:g}", "em_gain": "multiplication of {:g}",
              "camera_gain_db": "camera gain of {:g} dB"}  # fmt: skip
     return ", ".join(words[name].format(value) for name, value in known) or "gain not stated"
 
@@ -81,7 +288,7 @@ def gain_in_words(conditions: Conditions) -> str:
 def _measure_setting(
     series: FlatSeries, several: bool, context: Context
 ) -> tuple[list[Measurement], dict[str, Any] | None]:
-    """Quantities and evidence of the flats of one gain."""
+    """Return quantities and figure data of the flats of one gain."""
     fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
     reason = gain_obstacle(series) if series.reference == "dark" else _no_darks(series)
     if reason is not None or not len(series.flats):
@@ -90,13 +297,13 @@ def _measure_setting(
     lag = NO_LAG if small else pool_noise(series, None).lag
     findings = series_findings(series, context=context)
     findings += exposure_findings(temporally_correlated_fraction(series)) if not lag.seen else []
-    findings += [("lag", "earlier exposures still glow where the sum over lags ends")] if lag.open else []
+    findings += [("lag", "image lag has not decayed at the end of the lag sum")] if lag.open else []
     words = gain_in_words(series.flats[0].conditions)
     findings += [(None, words)] if several else []
     light = light_of_series(series)
     pixel = pixel_levels(series, lag)
     if not isinstance(light, str) and not (pixel.fitted & pixel.lit).any():
-        light = f"no flat below saturation is brighter than its dark by {LIT:g} standard errors"
+        light = f"no flat below saturation is brighter than its dark by {SNR.lit_sd:g} standard errors"
     response = None if isinstance(light, str) else _response(pixel, light, context)
     scopes = [scope_of("", PIXEL, pixel, _reference(series), context)]
     if small is None:
@@ -119,37 +326,39 @@ def _area_words(series: FlatSeries) -> str:
 
 
 def _area_obstacle(series: FlatSeries) -> str | None:
-    """Why the spectrum holds no area, or None."""
+    """Return why the images are too small for an area, or None."""
     rows, cols = series.flats[0].bins.window.shape
-    if min(rows, cols) >= SQUARES * SIDE_PX:
+    if min(rows, cols) >= SNR.squares * SIDE_PX:
         return None
-    return f"exposures of {rows} x {cols} px are too small for the noise of {SIDE_PX} x {SIDE_PX} px: {SQUARES} a side"
+    return (
+        f"exposures of {rows} x {cols} px are too small for the noise of {SIDE_PX} x {SIDE_PX} px: {SNR.squares} a side"
+    )
 
 
 def _reference(series: FlatSeries) -> int:
-    """The flat whose dark the law's read noise is: the dimmest of the longest time, for which light is stated."""
+    """Return the flat whose dark gives the read noise: the dimmest of the longest exposure."""
     times = [gathering_s(flat.conditions) or 0.0 for flat in series.flats]
     return int(np.argmax(times))
 
 
 def _response(levels: SignalNoiseSeries, light: StatedIllumination, context: Context) -> Array:
-    """Draws of the signal per light as recorded."""
+    """Draws of the signal per recorded light."""
     chosen = levels.fitted & levels.lit
     rng = np.random.default_rng([context.seed, 22])
-    return response_draws(light.amount[chosen], levels.signal_dn[chosen], levels.signal_sd_dn[chosen], rng, DRAWS)
+    return response_draws(light.amount[chosen], levels.signal_dn[chosen], levels.signal_sd_dn[chosen], rng, SNR.draws)
 
 
 def _ratios(series: FlatSeries, scope: Scope, findings: list[Finding], fields: dict[str, Any]) -> list[Measurement]:
-    """The ratio at every level."""
+    """Return the SNR at every level."""
     whole, out = unclipped_flats(series), []
     own = {"flags": flags_of(findings), "notes": (scope.sentence, *notes_of(findings))}
     for index, flat in enumerate(series.flats):
         name, told = f"snr{scope.suffix}", {**fields, "stack": flat.label}
         if not whole[index]:
-            reason = f"{flat.label} is saturated: what is cut off at the top takes noise away"
+            reason = f"{flat.label} is saturated: clipping lowers the noise"
             out.append(make_refusal(name, "1", reason, **told))
         elif not scope.levels.lit[index]:
-            reason = f"{flat.label} is not brighter than its dark by {LIT:g} standard errors"
+            reason = f"{flat.label} is not brighter than its dark by {SNR.lit_sd:g} standard errors"
             out.append(make_refusal(name, "1", reason, **told))
         else:
             value, sd = float(scope.levels.snr[index]), float(scope.levels.snr_sd[index])
@@ -159,5 +368,5 @@ def _ratios(series: FlatSeries, scope: Scope, findings: list[Finding], fields: d
 
 
 def _quantisation_flags(series: FlatSeries, index: int) -> tuple[str, ...]:
-    """The flag of a few DN above a dark whose variance may be that of rare pulses, while the steps hide the rest."""
+    """Return the flag of a signal of few DN distorted by rounding."""
     return ("quantised",) if is_quantisation_limited(series.darks[index], float(series.signal_dn[index])) else ()

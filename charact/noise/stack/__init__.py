@@ -1,1 +1,1 @@
-"""What one stack of dark or evenly lit frames tells."""
+"""Statistics of one stack of dark or uniformly illuminated frames."""

@@ -1,14 +1,12 @@
-"""What a run of frames tells: means, products of pixels and noise spectra, of which a stack is made."""
+"""Statistics of a block of frames: clipped values, means, pixel products, fixed pattern and noise spectra."""
 
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.noise.stack.clipped_counts import ClippedCounts, count_clipped
-from charact.noise.stack.exposure_order import Order, order_of
-from charact.noise.stack.pattern import Pattern, measure_fixed_pattern
 from charact.noise.stack.pixels import (
     PixelSums,
     line_errors,
@@ -19,29 +17,238 @@ from charact.noise.stack.pixels import (
     variance_error,
 )
 from charact.noise.stack.spectrum import NO_BINS, Bins, bins_of, smooth_length
-from charact.noise.stack.temporal import autocovariance, usable_lags
+from charact.noise.stack.temporal import Order, autocovariance, order_of, usable_lags
+from charact.noise.thresholds import STACK
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
+from labdata.importers.full_scale import ends_at
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClippedCounts:
+    """Number of values at 0 DN and at full scale.
+
+    Parameters
+    ----------
+    values, frames
+        Counted values and frames.
+    low, full
+        Values at 0 DN, and at or above full scale if stated.
+    largest, held
+        The largest value and its count.
+    next_largest, next_held
+        The next largest value and its count; 0 if the largest is rare.
+    """
+
+    values: int
+    frames: int
+    low: int
+    full: int
+    largest: float
+    held: int
+    next_largest: float
+    next_held: int
+
+    @property
+    def low_fraction(self) -> float:
+        """Fraction of values at 0 DN."""
+        return self.low / self.values
+
+    @property
+    def high_fraction(self) -> float:
+        """Fraction at full scale, or at the largest value if values accumulate there.
+
+        A smooth distribution falls towards its largest value; grey values need not be consecutive integers.
+        """
+        likely = self.next_held + STACK.accumulated_sd * np.sqrt(self.next_held)
+        piled = (
+            self.next_held
+            and self.held >= max(STACK.accumulated * self.frames, 2 * STACK.accumulated)
+            and self.held >= likely
+        )
+        shown = float(self.largest).is_integer() and ends_at(int(self.largest), self.held)
+        return max(self.full, self.held if piled or shown else 0) / self.values
+
+
+def count_clipped(data: NDArray, full_scale_dn: float | None) -> ClippedCounts:
+    """Count the clipped values of frames."""
+    flat = data.reshape(-1)
+    largest, held, next_largest, next_held = _top(flat)
+    full = 0
+    if full_scale_dn is not None and largest >= full_scale_dn:
+        full = held if largest == full_scale_dn else int(np.count_nonzero(flat >= full_scale_dn))
+    # With negative values, 0 is not the lower limit.
+    low = int(np.count_nonzero(flat == 0)) if flat.min() == 0 else 0
+    return ClippedCounts(values=flat.size, frames=len(data), low=low, full=full,
+                 largest=float(largest), held=int(held), next_largest=float(next_largest),
+                 next_held=int(next_held))  # fmt: skip
+
+
+def sum_counts(parts: list[ClippedCounts]) -> ClippedCounts:
+    """Return the sum of the counts."""
+    return reduce(_sum, parts)
+
+
+def _sum(one: ClippedCounts, two: ClippedCounts) -> ClippedCounts:
+    tops = [(part.largest, part.held) for part in (one, two)]
+    tops += [(part.next_largest, part.next_held) for part in (one, two)]
+    held: dict[float, int] = {}
+    for value, count in tops:
+        held[value] = held.get(value, 0) + count
+    first, second = sorted(held, reverse=True)[:2] if len(held) > 1 else (one.largest, one.largest)
+    return ClippedCounts(values=one.values + two.values, frames=one.frames + two.frames, low=one.low + two.low,
+                 full=one.full + two.full, largest=first, held=held[first], next_largest=second,
+                 next_held=held[second] if second < first else 0)  # fmt: skip
+
+
+def _top(flat: NDArray) -> tuple[float, int, float, int]:
+    """Return the largest value and its count, and if it is frequent the next largest."""
+    largest = flat.max()
+    held = int(np.count_nonzero(flat == largest))
+    less = flat[flat < largest] if held >= 2 * STACK.accumulated else flat[:0]
+    if not less.size:
+        return largest, held, largest, 0
+    following = less.max()
+    return largest, held, following, int(np.count_nonzero(less == following))
+
 
 Array = NDArray[np.float64]
 
-# Longest lag at which light of earlier exposures is looked for, and lags allowed for where none is seen, exposures.
-MOST_LAGS = 12
-FEW_LAGS = 2
-# Exposures of an intensified camera this far apart no longer share the glow of the screen to speak of.
-GLOW_EXPOSURES = 8
-# Squares of values beyond this leave the range of single precision.
-LARGEST_DN = 1e9
+
+@dataclass(frozen=True, kw_only=True)
+class Pattern:
+    """Spatial variance of the fixed pattern.
+
+    Parameters
+    ----------
+    variance_dn2, sd_dn2
+        The variance and its standard error, DN^2.
+    settled
+        Whether the covariance is independent of the separation of exposures; if not, slow noise counts as pattern.
+    """
+
+    variance_dn2: float
+    sd_dn2: float
+    settled: bool
+
+
+def measure_fixed_pattern(order: Order, sums: PixelSums, least: int) -> Pattern:
+    """Return the spatial variance of the fixed pattern.
+
+    Parameters
+    ----------
+    order
+        Order of the exposures.
+    sums
+        Products of their pixels.
+    least
+        Smallest separation of compared exposures.
+
+    Notes
+    -----
+    The estimate is the mean covariance over the image of two exposures of the same rows, whose temporal noise is
+    independent. Image lag correlates exposures near in time, so the separation is doubled until the covariance no
+    longer falls.
+    """
+    parts = [_field_pattern(order, sums, int(parity), least) for parity in np.unique(order.parity)]
+    return Pattern(
+        variance_dn2=float(np.mean([part.variance_dn2 for part in parts])),
+        sd_dn2=float(np.sqrt(np.sum([part.sd_dn2**2 for part in parts])) / len(parts)),
+        settled=all(part.settled for part in parts),
+    )
+
+
+def _field_pattern(order: Order, sums: PixelSums, parity: int, least: int) -> Pattern:
+    """Return the pattern of the exposures of one parity."""
+    same = np.flatnonzero(order.parity == parity)
+    cross = sums.with_mean[same]
+    products = sums.mean_square[parity] + cross[:, None] + cross + sums.products[np.ix_(same, same)]
+    distance = np.abs(order.time[same][:, None] - order.time[same])
+    spread = _spread(sums, parity)
+    apart, excess = int(distance[distance > 0].min()), [0.0]
+    while True:
+        found, sd = _mean(products, distance >= apart, spread)
+        further = distance >= 2 * apart
+        if not further.any():
+            rest = _remaining_correlation(excess)
+            return Pattern(
+                variance_dn2=found, sd_dn2=float(np.hypot(sd, rest)), settled=rest <= STACK.max_slow_noise * abs(found)
+            )
+        beside = (distance >= apart) & ~further
+        if not beside.any():
+            apart *= 2
+            continue
+        near, near_sd = _mean(products, beside, spread)
+        far, far_sd = _mean(products, further, spread)
+        noise = float(np.hypot(near_sd, far_sd))
+        alike = near - far <= STACK.slow_noise_sd * noise + 0.5 * STACK.slow_noise_fraction * abs(far)
+        # A possible excess of near pairs adds to the error in proportion to their number.
+        unseen = (max(near - far, 0.0) + noise) * float(beside.sum() / (distance >= apart).sum())
+        if alike and apart >= least and (not any(excess) or unseen <= STACK.max_slow_noise * abs(found)):
+            return Pattern(variance_dn2=found, sd_dn2=float(np.hypot(sd, unseen)), settled=True)
+        excess.append(0.0 if alike and not any(excess) else max(near - far, noise))
+        apart *= 2
+
+
+def _remaining_correlation(excess: list[float]) -> float:
+    """Return the excess beyond the last separation, extrapolated by the ratio of the last two."""
+    before, last = ([np.nan, *excess])[-2:]
+    if last <= 0:
+        return 0.0
+    return float(last**2 / before) if before > last else np.inf
+
+
+def _mean(products: Array, chosen: NDArray[np.bool_], spread: tuple[float, float]) -> tuple[float, float]:
+    """Return the mean product over the chosen pairs and its standard error, for noise of the given spread."""
+    weight = chosen / chosen.sum()
+    common = float((weight * products).sum())
+    noise = products - common
+    both = weight @ noise
+    twice, crossed = spread
+    square = 2.0 * max(float(np.trace(both @ both)), 0.0) * twice
+    square += 4.0 * max(common, 0.0) * max(float((both @ weight).sum()), 0.0) * crossed
+    return common, float(np.sqrt(square))
+
+
+def _spread(sums: PixelSums, parity: int) -> tuple[float, float]:
+    """Return the inverse number of independent pixels, for noise with noise and for noise with the pattern.
+
+    The image centre represents the image; variance missing from its mean image is shading at the lowest frequencies.
+    """
+    middle, pixels = sums.middle[parity], sums.size[0] * sums.size[1]
+    noise, mean = np.mean([_power(image) for image in middle], axis=0), _power(sums.mean_middle[parity])
+    level = float(noise.mean())
+    if level <= 0:
+        return 0.0, 0.0
+    # The mean square of a mean of m exponential powers is biased by 1 + 1/m.
+    twice = float(np.mean(noise**2)) / level**2 / (1.0 + 1.0 / len(middle))
+    lowest = np.delete(
+        noise[np.ix_(*([0, min(1, n - 1), -1][:most] for n, most in zip(noise.shape, (3, 2), strict=True)))], 0
+    )
+    own = float(mean.mean()) / middle[0].size
+    shading = max(sums.mean_square[parity] - own, 0.0)
+    alike = own * float(np.mean(mean * noise)) / max(float(mean.mean()), 1e-30) + shading * float(lowest.mean())
+    return twice / pixels, alike / max((own + shading) * level, 1e-30) / pixels
+
+
+def _power(image: NDArray[np.float32]) -> Array:
+    """Return the power of every mode of an image except its mean, half plane."""
+    from scipy import fft
+
+    modes = np.asarray(fft.rfft2(image, workers=1), np.complex64)
+    power = modes.real.astype(np.float64) ** 2 + modes.imag.astype(np.float64) ** 2
+    power[0, 0] = 0.0
+    return power
 
 
 @dataclass(frozen=True, kw_only=True)
 class BlockSpectrum:
-    """Noise of one stack when so many lags are allowed for: the more, the less biased and the less certain.
+    """Temporal noise of one stack up to a largest lag: more lags mean less bias and more scatter.
 
     Parameters
     ----------
     lags
-        Lags, exposures, 0 first, shape (lag,); none where no spectrum was asked for.
+        Lags, exposures, 0 first, shape (lag,); empty if no spectrum was requested.
     power_dn2
         Autocovariance in time of the modes of each bin, shape (bin, lag), DN^2.
     variance_dn2
@@ -58,7 +265,7 @@ NO_SPECTRUM = BlockSpectrum(lags=np.empty(0, np.int64), power_dn2=np.empty((0, 0
 
 @dataclass(frozen=True, kw_only=True)
 class FrameBlock:
-    """Statistics of a run of frames: values with their standard errors, and spectra. Names as in `Level`."""
+    """Statistics of a block of frames: values with their standard errors, and spectra. Names as in `Level`."""
 
     codes: ClippedCounts
     frame_mean_dn: Array
@@ -74,12 +281,12 @@ class FrameBlock:
 
 
 def run_of(frames: FrameStack, *, context: Context, spectra: bool) -> FrameBlock:
-    """Return the statistics of the frames of one run.
+    """Return the statistics of one block of frames.
 
     Raises
     ------
     BadInput
-        If values are beyond all bounds, or a frame is too low for two fields.
+        If values are out of range, or a frame has too few rows for two fields.
     """
     _check(frames, context)
     full_scale_dn = context.full_scale_dn if context.full_scale_dn is not None else frames.full_scale_dn
@@ -90,7 +297,7 @@ def run_of(frames: FrameStack, *, context: Context, spectra: bool) -> FrameBlock
     variance = float(autocovariance(sums.products, order.time, order.parity, plain, within_parity=True)[0])
     few, many = NO_SPECTRUM, NO_SPECTRUM
     if spectra:
-        few, many = (_spectrum(sums, order, most) for most in (FEW_LAGS, MOST_LAGS))
+        few, many = (_spectrum(sums, order, most) for most in (STACK.few_lags, STACK.max_lags))
     rows, cols = line_errors(sums, order)
     lines = np.hypot(rows, cols)
     scale = max(variance, np.finfo(float).tiny)
@@ -103,19 +310,19 @@ def run_of(frames: FrameStack, *, context: Context, spectra: bool) -> FrameBlock
         neighbour=_with_error(right_neighbour(sums), rows / scale),
         below=_with_error(lower_neighbour(sums), cols / scale),
         successor=successor_correlation(sums, order.parity),
-        pattern=measure_fixed_pattern(order, sums, GLOW_EXPOSURES if context.interlaced else 1),
+        pattern=measure_fixed_pattern(order, sums, STACK.decay_exposures if context.interlaced else 1),
         few=few,
         many=many,
     )
 
 
 def _with_error(known: tuple[float, float], error: float) -> tuple[float, float]:
-    """A value with one more independent error."""
+    """Return a value with one more independent error."""
     return known[0], float(np.hypot(known[1], error))
 
 
 def bins_of_run(shape: tuple[int, int, int], context: Context, *, spectra: bool) -> Bins:
-    """Return the bins of the spectra of frames of a shape: a few rows and columns short, to transform quickly."""
+    """Return the spectral bins of frames of a shape, cropped to lengths with a fast transform."""
     if not spectra:
         return NO_BINS
     step = 2 if context.interlaced else 1
@@ -123,18 +330,18 @@ def bins_of_run(shape: tuple[int, int, int], context: Context, *, spectra: bool)
 
 
 def _check(frames: FrameStack, context: Context) -> None:
-    """Refuse frames that no statistic can be made of."""
+    """Reject frames without valid statistics."""
     if context.interlaced and frames.data.shape[1] < 2:
-        raise BadInput(f"interlaced frames must have two rows at least, got {frames.data.shape[1]}")
+        raise BadInput(f"interlaced frames must have at least two rows, got {frames.data.shape[1]}")
     if frames.data.dtype.itemsize <= 2:
         return
     largest = max(abs(float(frames.data.max())), abs(float(frames.data.min())))
-    if largest > LARGEST_DN:
-        raise BadInput(f"pixel values must lie below {LARGEST_DN:.0e} DN, got {largest:.3g}")
+    if largest > STACK.max_dn:
+        raise BadInput(f"pixel values must lie below {STACK.max_dn:.0e} DN, got {largest:.3g}")
 
 
 def _spectrum(sums: PixelSums, order: Order, most: int) -> BlockSpectrum:
-    """Unbiased covariances in time up to a lag."""
+    """Return the unbiased temporal autocovariance up to a lag."""
     lags = usable_lags(order.time, order.parity, most)
     same = rows_lags(lags, order.parity)
     variance = autocovariance(sums.products, order.time, order.parity, same, within_parity=True)[0]

@@ -1,4 +1,4 @@
-"""Statistics of pixels and their neighbours in one pass over the exposures, with errors from blocks of the image."""
+"""Statistics of pixels and their neighbours in one pass over the exposures, with errors from image blocks."""
 
 from dataclasses import dataclass
 
@@ -6,26 +6,20 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from charact.noise.stack.exposure_order import Order, split_fields
 from charact.noise.stack.spectrum import Bins, along_rows, modes_of, products_of, smooth_length
+from charact.noise.stack.temporal import Order, split_fields
+from charact.noise.thresholds import STACK
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
-# Blocks of the image (rows, columns) whose scatter gives the uncertainty of its variance.
-BLOCKS = (6, 8)
-# What is summed in each block, in this order.
+# Sums of each block, in this order.
 SUMS = ("power", "beside", "below", "near", "level")
-# Exposures, and side of the middle of the image, px, whose spectra tell how far the noise of pixels is independent.
-SPECTRA = 8
-SIDE = 128
-# Pixels of all exposures that are in work at a time: they stay in the processor's cache.
-BAND_PIXELS = 2**17
 
 
 @dataclass(frozen=True, kw_only=True)
 class PixelSums:
-    """Products of the fluctuations of pixels: what changes in time, see `charact.noise.stack.exposure_order.fluctuations`.
+    """Products of the temporal fluctuations of pixels, see `charact.noise.stack.temporal.fluctuations`.
 
     Parameters
     ----------
@@ -40,14 +34,14 @@ class PixelSums:
     mean_square
         Variance over the image of that mean image, shape (parity,), DN^2.
     middle, mean_middle
-        For each parity the middle of the fluctuations of some exposures, shape (exposure, row, col), and of the mean
-        image, shape (row, col), DN.
+        For each parity the image centre of the fluctuations of some exposures, shape (exposure, row, col), and of the
+        mean image, shape (row, col), DN.
     power, beside, below
-        Mean over a block of the sum over exposures of the square, and of the product with the next pixel of the row
-        and with the one below, shape (block,), DN^2; not a number for a block without such pairs.
+        Block means of the sum over exposures of the square, and of the product with the next pixel of the row and of
+        the column, shape (block,), DN^2; NaN for a block without such pairs.
     near, pairs
-        Mean over a block of the sum over pairs of exposures nearest in time of their product, shape (block,), DN^2,
-        and the number of these pairs.
+        Block means of the summed products of the exposures nearest in time, shape (block,), DN^2, and the number of
+        these pairs.
     level
         Mean of the pixels of a block, shape (block,), DN.
     spectra
@@ -78,14 +72,14 @@ def pixel_sums(data: NDArray, order: Order, bins: Bins) -> PixelSums:
     data
         Pixels, shape (frame, row, col), DN.
     order
-        Order of their exposures.
+        Time order of the exposures.
     bins
         Bins of the spectra; `NO_BINS` for none.
     """
     fields = split_fields(data, order.row_step)
     rows, cols = fields[0].shape[1:]
-    row_cuts = np.linspace(0, rows, min(BLOCKS[0], rows) + 1).astype(np.int64)
-    col_cuts = np.linspace(0, cols, min(BLOCKS[1], cols) + 1).astype(np.int64)
+    row_cuts = np.linspace(0, rows, min(STACK.blocks[0], rows) + 1).astype(np.int64)
+    col_cuts = np.linspace(0, cols, min(STACK.blocks[1], cols) + 1).astype(np.int64)
     total = np.zeros((len(SUMS), len(row_cuts) - 1, len(col_cuts) - 1))
     count = len(order.time)
     level, products, with_mean = np.empty(count), np.zeros((count, count)), np.zeros(count)
@@ -123,7 +117,7 @@ def pixel_sums(data: NDArray, order: Order, bins: Bins) -> PixelSums:
 
 
 class _Pass:
-    """One pass over the exposures of the same rows, band of rows after band."""
+    """One pass over the exposures of one parity, in bands of rows."""
 
     def __init__(self, field: NDArray, level: Array, near: tuple[Whole, Whole], row_cuts: Whole, col_cuts: Whole,
                  total: Array, bins: Bins) -> None:  # fmt: skip
@@ -131,17 +125,17 @@ class _Pass:
         self.first, self.second = near
         self.bins = bins
         self.products, self.with_mean, self.mean_square = np.zeros((count, count)), np.zeros(count), 0.0
-        # Centred exposures add up to nothing: all but one are independent.
-        self.some = np.linspace(0, count - 2, min(count - 1, SPECTRA)).round().astype(int)
+        # Centred exposures sum to zero: all but one are independent.
+        self.some = np.linspace(0, count - 2, min(count - 1, STACK.spectra)).round().astype(int)
         self.rows, self.cols = (_middle(length) for length in (rows, cols))
         side = (self.rows.stop - self.rows.start, self.cols.stop - self.cols.start)
         self.middle = np.empty((len(self.some), *side), np.float32)
         self.mean_middle = np.empty(side, np.float32)
         self.along = np.empty((count - 1, bins.window.shape[0], bins.columns), np.complex64)
         above = np.zeros((count, cols), np.float32)
-        # White noise loses the share 1/N with the mean of N pixels; it is put back.
+        # White noise loses the fraction 1/N with the mean of N pixels; it is restored.
         back = np.float32(np.sqrt(rows * cols / max(rows * cols - 1, 1)))
-        step = max(1, BAND_PIXELS // (count * cols))
+        step = max(1, STACK.band_pixels // (count * cols))
         for start in range(0, rows, step):
             band = field[:, start : start + step].astype(np.float32)
             mean = _centre(band, level, back)
@@ -151,7 +145,7 @@ class _Pass:
             self._keep(band, mean, start)
 
     def _keep(self, band: NDArray[np.float32], mean: NDArray[np.float32], start: int) -> None:
-        """Keep what spectra are made of."""
+        """Store the data of the spectra."""
         low, high = max(start, self.rows.start), min(start + len(mean), self.rows.stop)
         if low < high:
             here, there = np.s_[low - start : high - start], np.s_[low - self.rows.start : high - self.rows.start]
@@ -163,13 +157,13 @@ class _Pass:
 
 
 def _complete_products(products: Array, parity: Whole) -> Array:
-    """Products of the modes of all exposures from those of all but the last of each parity, shape (bin, i, j).
+    """Return the mode products of all exposures from those without the last of each parity, shape (bin, i, j).
 
-    Centred exposures add up to nothing: the last is minus the sum of the others.
+    Centred exposures sum to zero: the last is minus the sum of the others.
     """
     made = np.zeros((len(parity), products.shape[1]))
     first = 0
-    # The others come parity by parity.
+    # The others are ordered by parity.
     for value in np.unique(parity):
         same = np.flatnonzero(parity == value)
         here = first + np.arange(len(same) - 1)
@@ -179,14 +173,14 @@ def _complete_products(products: Array, parity: Whole) -> Array:
 
 
 def _middle(length: int) -> slice:
-    """The middle of an axis, of a length that transforms quickly."""
-    side = smooth_length(min(length, SIDE))
+    """Return the centre of an axis, of a length with a fast transform."""
+    side = smooth_length(min(length, STACK.side_px))
     return slice((length - side) // 2, (length - side) // 2 + side)
 
 
 @njit(cache=True, fastmath=True)
 def _mean(image):
-    """Mean of an image in double precision."""
+    """Return the mean of an image in double precision."""
     total = 0.0
     for row in range(image.shape[0]):
         for col in range(image.shape[1]):
@@ -196,7 +190,7 @@ def _mean(image):
 
 @njit(cache=True, fastmath=True)
 def dot(one, two):
-    """Return the sum of products, always added in the same order."""
+    """Return the sum of products, added in a fixed order."""
     total = np.float32(0.0)
     for i in range(len(one)):
         total += one[i] * two[i]
@@ -205,7 +199,7 @@ def dot(one, two):
 
 @njit(cache=True, fastmath=True)
 def _centre(band, level, back):
-    """Turn a band of exposures into its fluctuations, and return its mean over the exposures."""
+    """Replace a band of exposures by its fluctuations, and return its mean over the exposures."""
     count, rows, cols = band.shape
     mean = np.zeros((rows, cols), np.float32)
     share = np.float32(1.0 / count)
@@ -227,7 +221,7 @@ def _centre(band, level, back):
 
 @njit(cache=True, fastmath=True)
 def _add(band, mean, above, start, row_cuts, col_cuts, first, second, products, with_mean, total):
-    """Add the products of a band that begins at row `start`, under the row `above`; return those of its mean."""
+    """Add the products of a band that starts at row `start`, below the row `above`; return those of its mean."""
     count, rows, cols = band.shape
     mean_square, high = 0.0, 0
     sums = np.zeros((len(total), cols), np.float32)
@@ -266,7 +260,7 @@ def _add_products(one, two, sums):
 
 @njit(cache=True, fastmath=True)
 def _flush(sums, total, col_cuts):
-    """Add the sums of columns to those of blocks, and begin anew."""
+    """Add the column sums to the block sums, and reset them."""
     for kind in range(len(sums)):
         for wide in range(len(col_cuts) - 1):
             block = 0.0
@@ -277,8 +271,8 @@ def _flush(sums, total, col_cuts):
 
 
 def variance_error(sums: PixelSums, variance: float) -> float:
-    """Return the standard error of the mean variance, from blocks of the image, each at the level of the whole."""
-    # A block that is darker is also quieter.
+    """Return the standard error of the mean variance, from image blocks scaled to the mean level."""
+    # Shot noise is lower in darker blocks.
     bright = sums.level.min() > 0.5 * sums.level.mean()
     even = sums.power * (sums.level.mean() / sums.level if bright else 1.0)
     if even.size < 2:
@@ -287,23 +281,23 @@ def variance_error(sums: PixelSums, variance: float) -> float:
 
 
 def line_errors(sums: PixelSums, order: Order) -> tuple[float, float]:
-    """Return what noise of whole rows, and of whole columns, adds to the standard error of the variance, DN^2.
+    """Return the part of row noise, and of column noise, in the standard error of the variance, DN^2.
 
     Notes
     -----
-    Row noise of variance v in R rows of n exposures about their mean is known to v sqrt(2 / (R (n - 1))), though its
-    pixels are many. It is the power of rows at frequency 0 above that at the lowest frequency: blur holds both.
+    Row noise of variance v in R rows of n exposures has the standard error v sqrt(2 / (R (n - 1))), whatever the number
+    of pixels. It is the power of rows at frequency 0 above that at the lowest frequency, which blur affects alike.
     """
     count = len(order.time) / len(sums.middle)
     freedom = max(len(order.time) - len(sums.middle), 1)
     parts = [[_line_power(np.moveaxis(image, axis, -1)) for image in sums.middle] for axis in (2, 1)]
-    # About the mean of n exposures a share 1/n is missing.
+    # Subtracting the mean of n exposures removes the fraction 1/n.
     rows, cols = (max(float(np.mean(part)), 0.0) * count / max(count - 1.0, 1.0) for part in parts)
     return rows * float(np.sqrt(2.0 / (sums.size[0] * freedom))), cols * float(np.sqrt(2.0 / (sums.size[1] * freedom)))
 
 
 def _line_power(lines: NDArray[np.float32]) -> float:
-    """Variance of the means of lines, the last axis along them, that their lowest frequency has not."""
+    """Return the variance of the line means beyond that of the lowest frequency; lines along the last axis."""
     phase = 2.0 * np.pi * np.arange(lines.shape[-1], dtype=np.float32) / lines.shape[-1]
     waves = np.stack([np.ones_like(phase), np.cos(phase), np.sin(phase)], axis=1) / lines.shape[-1]
     power = np.mean((lines @ waves).reshape(-1, 3) ** 2, axis=0)
@@ -311,35 +305,32 @@ def _line_power(lines: NDArray[np.float32]) -> float:
 
 
 def right_neighbour(sums: PixelSums) -> tuple[float, float]:
-    """Return the correlation of pixels next to each other in a row, and its standard error.
-
-    Nothing, and known to be nothing, where a row has a single pixel.
-    """
+    """Return the correlation of neighbouring pixels of a row, and its standard error; zeros for rows of one pixel."""
     return _correlation(sums, sums.beside) if sums.size[1] > 1 else (0.0, 0.0)
 
 
 def lower_neighbour(sums: PixelSums) -> tuple[float, float]:
-    """Return the same of pixels next to each other in a column of one exposure."""
+    """Return the correlation of neighbouring pixels of a column of one exposure, and its standard error."""
     return _correlation(sums, sums.below) if sums.size[0] > 1 else (0.0, 0.0)
 
 
 def _correlation(sums: PixelSums, products: Array) -> tuple[float, float]:
-    """Products over squares, and the standard error from the scatter of blocks."""
+    """Return products over squares, and the standard error from the scatter of blocks."""
     there = np.isfinite(products)
     products, power = products[there], sums.power[there]
     ratio = products / np.maximum(power, 1e-12)
     error = ratio.std(ddof=1) / np.sqrt(ratio.size) if ratio.size > 1 else 1.0
-    # Taking the mean of N pixels away makes white noise anticorrelated by 1/(N - 1).
+    # Subtracting the mean of N pixels anticorrelates white noise by 1/(N - 1).
     own = 1.0 / max(sums.size[0] * sums.size[1] - 1, 1)
     return float(products.mean() / max(float(power.mean()), 1e-12)) + own, float(error)
 
 
 def successor_correlation(sums: PixelSums, parity: Whole) -> tuple[float, float]:
-    """Return by how much exposures nearest in time correlate beyond the others, and its standard error.
+    """Return the excess correlation of exposures nearest in time over the others, and its standard error.
 
-    Centred exposures add up to nothing, so that what all pairs share follows from the variance: the contrast of near
-    and far pairs needs the near ones alone, and neither centring nor the fixed pattern has a part in it. Two exposures
-    of the same rows have no contrast; their error is infinite.
+    Centred exposures sum to zero, so the mean covariance of all pairs follows from the variance, and the excess needs
+    the near pairs alone. It is free of centring bias and fixed pattern. With two exposures of one parity the error is
+    infinite.
     """
     count = np.bincount(parity)
     others = int((count * (count - 1) // 2).sum()) - sums.pairs
@@ -351,7 +342,7 @@ def successor_correlation(sums: PixelSums, parity: Whole) -> tuple[float, float]
 
 
 def _nearest(time: Whole) -> tuple[Whole, Whole]:
-    """Indices of the pairs that lie the least time apart."""
+    """Return the indices of the pairs nearest in time."""
     distance = np.abs(time[:, None] - time)
     upper = np.triu(np.ones_like(distance, bool), 1)
     first, second = np.nonzero(upper & (distance == distance[upper].min(initial=np.iinfo(np.int64).max)))

@@ -1,33 +1,37 @@
-"""What one stack of dark or evenly lit frames tells: its level, its variance in time and the spectrum of its noise."""
+"""Statistics of one stack of dark or uniformly illuminated frames: level, temporal variance, noise spectrum."""
 
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.noise.cube.cube import Cube
-from charact.noise.stack.clipped_counts import sum_counts
-from charact.noise.stack.frame_block import BlockSpectrum, FrameBlock, bins_of_run, rows_lags
-from charact.noise.stack.spectrum import Bins
+from charact.noise.stack.cube import Cube, cube_of
+from charact.noise.stack.frame_block import BlockSpectrum, FrameBlock, bins_of_run, run_of, sum_counts
+from charact.noise.stack.spectrum import BAND_CY_PER_PX, ROW_LIMIT_CY, Bins
+from charact.noise.stack.temporal import runs_of
+from charact.noise.thresholds import STACK
 from labdata.conditions import Conditions
+from labdata.errors import BadInput
+from labdata.frames import FrameStack
+from labdata.lazy_stack import LazyStack, open_lazy_stack
 from labdata.session import StackEntry
-
-__all__ = ["BlockSpectrum", "StackStatistics", "rows_lags", "stack_statistics"]
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
 class StackStatistics:
-    """Statistics of one stack; DN throughout.
+    """Statistics of one stack, in DN.
 
     Parameters
     ----------
     label, kind, conditions
         As in the session.
     frames, pixels, size
-        Number of frames, of pixels in each, and its rows and columns.
+        Number of frames and of pixels of a frame; rows and columns.
     mean_dn
         Mean over all pixels and frames.
     frame_mean_dn
@@ -35,26 +39,25 @@ class StackStatistics:
     variance_dn2, variance_sd_dn2
         Temporal variance of a pixel, mean over the image, and its standard error.
     neighbour_correlation, neighbour_sd
-        Correlation of the fluctuations of pixels next to each other in a row, and its standard error.
+        Correlation of neighbouring pixels of a row, and its standard error.
     below_correlation, below_sd
-        The same of pixels next to each other in a column of one exposure.
+        Correlation of neighbouring pixels of a column of one exposure.
     successor_correlation, successor_sd
-        Correlation of exposures next to each other in time beyond that of others, and its standard error; infinite
-        for two frames.
+        Correlation of successive exposures relative to others, and its standard error; infinite for two frames.
     spatial_variance_dn2, spatial_sd_dn2
-        Variance over the image of what does not change in time, and its standard error.
+        Spatial variance of the fixed pattern, and its standard error.
     settled
-        Whether that variance is free of noise that exposures share for a while.
+        Whether that variance is free of slowly varying noise.
     low_fraction, high_fraction
-        Share of pixel values at code 0 and at the highest code.
+        Fraction of pixel values at 0 DN and at full scale.
     few, many
-        Spectra that allow for few and for many lags.
+        Spectra with few and with many temporal lags.
     runs, time, parity
-        Runs of frames the statistics come from, and the exposures of one of them.
+        Number of blocks of frames, and the exposures of one of them.
     bins
         Bins of the spectra.
     cube
-        3-D noise; None where it was not asked for or the stack is too short for it.
+        3-D noise; None if not requested or the stack is too short.
     """
 
     label: str
@@ -90,7 +93,7 @@ class StackStatistics:
 def stack_statistics(
     entry: StackEntry, runs: list[FrameBlock], cube: Cube | None, *, shape: tuple[int, int, int], context: Context
 ) -> StackStatistics:
-    """Return the statistics of a stack from those of its runs."""
+    """Return the statistics of a stack from those of its blocks."""
     weight = np.array([len(run.time) for run in runs], float)
     frame_mean = np.concatenate([run.frame_mean_dn for run in runs])
     variance, variance_sd = _pool([run.variance for run in runs], weight)
@@ -132,17 +135,249 @@ def stack_statistics(
 
 
 def _pool(values: list[tuple[float, float]], weight: Array) -> tuple[float, float]:
-    """Weighted mean and its standard error."""
+    """Return a weighted mean and its standard error."""
     share = weight / weight.sum()
     value, sd = np.array(values).T
     return float(share @ value), float(np.sqrt(share**2 @ sd**2))
 
 
 def _mean_spectrum(runs: list[BlockSpectrum], weight: Array) -> BlockSpectrum:
-    """Mean of the spectra of all runs over the lags that all of them have."""
+    """Return the mean spectrum of all blocks over their common lags."""
     if len(runs) == 1:
         return runs[0]
     lags = min((run.lags for run in runs), key=len)
     power = np.average([run.power_dn2[:, : len(lags)] for run in runs], axis=0, weights=weight)
     variance = float(np.average([run.variance_dn2 for run in runs], weights=weight))
     return BlockSpectrum(lags=lags, power_dn2=power, variance_dn2=variance)
+
+
+# Largest stack that is read at once; of a larger one each block is a part, and the cube another.
+WHOLE_BYTES = 128 * 2**20
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    """Task: some of the statistics of a stack.
+
+    Parameters
+    ----------
+    entry
+        The stack.
+    runs
+        First and last-plus-one frame of each block.
+    cube
+        Whether to compute 3-D noise.
+    spectra
+        Whether to compute noise spectra.
+    context
+        Settings.
+    whole
+        Whether to read the complete stack at once.
+    """
+
+    entry: StackEntry
+    runs: tuple[tuple[int, int], ...]
+    whole: bool
+    cube: bool
+    spectra: bool
+    context: Context
+
+
+@dataclass(frozen=True, kw_only=True)
+class PartStatistics:
+    """Statistics of a part."""
+
+    runs: tuple[FrameBlock, ...]
+    cube: Cube | None
+
+
+def read_levels_of(
+    entries: Sequence[StackEntry], *, context: Context, spectra: bool = True, cubes: bool = False
+) -> list[StackStatistics | None]:
+    """Return the statistics of stacks; None for a stack of a single frame.
+
+    Parameters
+    ----------
+    entries
+        The stacks.
+    context
+        Settings; `context.spread` maps over the parts.
+    spectra, cubes
+        Whether to compute noise spectra and 3-D noise.
+
+    Raises
+    ------
+    BadInput
+        If frame numbers repeat, values are out of range, or a frame has too few rows for two fields.
+    """
+    alone = replace(context, progress=Context.progress, spread=Context.spread)
+    # Workers run in other folders.
+    entries = [replace(entry, folder=entry.folder.absolute()) for entry in entries]
+    parts, shapes = [], []
+    for entry in entries:
+        stack = open_lazy_stack(entry)
+        shapes.append(stack.shape)
+        parts.append(_parts(entry, stack, alone, spectra, cubes))
+    found = iter(context.spread(part_statistics, [part for of_stack in parts for part in of_stack]))
+    levels: list[StackStatistics | None] = []
+    for entry, shape, of_stack in zip(entries, shapes, parts, strict=True):
+        context.progress(f"noise of {entry.label}", len(levels) / len(entries))
+        levels.append(_join_parts(entry, shape, islice(found, len(of_stack)), context))
+    return levels
+
+
+def part_statistics(part: Part) -> PartStatistics:
+    """Read the frames of a part and return its statistics."""
+    stack = open_lazy_stack(part.entry)
+    if part.whole:
+        stack = stack.in_memory()
+    try:
+        runs = tuple(
+            run_of(_frames(stack, first, last), context=part.context, spectra=part.spectra) for first, last in part.runs
+        )
+    except BadInput as error:
+        raise BadInput(f"{error}, in stack {part.entry.label!r}") from None
+    return PartStatistics(runs=runs, cube=cube_of(stack, context=part.context) if part.cube else None)
+
+
+def _parts(entry: StackEntry, stack: LazyStack, context: Context, spectra: bool, cube: bool) -> list[Part]:
+    """Return the parts of a stack."""
+    number = stack.frame_number
+    if len(np.unique(number)) < len(number):
+        raise BadInput(f"frame numbers of {entry.label} must be unique, got {number.tolist()[:8]}")
+    if len(stack) < 2:
+        return []
+    runs = tuple(runs_of(stack))
+    every = Part(entry=entry, runs=runs, cube=cube, spectra=spectra, context=context, whole=True)
+    if stack.size_bytes <= WHOLE_BYTES:
+        return [every]
+    parts = [replace(every, runs=(run,), cube=False, whole=False) for run in runs]
+    return [*parts, replace(every, runs=(), whole=False)] if cube else parts
+
+
+def _join_parts(entry: StackEntry, shape: tuple[int, int, int], found: Iterable[PartStatistics], context: Context
+              ) -> StackStatistics | None:  # fmt: skip
+    """Return the statistics of a stack from those of its parts."""
+    parts = list(found)
+    runs = [run for part in parts for run in part.runs]
+    cube = next((part.cube for part in parts if part.cube is not None), None)
+    return stack_statistics(entry, runs, cube, shape=shape, context=context) if runs else None
+
+
+def read_stack_frames(entry: StackEntry) -> FrameStack:
+    """Read all frames of a stack."""
+    stack = open_lazy_stack(entry)
+    return _frames(stack, 0, len(stack))
+
+
+def _frames(stack: LazyStack, first: int, last: int) -> FrameStack:
+    """Return the frames of one block."""
+    stamped = len(stack.frame_number) == len(stack)
+    number = stack.frame_number[first:last] if stamped else np.arange(first, last)
+    return FrameStack(data=stack.frames(first, last), frame_number=number, full_scale_dn=stack.full_scale_dn)
+
+
+# Side of the square, pixels of one exposure; larger than the blur.
+SIDE_PX = 10
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shares:
+    """Weights of the noise spectrum in the variance of a square's mean.
+
+    Parameters
+    ----------
+    bins
+        Weight of the power of each bin, shape (bin,).
+    beyond
+        Weight of the mean power of the modes beyond all bins.
+    modes
+        Fraction of all modes in each bin, shape (bin,).
+    edge
+        Bins of the outermost ring, shape (bin,).
+    """
+
+    bins: Array
+    beyond: float
+    modes: Array
+    edge: NDArray[np.bool_]
+
+
+def shares_of(bins: Bins, side: int = SIDE_PX) -> Shares:
+    """Return the weights of a square of `side` pixels.
+
+    Modes of the band without a bin (on the axes and in the smallest rings) count with the nearest bin.
+    """
+    rows, cols = bins.window.shape
+    row, col = np.abs(np.fft.fftfreq(rows))[:, None].astype(float), np.fft.rfftfreq(cols)[None, :].astype(float)
+    count = np.where((col == 0) | (col == 0.5), 1.0, 2.0) * np.ones((rows, 1)) / (rows * cols)
+    weight = count * _response(row, side) * _response(col, side)
+    y, x = np.broadcast_arrays(row / bins.row_pitch, col)
+    inside = (np.hypot(x, y) < BAND_CY_PER_PX) & (row <= ROW_LIMIT_CY)
+    place = np.array(bins.select)
+    lost = inside & (place < 0)
+    radius = np.hypot(bins.column_cy_per_px, bins.row_cy_per_px)
+    across = (x[lost][:, None] - bins.column_cy_per_px) ** 2 + (y[lost][:, None] - bins.row_cy_per_px) ** 2
+    outward = (np.hypot(x, y)[lost][:, None] - radius) ** 2
+    # Power depends mainly on the radius.
+    place[lost] = (outward + 0.05 * across).argmin(axis=1)
+    number = len(bins.modes)
+    return Shares(
+        bins=np.bincount(place[inside], weight[inside], number).astype(float),
+        beyond=float(weight[~inside].sum()),
+        modes=np.bincount(place[inside], count[inside], number).astype(float),
+        edge=radius > 0.9 * radius.max(),
+    )
+
+
+def _response(frequency: Array, side: int) -> Array:
+    """Return the squared transfer of the mean of `side` pixels."""
+    sine = np.sin(np.pi * frequency)
+    safe = np.where(sine == 0, 1.0, sine)
+    return np.where(sine == 0, 1.0, (np.sin(np.pi * side * frequency) / (side * safe)) ** 2)
+
+
+def area_variance(
+    level: StackStatistics, spectrum: BlockSpectrum, shares: Shares, exposures: float
+) -> tuple[float, float]:
+    """Return the variance of a square's mean and its standard error, DN^2.
+
+    Parameters
+    ----------
+    level, spectrum
+        A stack and the spectrum of its noise.
+    shares
+        Weights of the square.
+    exposures
+        Independent exposures behind the spectrum.
+
+    Notes
+    -----
+    The variance is the sum over modes of power times (sin(pi n f) / (n sin(pi f)))^2 along rows and columns. For white
+    noise it is the pixel variance over n^2, for blurred noise larger by the inverse blur factor. Beyond the bins the
+    power is taken midway between their outer edge and the mean beyond, which follows from the pixel variance. Row,
+    column and frame noise lies on the excluded axes and is added from the 3-D noise if available.
+    """
+    power = spectrum.power_dn2[:, 0]
+    rest = float(spectrum.variance_dn2 - shares.modes @ power) / max(1.0 - shares.modes.sum(), 1e-6)
+    edge = float(np.average(power[shares.edge], weights=level.bins.modes[shares.edge]))
+    beyond = shares.beyond * 0.5 * (edge + rest)
+    variance = float(shares.bins @ power) + beyond
+    own = (shares.bins * power) ** 2 / (level.bins.modes * level.bins.efficiency * exposures)
+    pulses = variance * level.variance_sd_dn2 / max(level.variance_dn2, 1e-12)
+    parts = [np.sqrt(own.sum()), 0.3 * shares.beyond * abs(edge - rest), STACK.binning_sd * variance, pulses]
+    whole, whole_sd = _whole_lines(level)
+    return variance + whole, float(np.sqrt(np.sum(np.square(parts)) + whole_sd**2))
+
+
+def _whole_lines(level: StackStatistics, side: int = SIDE_PX) -> tuple[float, float]:
+    """Return the variance of a square's mean by frame, row and column noise, and its standard error, DN^2."""
+    if level.cube is None:
+        return 0.0, 0.0
+    rng = np.random.default_rng(8)
+    parts = level.cube.components
+    shares = {"t": 1.0, "tv": 1.0 / side, "th": 1.0 / side}
+    value = sum(share * parts[name].variance_dn2 for name, share in shares.items())
+    draws = sum((share * parts[name].draws(rng, 400) for name, share in shares.items()), np.zeros(400))
+    low, high = np.quantile(draws, [0.16, 0.84])
+    return float(value), float(0.5 * (high - low))

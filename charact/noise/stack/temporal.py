@@ -1,15 +1,21 @@
-"""Autocovariance in time without bias, from a few exposures whose mean was taken away."""
+"""Unbiased temporal autocovariance from few centred exposures."""
 
+from collections.abc import Sized
+from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+
+from charact.noise.thresholds import STACK
+from labdata.frames import FrameStack
 
 Array = NDArray[np.float64]
 
 
 def centring(parity: NDArray[np.int64]) -> Array:
-    """Return the projection that takes each parity's mean over time away, shape (exposure, exposure)."""
+    """Return the projection that subtracts the mean over time of each parity, shape (exposure, exposure)."""
     same = (parity[:, None] == parity[None, :]).astype(float)
     return np.eye(len(parity)) - same / same.sum(axis=1, keepdims=True)
 
@@ -21,13 +27,13 @@ def autocovariance(products: Array, time: NDArray[np.int64], parity: NDArray[np.
     Parameters
     ----------
     products
-        Mean products of exposures i and j after each pixel's mean was taken away, shape (..., exposure, exposure).
+        Mean products of centred exposures i and j, shape (..., exposure, exposure).
     time, parity
         As in `Exposures`, shape (exposure,).
     lags
-        Lags at which the covariance may differ from zero, 0 first, in exposures, shape (lag,).
+        Lags of nonzero covariance, 0 first, exposures, shape (lag,).
     within_parity
-        Only exposures of the same rows are compared (odd lags of interlaced video then cannot be had).
+        Whether to compare only exposures of the same rows (no odd lags of interlaced video).
 
     Returns
     -------
@@ -36,8 +42,8 @@ def autocovariance(products: Array, time: NDArray[np.int64], parity: NDArray[np.
 
     Notes
     -----
-    Centring replaces the covariance matrix C by P C P, which is linear in the covariances c(lag): the mean over the
-    pairs of each lag, A c, is solved for c. With independent exposures this is the factor n/(n-1).
+    Centring replaces the covariance matrix C by P C P, which is linear in the covariances c(lag). The mean A c over the
+    pairs of each lag is solved for c. For independent exposures this is the factor n/(n-1).
     """
     pairs, solve = _solution(time, parity, lags, within_parity)
     measured = np.stack([products[..., pair].mean(axis=-1) for pair in pairs], axis=-1)
@@ -45,13 +51,13 @@ def autocovariance(products: Array, time: NDArray[np.int64], parity: NDArray[np.
 
 
 def _solution(time, parity, lags, within_parity: bool):
-    """The pairs of every lag, and the matrix that undoes the centring."""
+    """Return the pairs of every lag, and the matrix that inverts the centring."""
     return _cached_solution(tuple(time.tolist()), tuple(parity.tolist()), tuple(lags.tolist()), within_parity)
 
 
 @lru_cache(maxsize=64)
 def _cached_solution(time: tuple[int, ...], parity: tuple[int, ...], lags: tuple[int, ...], within_parity: bool):
-    """The same, remembered: most stacks of a session are exposed alike."""
+    """Return the same from a cache: most stacks of a session have equal exposure times."""
     when, rows = np.array(time), np.array(parity)
     usable = (rows[:, None] == rows[None, :]) if within_parity else np.ones((len(when), len(when)), bool)
     distance = np.abs(when[:, None] - when[None, :])
@@ -63,15 +69,15 @@ def _cached_solution(time: tuple[int, ...], parity: tuple[int, ...], lags: tuple
 
 def truncation_bias(time: NDArray[np.int64], parity: NDArray[np.int64], lags: NDArray[np.int64]
            ) -> tuple[NDArray[np.int64], Array]:  # fmt: skip
-    """Return the distances beyond the last lag, and what a covariance of 1 there adds to `autocovariance`.
+    """Return the lags beyond the last one, and the bias of `autocovariance` by a covariance of 1 there.
 
     Returns
     -------
     distance
-        Exposures apart, shape (distance,).
+        Lags, exposures, shape (distance,).
     added
-        What the covariance at each lag reads too much, shape (lag, distance): below zero, as centring takes away what
-        exposures share.
+        Bias of the covariance at each lag, shape (lag, distance); negative, because centring removes what exposures
+        have in common.
     """
     return _cached_truncation_bias(tuple(time.tolist()), tuple(parity.tolist()), tuple(lags.tolist()))
 
@@ -80,7 +86,7 @@ def truncation_bias(time: NDArray[np.int64], parity: NDArray[np.int64], lags: ND
 def _cached_truncation_bias(
     time: tuple[int, ...], parity: tuple[int, ...], lags: tuple[int, ...]
 ) -> tuple[NDArray[np.int64], Array]:
-    """The same, remembered."""
+    """Return the same from a cache."""
     when = np.array(time)
     pairs, solve = _cached_solution(time, parity, lags, False)
     apart = np.abs(when[:, None] - when[None, :])
@@ -90,9 +96,15 @@ def _cached_truncation_bias(
     return distance, solve @ np.array([[one[pair].mean() for one in centred] for pair in pairs])
 
 
-def n_effective_samples(time: NDArray[np.int64], parity: NDArray[np.int64], lags: NDArray[np.int64], correlation: Array, *,
-                within_parity: bool = False) -> float:  # fmt: skip
-    """Return how many independent exposures know the covariance at lag 0 as well as `autocovariance` does.
+def n_effective_samples(
+    time: NDArray[np.int64],
+    parity: NDArray[np.int64],
+    lags: NDArray[np.int64],
+    correlation: Array,
+    *,
+    within_parity: bool = False,
+) -> float:
+    """Return the number of independent exposures that give the covariance at lag 0 the same uncertainty.
 
     Parameters
     ----------
@@ -101,7 +113,7 @@ def n_effective_samples(time: NDArray[np.int64], parity: NDArray[np.int64], lags
 
     Notes
     -----
-    The estimate is a sum of products with weights M; for Gaussian modes its relative variance is tr(P M P R P M P R).
+    The estimate is a sum of products with weights M; for normal modes its relative variance is tr(P M P R P M P R).
     """
     known = tuple(np.asarray(correlation, float).tolist())
     return _cached_n_effective_samples(
@@ -110,9 +122,14 @@ def n_effective_samples(time: NDArray[np.int64], parity: NDArray[np.int64], lags
 
 
 @lru_cache(maxsize=64)
-def _cached_n_effective_samples(time: tuple[int, ...], parity: tuple[int, ...], lags: tuple[int, ...], correlation: tuple[float, ...],
-             within_parity: bool) -> float:  # fmt: skip
-    """The same, remembered."""
+def _cached_n_effective_samples(
+    time: tuple[int, ...],
+    parity: tuple[int, ...],
+    lags: tuple[int, ...],
+    correlation: tuple[float, ...],
+    within_parity: bool,
+) -> float:
+    """Return the same from a cache."""
     pairs, solve = _cached_solution(time, parity, lags, within_parity)
     weight = sum(share * pair / pair.sum() for share, pair in zip(solve[0], pairs, strict=True))
     when = np.array(time)
@@ -126,14 +143,14 @@ def _cached_n_effective_samples(time: tuple[int, ...], parity: tuple[int, ...], 
 def error_correlation(time: NDArray[np.int64], parity: NDArray[np.int64], lags: NDArray[np.int64]) -> Array:
     """Return the correlation of the errors of `autocovariance` at all lags, shape (lag, lag).
 
-    Exposures of the same kind that share nothing; errors go together, as the same mean was taken from all of them.
+    Exposures are independent; centring correlates the errors.
     """
     return _cached_error_correlation(tuple(time.tolist()), tuple(parity.tolist()), tuple(lags.tolist()))
 
 
 @lru_cache(maxsize=64)
 def _cached_error_correlation(time: tuple[int, ...], parity: tuple[int, ...], lags: tuple[int, ...]) -> Array:
-    """The same, remembered."""
+    """Return the same from a cache."""
     pairs, solve = _cached_solution(time, parity, lags, False)
     project = centring(np.array(parity))
     each = np.array([pair / pair.sum() for pair in pairs])
@@ -143,9 +160,87 @@ def _cached_error_correlation(time: tuple[int, ...], parity: tuple[int, ...], la
 
 
 def usable_lags(time: NDArray[np.int64], parity: NDArray[np.int64], most: int) -> NDArray[np.int64]:
-    """Return the lags 0..most that the exposures can tell from the mean that was taken away."""
+    """Return the lags 0..most that can be estimated from centred exposures."""
     frames = int(np.bincount(parity).min())
     fields = len(np.unique(parity))
     longest = min(most, (frames // 2) * fields - (fields == 1)) if frames > 3 else 0
     gaps = set(np.abs(time[:, None] - time[None, :]).ravel().tolist())
     return np.array([lag for lag in range(longest + 1) if lag in gaps], np.int64)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Exposures:
+    """Successive exposures.
+
+    Parameters
+    ----------
+    image
+        Pixel values, shape (exposure, row, col), DN.
+    time
+        Time of each exposure in units of one exposure's period (a field of interlaced video), shape (exposure,).
+    parity
+        Rows of the frame it contains: 0 even, 1 odd; 0 for progressive frames. Shape (exposure,).
+    row_step
+        Frame rows per image row.
+    """
+
+    image: NDArray[np.float32]
+    time: NDArray[np.int64]
+    parity: NDArray[np.int64]
+    row_step: int
+
+
+def runs_of(stack: Sized) -> list[tuple[int, int]]:
+    """Return the first and last-plus-one frame of blocks of nearly equal length, at least two frames each."""
+    frames = len(stack)
+    count = max(1, -(-frames // STACK.block_frames))
+    edges = np.linspace(0, frames, count + 1).round().astype(int)
+    return [(int(a), int(b)) for a, b in pairwise(edges)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Order:
+    """Times and parities of exposures: `time`, `parity` and `row_step` as in `Exposures`."""
+
+    time: NDArray[np.int64]
+    parity: NDArray[np.int64]
+    row_step: int
+
+
+def order_of(frame_number: NDArray[np.int64], *, interlaced: bool) -> Order:
+    """Return the time order of the exposures of frames; lost frames leave a gap."""
+    number = np.asarray(frame_number, np.int64) - int(frame_number[0])
+    if not interlaced:
+        return Order(time=number, parity=np.zeros(len(number), np.int64), row_step=1)
+    parity = np.tile([0, 1], len(number))
+    return Order(time=2 * np.repeat(number, 2) + parity, parity=parity, row_step=2)
+
+
+def split_fields(data: NDArray, row_step: int) -> list[NDArray]:
+    """Return the fields of frames as views, each of shape (frame, row, col), without an unpaired last row."""
+    rows = row_step * (data.shape[1] // row_step)
+    return [data[:, parity:rows:row_step] for parity in range(row_step)]
+
+
+def exposures(stack: FrameStack, first: int, last: int, *, interlaced: bool) -> Exposures:
+    """Return the exposures of the frames first..last-1; lost frames leave a gap in time."""
+    data = stack.data[first:last]
+    stamped = len(stack.frame_number) == len(stack)
+    order = order_of(stack.frame_number[first:last] if stamped else np.arange(first, last), interlaced=interlaced)
+    image = np.stack(split_fields(data, order.row_step), axis=1).astype(np.float32)
+    return Exposures(image=image.reshape(-1, *image.shape[2:]), time=order.time, parity=order.parity,
+                     row_step=order.row_step)  # fmt: skip
+
+
+def fluctuations(shots: Exposures) -> NDArray[np.float32]:
+    """Return the temporal fluctuations: exposures less each pixel's mean and each exposure's mean.
+
+    The pixel mean removes the fixed pattern, the exposure mean flicker. The fraction 1/N of white noise lost with the
+    mean of N pixels is restored.
+    """
+    pixels = shots.image[0].size
+    change = shots.image - shots.image.mean(axis=(1, 2), keepdims=True, dtype=np.float64).astype(np.float32)
+    for parity in np.unique(shots.parity):
+        same = shots.parity == parity
+        change[same] -= change[same].mean(axis=0, keepdims=True)
+    return change * np.float32(np.sqrt(pixels / max(pixels - 1, 1)))

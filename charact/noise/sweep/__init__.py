@@ -1,1 +1,1 @@
-"""Noise against gain: the flats and darks of all settings together."""
+"""Gain sweep: joint analysis of flats and darks at all gain settings."""

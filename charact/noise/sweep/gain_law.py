@@ -1,7 +1,7 @@
-"""The law that gain follows along a knob: a straight line of its logarithm, about which settings may depart a little.
+"""Gain law along a control: ln gain is linear, with normal deviations of settings.
 
-Settings are exchangeable about the law: each departs from it by a normal amount of one unknown size, so that a setting
-measured badly is drawn towards the law and one measured well is not (Gelman et al., Bayesian Data Analysis, ch. 5).
+Settings are exchangeable: their deviations have one unknown standard deviation, so an imprecise setting shrinks towards
+the law (Gelman et al., Bayesian Data Analysis, ch. 5).
 """
 
 from collections.abc import Callable
@@ -10,37 +10,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.noise.thresholds import SWEEP
 from charact.posterior import find_maximum, importance_sample, sample
 from labdata.measurement import Posterior
 
 Array = NDArray[np.float64]
 
-# Departure of a setting from the law beyond its noise, a logarithm: prior normal in its own logarithm about this with
-# this standard deviation, within bounds. Supplies set a plate to a part in a thousand, which its gain's tenth power
-# makes a hundredth, and lamps repeat to some. Settings that lie on a line by luck must not pass for a law that holds
-# exactly: the prior keeps from zero.
-DEPARTURE, DEPARTURE_SPREAD = 0.04, 0.5
 LOG_DEPARTURE = np.log([1e-4, 0.3])
-# Share of the electrons' own noise in the least covariance gain: half-normal prior of this width where the camera is
-# not described. A photoelectron makes hundreds of electrons at full gain, so that ten are little.
-ELECTRON_SHARE = 0.05
-MOST_SHARE = 0.9
-# How far the pulses' share in the variance, which blur sets, may differ between settings: the blur lies behind the
-# plate, and what leaves the plate at another voltage spreads but little otherwise.
-BLUR = 0.02
-# A law is bent where a parabola leaves its best line by more than this and by so many standard errors.
-BENT = 0.03
-BENT_ERRORS = 3.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Axis:
-    """Places of settings along a knob, brought to a span of one about their middle.
+    """Positions of settings along a control, scaled to unit span about the centre.
 
     Parameters
     ----------
     middle, span
-        Of the places, in the knob's own.
+        Centre and span of the positions.
     x
         Shape (setting,), within -1/2 and 1/2.
     """
@@ -51,21 +37,21 @@ class Axis:
 
     @classmethod
     def of(cls, place: Array) -> "Axis":
-        """Return the axis of places."""
+        """Return the axis of positions."""
         middle, span = 0.5 * float(place.min() + place.max()), float(np.ptp(place))
         return cls(middle=middle, span=span, x=(place - middle) / span)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Gains:
-    """What the noise of every setting tells of its gain, all of shape (setting,).
+    """Gains of all settings from noise, shape (setting,).
 
     Parameters
     ----------
     covariance, covariance_sd
-        Logarithm of the covariance gain in DN, and its standard error.
+        ln of the covariance gain in DN, and its standard error.
     variance, variance_sd
-        The same of a pixel's variance over the signal; None where noise is white and both are one.
+        The same of a pixel's variance over signal; None for white noise, where both agree.
     """
 
     covariance: Array
@@ -76,20 +62,20 @@ class Gains:
 
 @dataclass(frozen=True, kw_only=True)
 class GainLaw:
-    """Posterior of the pulses' part of the covariance gain, log_gain + rise x, x along the axis.
+    """Posterior of the pulse part of the covariance gain, ln P = log_gain + rise x, x along the axis.
 
     Parameters
     ----------
     posterior
         Draws of `log_gain` (in the middle of the axis), `rise` (from the first setting to the last), `log_departure`;
-        `log_blur`, the share of the pulses' covariance that is left in the variance, where noise is not white; and
-        `electron_share` where electrons have noise of their own.
+        `log_blur`, ln of the blur factor of pulses, if noise is not white; and `electron_share` for the noise of
+        electrons.
     pulses
-        Draws of the pulses' part of every setting's covariance gain from its own noise, shape (draw, setting), DN.
+        Draws of the pulse part of every covariance gain from its own noise, shape (draw, setting), DN.
     settings
-        Draws of the covariance gain of each setting as law and own noise together tell it, same shape, DN.
+        Draws of every covariance gain from its noise and the law, same shape, DN.
     electron_gain_dn
-        Draws of the electrons' part of every covariance gain, shape (draw,), DN.
+        Draws of the electron part of every covariance gain, shape (draw,), DN.
     """
 
     posterior: Posterior
@@ -99,13 +85,13 @@ class GainLaw:
 
 
 def departure_prior(log_departure: Array) -> Array:
-    """Return the logarithm of the prior of a departure, for its logarithm, shape (point,)."""
-    return -0.5 * ((log_departure - np.log(DEPARTURE)) / DEPARTURE_SPREAD) ** 2
+    """Return ln of the prior density of ln departure, shape (point,)."""
+    return -0.5 * ((log_departure - np.log(SWEEP.departure)) / SWEEP.departure_spread) ** 2
 
 
 def draw_posterior(log_probability: Callable[[Array], Array], start: Array, bounds: Array, *, names: tuple[str, ...],
                units: tuple[str, ...], seed: int, quick: bool) -> Posterior:  # fmt: skip
-    """Draw from a posterior; quickly by importance, for few settings leave the departure far from normal."""
+    """Draw from a posterior; quick by importance sampling, as few settings leave a skewed departure."""
     point, covariance = find_maximum(log_probability, start, bounds)
     method = importance_sample if quick else sample
     return method(log_probability, names=names, units=units, start=point, covariance=covariance, seed=seed,
@@ -113,25 +99,25 @@ def draw_posterior(log_probability: Callable[[Array], Array], start: Array, boun
 
 
 def law_of(x: Array, gains: Gains, *, share: tuple[float, float] | None, seed: int, quick: bool) -> GainLaw:
-    """Fit the law to the gains of settings.
+    """Fit the gain law to the gains of settings.
 
     Parameters
     ----------
     x
-        Places along the axis, shape (setting,).
+        Positions on the axis, shape (setting,).
     gains
-        What the noise of each tells.
+        Gains from noise.
     share
-        Normal prior of the electrons' gain over the least covariance gain, mean and standard deviation; None where
-        the knob acts on the electrons, too.
+        Normal prior of the electron gain over the smallest covariance gain, mean and standard deviation; None if the
+        control changes it.
     seed, quick
         Seed of the draws; without a Markov chain.
 
     Notes
     -----
-    Covariance gain is K + P and variance over signal K + S P, P the pulses' part k F^2 and S what blur leaves of their
-    variance: of two settings of one blur the variances tell the ratio of the gains ten times better than sums of
-    covariance do. S may differ from setting to setting by `BLUR`. ln P = log_gain + rise x + departure.
+    Covariance gain is K + P and variance over signal K + S P, P the pulse part k F^2 and S the blur factor of pulses.
+    At equal blur, variances give gain ratios ten times more precisely than covariance sums. S may differ between
+    settings by `SWEEP.blur_relative_sd`. ln P = log_gain + rise x + departure.
     """
     told = _GainLikelihood(gains, x, share is not None)
 
@@ -169,17 +155,17 @@ def law_of(x: Array, gains: Gains, *, share: tuple[float, float] | None, seed: i
 
 
 def _common_error(settings: Array, sd: Array, rng: np.random.Generator) -> Array:
-    """Draws of an error that all covariance gains share, shape (draw, 1), a logarithm.
+    """Return draws of a common error of all ln covariance gains, shape (draw, 1).
 
-    The spectrum of every setting is extrapolated with one form of blur: where that errs, all err alike, and many
-    settings know their common level no better than the best of them. Ratios stay as they are.
+    All spectra are extrapolated with one blur model, whose error is common, so the mean level is no more precise than
+    the best setting. Ratios are unaffected.
     """
     level_sd = float(np.std(np.log(settings).mean(axis=1)))
     return np.sqrt(max(0.0, float(sd.min()) ** 2 - level_sd**2)) * rng.standard_normal((len(settings), 1))
 
 
 def _with_common_error(posterior: Posterior, common: Array) -> Posterior:
-    """Return the posterior with an error of all covariance gains; the variances are known as they are."""
+    """Return the posterior with a common error of all covariance gains; variances are unaffected."""
     draws = posterior.draws.copy()
     for name, sign in (("log_gain", 1.0), ("log_blur", -1.0)):
         draws[:, posterior.names.index(name)] += sign * common[:, 0]
@@ -187,33 +173,33 @@ def _with_common_error(posterior: Posterior, common: Array) -> Posterior:
 
 
 class _GainLikelihood:
-    """The likelihood of covariances and variances over signal; of each setting they share its departure."""
+    """Likelihood of covariances and variances over signal, which have the departure of each setting in common."""
 
     def __init__(self, gains: Gains, x: Array, electrons: bool) -> None:
         self.x, self.has_electrons = x, electrons
         self.seen = [(gains.covariance, gains.covariance_sd)]
         if gains.variance is not None and gains.variance_sd is not None:
-            self.seen.append((gains.variance, np.hypot(gains.variance_sd, BLUR)))
+            self.seen.append((gains.variance, np.hypot(gains.variance_sd, SWEEP.blur_relative_sd)))
         self.least = float(np.exp(gains.covariance.min()))
-        # Electrons' noise is white: no variance is smaller.
-        self.most_share = MOST_SHARE * min(1.0, float(np.exp(self.seen[-1][0].min())) / self.least)
+        # Electron noise is white: no variance is smaller.
+        self.most_share = SWEEP.max_electron_fraction * min(1.0, float(np.exp(self.seen[-1][0].min())) / self.least)
 
     def electrons(self, points: Array) -> Array:
-        """Return the electrons' gain, shape (point, 1), DN."""
+        """Return the electron gain, shape (point, 1), DN."""
         return self.least * points[:, -1:] if self.has_electrons else np.zeros((len(points), 1))
 
     def _factors(self, points: Array) -> list[Array]:
-        """Logarithm of the pulses' share that covariance and variance hold, shape (point, 1) each."""
+        """Return ln of the pulse fraction in covariance and variance, shape (point, 1) each."""
         return [np.zeros((len(points), 1)), points[:, 3:4]][: len(self.seen)]
 
     def log_likelihood(self, points: Array) -> Array:
-        """Return the logarithm of the likelihood, shape (point,)."""
+        """Return the log-likelihood, shape (point,)."""
         law = points[:, :1] + points[:, 1:2] * self.x
         log_electrons = np.log(np.maximum(self.electrons(points), 1e-300))
         square, weight, together = np.zeros_like(law), np.zeros_like(law), np.zeros_like(law)
         for (value, sd), factor in zip(self.seen, self._factors(points), strict=True):
             whole = np.logaddexp(law + factor, log_electrons)
-            # How much of a departure of the pulses the whole shows.
+            # Derivative of the total by the departure of the pulses.
             follows, left = np.exp(law + factor - whole), (value - whole) / sd
             square, weight, together = square + left**2, weight + (follows / sd) ** 2, together + follows * left / sd
         departure = np.exp(2.0 * points[:, 2:3])
@@ -221,7 +207,7 @@ class _GainLikelihood:
         return -0.5 * (square - departure * together**2 / spread + np.log(spread)).sum(axis=1)
 
     def settings(self, points: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Draw the pulses' part of every setting's gain: from its own noise, and drawn towards the law as well."""
+        """Return draws of the pulse part of every gain: from its own noise, and combined with the law."""
         law = points[:, :1] + points[:, 1:2] * self.x
         electrons = self.electrons(points)
         weight, own = np.zeros_like(law), np.zeros_like(law)
@@ -239,26 +225,26 @@ class _GainLikelihood:
 
 
 def without_bound_flag(posterior: Posterior) -> Posterior:
-    """Return the posterior without the flag of leaning on a bound: that a departure or a share is too small to be
-    seen harms nothing."""
+    """Return the posterior without the flag `prior-bound`: an undetectably small departure or fraction is harmless."""
     return replace(posterior, flags=tuple(flag for flag in posterior.flags if flag != "prior-bound"))
 
 
 def weighted_line(x: Array, y: Array, sd: Array) -> Array:
-    """Return intercept and slope of the weighted straight line."""
+    """Return intercept and slope of a weighted line fit."""
     design = np.stack([np.ones_like(x), x], axis=1) / sd[:, None]
     return np.asarray(np.linalg.lstsq(design, y / sd, rcond=None)[0], np.float64)
 
 
 def line_departure(x: Array, y: Array, sd: Array) -> tuple[float, float] | None:
-    """Return how far the best parabola leaves its best line at most, and the standard error; None for two settings.
+    """Return the largest deviation of the best parabola from its best line, and its standard error; None for two
+    settings.
 
     Parameters
     ----------
     x
-        Places, of span one.
+        Positions, of unit span.
     y, sd
-        Logarithms of the gain and their standard errors, shape (setting,).
+        ln gain and standard errors, shape (setting,).
     """
     if len(x) < 3:
         return None
@@ -267,5 +253,5 @@ def line_departure(x: Array, y: Array, sd: Array) -> tuple[float, float] | None:
     best = covariance @ design.T @ (y / sd)
     rest = y / sd - design @ best
     excess = max(1.0, float(rest @ rest) / (len(x) - 3)) if len(x) > 3 else 1.0
-    # A parabola q x^2 over a span of one leaves its best line by q/8.
+    # A parabola q x^2 over unit span deviates from its best line by q/8.
     return float(best[2]) / 8.0, float(np.sqrt(excess * covariance[2, 2])) / 8.0

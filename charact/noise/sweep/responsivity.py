@@ -1,15 +1,16 @@
-"""Signal against light at every setting of a gain sweep: the law of the gain, and the plate that tires.
+"""Responsivity at every setting of a gain sweep: gain law and MCP saturation.
 
-A channel plate's gain falls with the current it delivers, G = G0 / (1 + j0 / (a j_s)), j0 the current it would deliver
-untired and j_s that of its strips. The signal is that current seen by the chip, so that S = S0 / (1 + S0 / S_s), or
-S = S0 (1 - S / S_s): the share of gain lost is the measured signal over S_s, whatever the setting.
+MCP gain falls with output current, G = G0 / (1 + j0 / (a j_s)), j0 the unsaturated output current and j_s the strip
+current. The signal is proportional to the output current, so S = S0 (1 - S / S_s): the relative gain loss is the
+measured signal over S_s at any setting.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.noise.findings import Finding
 from charact.noise.sweep.gain_law import (
     LOG_DEPARTURE,
     departure_prior,
@@ -18,40 +19,35 @@ from charact.noise.sweep.gain_law import (
     without_bound_flag,
 )
 from charact.noise.sweep.settings import SweepSetting
+from charact.noise.thresholds import SWEEP
 from labdata.measurement import Posterior
 
 Array = NDArray[np.float64]
 
-# Departure of one level from the response beyond its noise, for lamps and filters repeat to some percent: half-normal
-# prior of this width, on the logarithm.
-LIGHT = 0.03
-# Share of the gain lost at the brightest level: flat between these bounds where one setting was seen at several lights,
-# else normal about none, for a law of the gain bends the response along the sweep as well.
-LOST = (-0.3, 0.95)
-LOST_UNSEEN = 0.1
-# Lights of one setting tell a bent response from this ratio on.
-SPAN = 1.5
+
 NAMES = ("log_response", "rise", "lost", "log_scatter", "log_departure")
+
+
 UNITS = ("log DN/light", "1", "1", "1", "1")
 
 
 @dataclass(frozen=True, kw_only=True)
 class SweepResponsivity:
-    """Posterior of the signal over light of every setting.
+    """Posterior of the responsivity of every setting.
 
     Parameters
     ----------
     posterior
-        Draws of `NAMES`: response in the middle of the axis and its rise along it, share of gain lost at the
-        brightest level, scatter of levels and departure of settings (logarithms of both).
+        Draws of `NAMES`: ln responsivity at the centre of the axis and its slope, relative gain loss at the brightest
+        level, ln scatter of levels and ln departure of settings.
     settings
-        Draws of the response of every setting at small signals, shape (draw, setting), DN per unit of light.
+        Draws of the small-signal responsivity of every setting, shape (draw, setting), DN per unit of light.
     own, own_sd
-        Logarithm of each setting's own response without the law, and its standard error, shape (setting,).
+        ln responsivity of each setting without the law, and its standard error, shape (setting,).
     brightest_dn
-        The brightest level, DN above the dark.
+        Brightest level, DN above the dark.
     bendable
-        Whether some setting was seen at lights far enough apart to show a bent response.
+        Whether the lights of some setting differ enough to measure the gain loss.
     """
 
     posterior: Posterior
@@ -68,37 +64,37 @@ class SweepResponsivity:
 
 
 def response_of(settings: tuple[SweepSetting, ...], x: Array, *, seed: int, quick: bool) -> SweepResponsivity:
-    """Fit signal against light at all settings together.
+    """Fit signal against light jointly at all settings.
 
     Parameters
     ----------
     settings
-        Settings whose light is known at every level.
+        Settings with known light at every level.
     x
-        Their places along the axis of the sweep.
+        Their positions on the axis of the sweep.
     seed, quick
         Seed of the draws; without a Markov chain.
 
     Notes
     -----
-    ln(S/E) = a + b x_i + d_i + ln(1 - S/S_s) + e_ij: departures d of settings and e of levels are normal, of unknown
-    size. The covariance of one setting's levels is that of e, and d's in common.
+    ln(S/E) = a + b x_i + d_i + ln(1 - S/S_s) + e_ij, with normal deviations d of settings and e of levels of unknown
+    standard deviations. Levels of one setting have d in common.
     """
     levels = ResponsivityLevels.of(settings, x)
-    bendable = any(s.light is not None and s.light.max() > SPAN * s.light.min() for s in settings)
+    bendable = any(s.light is not None and s.light.max() > SWEEP.min_light_ratio * s.light.min() for s in settings)
 
     def log_probability(points: Array) -> Array:
         inside = np.all((points >= bounds[:, 0]) & (points <= bounds[:, 1]), axis=1)
         safe = np.where(inside[:, None], points, start)
         value = levels.log_likelihood(safe) + departure_prior(safe[:, 4])
-        value = value + safe[:, 3] - 0.5 * (np.exp(safe[:, 3]) / LIGHT) ** 2
+        value = value + safe[:, 3] - 0.5 * (np.exp(safe[:, 3]) / SWEEP.light_sd) ** 2
         if not bendable:
-            value = value - 0.5 * (safe[:, 2] / LOST_UNSEEN) ** 2
+            value = value - 0.5 * (safe[:, 2] / SWEEP.loss_sd_single_light) ** 2
         return np.where(inside, value, -np.inf)
 
     free = [-np.inf, np.inf]
-    bounds = np.array([free, free, LOST, LOG_DEPARTURE, LOG_DEPARTURE])
-    line = weighted_line(levels.x, levels.log_ratio, np.hypot(levels.sd, LIGHT))
+    bounds = np.array([free, free, SWEEP.loss_bounds, LOG_DEPARTURE, LOG_DEPARTURE])
+    line = weighted_line(levels.x, levels.log_ratio, np.hypot(levels.sd, SWEEP.light_sd))
     start = np.array([*line, 0.05, np.log(0.01), np.log(0.02)])
     drawn = draw_posterior(log_probability, start, bounds, names=NAMES, units=UNITS, seed=seed, quick=quick)
     posterior = without_bound_flag(drawn)
@@ -109,8 +105,8 @@ def response_of(settings: tuple[SweepSetting, ...], x: Array, *, seed: int, quic
 
 @dataclass(frozen=True, kw_only=True)
 class ResponsivityLevels:
-    """All levels of a sweep: place and logarithm of signal over light, its error, share of the brightest signal, and
-    which setting each belongs to, shape (level,); `member` is 1 there, shape (level, setting)."""
+    """All levels of a sweep: position, ln(signal over light) and its error, fraction of the brightest signal, shape
+    (level,); `member` is 1 for the setting of each level, shape (level, setting)."""
 
     x: Array
     log_ratio: Array
@@ -136,7 +132,7 @@ class ResponsivityLevels:
         )
 
     def log_likelihood(self, points: Array) -> Array:
-        """Return the logarithm of the likelihood, shape (point,): block by block, one setting's levels each."""
+        """Return the log-likelihood, shape (point,), with the levels of each setting as a block."""
         residual, variance = self._left(points), self.sd**2 + np.exp(2.0 * points[:, 3:4])
         departure = np.exp(2.0 * points[:, 4:5])
         weight = (1.0 / variance) @ self.member
@@ -146,12 +142,12 @@ class ResponsivityLevels:
         return -0.5 * (square + np.log(variance).sum(axis=1) + np.log(spread).sum(axis=1))
 
     def _left(self, points: Array) -> Array:
-        """What is left of ln(S/E) once law and loss are taken off, shape (point, level)."""
+        """Return the residual of ln(S/E) without law and gain loss, shape (point, level)."""
         law = points[:, :1] + points[:, 1:2] * self.x
         return self.log_ratio - law - np.log1p(-points[:, 2:3] * self.share)
 
     def settings(self, posterior: Posterior, rng: np.random.Generator) -> tuple[Array, Array, Array]:
-        """Draw every setting's response; and return the logarithms of their own, without the law, with their errors."""
+        """Return draws of every responsivity, and ln responsivities without the law with their errors."""
         points = posterior.draws
         variance = self.sd**2 + np.exp(2.0 * points[:, 3:4])
         weight = (1.0 / variance) @ self.member
@@ -161,3 +157,119 @@ class ResponsivityLevels:
         places = (self.x @ self.member) / self.member.sum(axis=0)
         law = points[:, :1] + points[:, 1:2] * places
         return np.exp(law + departure), np.median(law + away, axis=0), np.median(1.0 / np.sqrt(weight), axis=0)
+
+
+def correct_saturation(
+    settings: tuple[SweepSetting, ...], lit: tuple[int, ...], response: SweepResponsivity, *, seed: int
+) -> tuple[SweepSetting, ...]:
+    """Return the settings with their noise corrected to small signals, if MCP saturation was measured.
+
+    The relative gain loss lowers covariance and variance over signal.
+    """
+    if not response.bendable:
+        return settings
+
+    def corrected(s: SweepSetting) -> SweepSetting:
+        left = 1.0 - response.lost_per_dn * s.mean_signal_dn
+        return replace(
+            s,
+            gain_dn=s.gain_dn / np.resize(np.random.default_rng(seed).permutation(left), len(s.gain_dn)),
+            log_variance=s.log_variance - float(np.log(np.median(left))),
+            log_variance_sd=float(np.hypot(s.log_variance_sd, np.std(left) / np.median(left))),
+        )
+
+    return tuple(corrected(s) if i in lit else s for i, s in enumerate(settings))
+
+
+def relative_excess(settings: tuple[SweepSetting, ...], pulses_dn: Array, response: SweepResponsivity, *, seed: int
+                    ) -> tuple[Array, int]:  # fmt: skip
+    """Return draws of F^2 of every setting over that of the most precise one, shape (draw, setting), and its index.
+
+    Parameters
+    ----------
+    settings
+        Settings of the responsivity fit.
+    pulses_dn
+        Draws of k F^2 at small signals, shape (draw, setting), DN.
+    response
+        Signal over light.
+    seed
+        Seed of the draws.
+
+    Notes
+    -----
+    Noise and responsivity refer to the same signals with the same gain loss, so its uncertainty cancels.
+    """
+    order = np.random.default_rng([seed, 10]).permutation(len(response.settings))
+    left = 1.0 - response.lost_per_dn[:, None] * np.array([s.mean_signal_dn for s in settings])
+    carried = np.median(left, axis=0) if response.bendable else 1.0
+    seen = (response.settings * left / carried)[order]
+    ratio = pulses_dn[np.resize(np.arange(len(pulses_dn)), len(order))] / seen
+    away = np.log(ratio) - np.log(ratio).mean(axis=1, keepdims=True)
+    reference = int(np.argmin(np.std(away, axis=0)))
+    return ratio / ratio[:, reference : reference + 1], reference
+
+
+def reaches_saturation(response: SweepResponsivity) -> bool:
+    """Return whether the sweep reaches MCP saturation."""
+    lost = response.posterior["lost"]
+    return bool(
+        response.bendable
+        and np.quantile(lost, 0.025) > SWEEP.min_loss
+        and np.median(lost) > SWEEP.loss_sd * np.std(lost)
+    )
+
+
+def saturation_limit(response: SweepResponsivity) -> str:
+    """Return the refusal of MCP saturation, with its limit."""
+    if not response.bendable:
+        return "MCP saturation needs at least two lights at one setting, the brighter 1.5 times the other"
+    most = float(np.quantile(response.lost_per_dn, 0.975))
+    if most <= 0:
+        return "the signal rises faster than the light: no MCP saturation"
+    return (
+        f"not reached in the sweep: {response.brightest_dn:.4g} DN above the dark lower the gain by less than "
+        f"{100 * most * response.brightest_dn:.2g} %, so that the MCP saturates above {1 / most:.3g} DN"
+    )
+
+
+def bending_findings(settings: tuple[SweepSetting, ...], response: SweepResponsivity) -> list[Finding]:
+    """Return the finding on MCP saturation against camera nonlinearity, from the noise."""
+    told = _fall_of_noise(settings, float(np.median(response.lost_per_dn)))
+    if told is None:
+        return [
+            ("nonlinear", "no setting has two levels whose noise separates MCP saturation from camera nonlinearity")
+        ]
+    fall, sd = told
+    plate, camera = (
+        abs(fall - SWEEP.mcp_exponent) < SWEEP.agreement_sd * sd,
+        abs(fall - SWEEP.camera_exponent) < SWEEP.agreement_sd * sd,
+    )
+    seen = f"covariance over signal falls as the power {fall:.2g} +- {sd:.1g} of the relative response"
+    if plate and not camera:
+        return [(None, f"{seen}: MCP saturation (power 1), no camera nonlinearity (3)")]
+    if plate:
+        return [
+            ("nonlinear", f"{seen}: too uncertain to separate MCP saturation (power 1) from camera nonlinearity (3)")
+        ]
+    return [("nonlinear", f"{seen}: expected is power 1 for MCP saturation, 3 for camera nonlinearity")]
+
+
+def _fall_of_noise(settings: tuple[SweepSetting, ...], lost_per_dn: float) -> tuple[float, float] | None:
+    """Return the slope of ln(covariance over signal) against ln(1 - S/S_s) within settings, and its standard error."""
+    top = square = cross = 0.0
+    freedom = -1
+    for s in settings:
+        good = s.levels_dn > 3.0 * s.levels_sd_dn
+        if good.sum() < 2:
+            continue
+        bent, noise = np.log1p(-lost_per_dn * s.signal_dn[good]), np.log(s.levels_dn[good])
+        weight = (s.levels_dn[good] / s.levels_sd_dn[good]) ** 2
+        bent, noise = bent - weight @ bent / weight.sum(), noise - weight @ noise / weight.sum()
+        cross, square, top = cross + weight @ (bent * noise), square + weight @ bent**2, top + weight @ noise**2
+        freedom += int(good.sum()) - 1
+    if freedom < 0 or not square > 0:
+        return None
+    slope = float(cross / square)
+    excess = max(1.0, float(top - slope * cross) / max(1, freedom))
+    return slope, float(np.sqrt(excess / square))

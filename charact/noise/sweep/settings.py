@@ -1,4 +1,4 @@
-"""The settings of a gain sweep: what was turned, and what the flats and darks of each setting tell by themselves."""
+"""Settings of a gain sweep, each with the noise of its flats and darks."""
 
 from dataclasses import dataclass, field, replace
 
@@ -9,47 +9,131 @@ from charact.method import Context
 from charact.noise.checks import series_findings
 from charact.noise.findings import Finding, flag_of, note_of
 from charact.noise.gain import emva1288
-from charact.noise.gain.series import longest_series, series_of_one_gain
-from charact.noise.gain.single_setting import LEAST_BINS, SingleSetting, fit_single_setting, quantisation_fraction
-from charact.noise.gain_feasibility import gain_obstacle
+from charact.noise.gain.series import GAINS, has_intensifier, longest_series, series_of_one_gain
+from charact.noise.gain.single_setting import SingleSetting, fit_single_setting, quantisation_fraction
+from charact.noise.quantities import gain_obstacle
 from charact.noise.snr.stated_illumination import relative_sd_of
 from charact.noise.stack.stack_statistics import StackStatistics
-from charact.noise.sweep.gain_control import KNOBS, GainControl, repeatable_value, setting_of
-from charact.noise.tube import has_intensifier
+from charact.noise.thresholds import GAIN, SWEEP
 from charact.noise.undetected_correlation import allowance_of
+from labdata.conditions import Conditions
 
 Array = NDArray[np.float64]
 
-# What one level alone cannot tell, and what the sweep fits itself: they speak against no joint quantity.
+
+@dataclass(frozen=True, kw_only=True)
+class GainControl:
+    """A control of the gain.
+
+    Parameters
+    ----------
+    name
+        Name of the condition.
+    unit
+        Unit.
+    words
+        Name in notes.
+    logarithmic
+        Whether the gain is a power of it; else the gain is exponential in it.
+    tube
+        Whether it acts in the tube, so that the gain per electron is constant.
+    """
+
+    name: str
+    unit: str
+    words: str
+    logarithmic: bool
+    tube: bool
+
+    def place(self, value: Array) -> Array:
+        """Return positions on the axis along which ln gain is linear."""
+        if self.logarithmic:
+            return np.log(value)
+        return value * (np.log(10.0) / 20.0 if self.unit == "dB" else 1.0)
+
+    def value(self, place: Array) -> Array:
+        """Return the values at positions, the inverse of `place`."""
+        if self.logarithmic:
+            return np.exp(place)
+        return place / (np.log(10.0) / 20.0 if self.unit == "dB" else 1.0)
+
+    def text(self, value: float) -> str:
+        """Return a value with its unit."""
+        return f"{value:.4g}" if self.unit == "1" else f"{value:.4g} {self.unit}{'s' * (self.unit == 'count')}"
+
+
+KNOBS = (
+    GainControl(name="mcp_v", unit="V", words="MCP voltage", logarithmic=True, tube=True),
+    GainControl(name="gain_control", unit="count", words="control word", logarithmic=False, tube=True),
+    GainControl(name="em_gain", unit="1", words="stated multiplication", logarithmic=True, tube=False),
+    GainControl(name="camera_gain_db", unit="dB", words="camera gain", logarithmic=False, tube=False),
+)
+
+
+def setting_of(flats: list[StackStatistics], knob: GainControl) -> list[tuple[float, list[StackStatistics]]]:
+    """Return the flats by value of a control with all other controls equal; of several groups the one of most
+    values."""
+    others: dict[tuple, list[StackStatistics]] = {}
+    for flat in flats:
+        value = getattr(flat.conditions, knob.name)
+        if value is not None and (value > 0 or not knob.logarithmic):
+            rest = tuple(repeatable_value(flat.conditions, name) for name in GAINS if name != knob.name)
+            others.setdefault(rest, []).append(flat)
+    grouped = [_by_value(own, knob) for own in others.values()]
+    return max(grouped, key=lambda groups: (len(groups), sum(len(own) for _, own in groups)), default=[])
+
+
+def repeatable_value(conditions: Conditions, name: str) -> float | None:
+    """Return a setting rounded to its repeatability."""
+    value = getattr(conditions, name)
+    if value is None or value == 0:
+        return value
+    step = SWEEP.same_setting_db if name == "camera_gain_db" else SWEEP.same_setting
+    return round(value / step if name == "camera_gain_db" else float(np.log(abs(value))) / step)
+
+
+def _by_value(flats: list[StackStatistics], knob: GainControl) -> list[tuple[float, list[StackStatistics]]]:
+    """Return the flats grouped by value within its repeatability, with the mean value."""
+    groups: list[list[StackStatistics]] = []
+    last = None
+    for flat in sorted(flats, key=lambda level: getattr(level.conditions, knob.name)):
+        value = getattr(flat.conditions, knob.name)
+        same = SWEEP.same_setting_db if knob.unit == "dB" else SWEEP.same_setting * abs(value)
+        if last is None or value - last > same:
+            groups.append([])
+        groups[-1].append(flat)
+        last = value
+    return [(float(np.mean([getattr(flat.conditions, knob.name) for flat in own])), own) for own in groups]
+
+
+# Flags of a single series that do not apply to the joint fit.
 OF_ONE_SERIES = ("too-few-frames", "nonlinear")
-# Share of the variance that the digitiser's steps may add unsaid.
-QUANTISED_SHARE = 0.02
 
 
 @dataclass(frozen=True, kw_only=True)
 class SweepSetting:
-    """What the flats and darks of one setting tell.
+    """Noise of the flats and darks of one setting.
 
     Parameters
     ----------
     value
-        Of the knob, in its unit.
+        Value of the control, in its unit.
     labels
-        Its flats inside the linear range, in order of rising level.
+        Labels of its flats in the linear range, in order of rising level.
     gain_dn
-        Draws of the covariance gain, or where noise is white of the system gain, shape (draw,), DN.
+        Draws of the covariance gain, or for white noise of the system gain, shape (draw,), DN.
     log_variance, log_variance_sd
-        Logarithm of a pixel's variance over the signal in DN, and its standard error.
+        ln of a pixel's variance over signal in DN, and its standard error.
     blur_factor
-        Draws of variance over covariance sum, shape (draw,).
+        Draws of the blur factor, shape (draw,).
     white
-        Whether neighbouring pixels share no noise.
+        Whether noise of neighbouring pixels is uncorrelated.
     light
-        Light on a pixel in each exposure, shape (level,), in `light_unit`; None where it is unknown.
+        Light of each level, shape (level,), in `light_unit`; None if unknown.
     light_unit
         "photon", "lx s" or "lx".
     light_relative_sd
-        Uncertainty common to all light.
+        Common relative standard deviation of the light.
     signal_dn, signal_sd_dn
         Mean above the dark and its standard error, shape (level,).
     levels_dn, levels_sd_dn
@@ -57,14 +141,14 @@ class SweepSetting:
     variance_dn2
         Temporal variance of each level above the dark's, shape (level,).
     dark_variance_dn2, dark_variance_sd_dn2
-        Temporal variance of its dark and the standard error; None without a dark of its own.
+        Temporal variance of its dark and the standard error; None without a dark.
     dark
-        Label of that dark.
+        Label of the dark.
     unsure_dn
-        What the digitiser's steps may have added to variance and covariance over signal, DN: where the noise is no
-        larger than they, darks and flats do not show them alike.
+        Possible quantisation noise in variance and covariance over signal, DN, which differs between darks and flats of
+        small noise.
     findings
-        What is wrong at this setting.
+        Findings of this setting.
     """
 
     value: float
@@ -90,37 +174,37 @@ class SweepSetting:
 
     @property
     def stack(self) -> str:
-        """The brightest of its flats, which stands for the setting."""
+        """Label of the brightest flat, which represents the setting."""
         return self.labels[-1]
 
     @property
     def log_gain(self) -> tuple[float, float]:
-        """Logarithm of the gain and its standard error."""
+        """ln gain and its standard error."""
         low, middle, high = np.quantile(np.log(np.maximum(self.gain_dn, 1e-12)), [0.16, 0.5, 0.84])
         sd = float(high - low) / (2.0 * 0.994458)
         return float(middle), float(np.hypot(sd, self.unsure_dn / np.exp(middle)))
 
     @property
     def mean_signal_dn(self) -> float:
-        """Signal that its covariance gain was measured at: the levels' mean, each by what it knows."""
+        """Mean signal of the covariance gain, weighted by information."""
         weight = 1.0 / np.maximum(self.levels_sd_dn, 1e-12) ** 2
         return float(weight @ self.signal_dn / weight.sum())
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sweep:
-    """Flats at several settings of one knob.
+    """Flats at several settings of one gain control.
 
     Parameters
     ----------
     knob
-        What was turned.
+        The varied control.
     settings
-        In order of rising value.
+        Settings in order of rising value.
     main
-        Value of the setting that the session's own gain is measured at.
+        Value of the setting of the session's single-setting quantities.
     left_out
-        Sentences on settings and stacks that take no part.
+        Notes on excluded settings and stacks.
     """
 
     knob: GainControl
@@ -130,18 +214,18 @@ class Sweep:
 
 
 def sweep_of(darks: list[StackStatistics], flats: list[StackStatistics], *, context: Context) -> Sweep | None:
-    """Return the sweep in a session's flats; None where no knob was turned, or images are too small for any gain.
+    """Return the gain sweep of flats; None if no control was varied, or the images are too small.
 
     Parameters
     ----------
     darks, flats
-        Levels with their spectra.
+        Stack statistics with spectra.
     context
         Seed and sensor.
     """
     found = [(knob, setting_of(flats, knob)) for knob in KNOBS]
     knob, groups = max(found, key=lambda entry: len(entry[1]))
-    if len(groups) < 2 or min(len(level.bins.modes) for level in (*darks, *flats)) < LEAST_BINS:
+    if len(groups) < 2 or min(len(level.bins.modes) for level in (*darks, *flats)) < GAIN.min_bins:
         return None
     gains, sentences = [], _not_of(groups, flats, knob)
     for value, own in groups:
@@ -152,7 +236,7 @@ def sweep_of(darks: list[StackStatistics], flats: list[StackStatistics], *, cont
             continue
         context.progress(f"noise at {knob.text(value)}", 0.9)
         gains.append((value, fit_single_setting(series, context=context, quick=True)))
-    # Where read noise outweighs it, shared noise goes unseen at the lowest gains.
+    # At the lowest gains read noise may hide correlated noise.
     white = all(one.white for _, one in gains)
     settings = [_setting(value, one, white, knob, context) for value, one in gains]
     main = getattr(longest_series(flats)[0].conditions, knob.name)
@@ -162,14 +246,14 @@ def sweep_of(darks: list[StackStatistics], flats: list[StackStatistics], *, cont
 def _not_of(
     groups: list[tuple[float, list[StackStatistics]]], flats: list[StackStatistics], knob: GainControl
 ) -> list[str]:
-    """Which flats belong to no setting of the sweep."""
+    """Return the note on flats outside the sweep."""
     here = {flat.label for _, own in groups for flat in own}
     rest = [flat.label for flat in flats if flat.label not in here]
-    return [f"no part of the sweep of the {knob.words}: {', '.join(rest)}"] if rest else []
+    return [f"excluded from the sweep of the {knob.words}: {', '.join(rest)}"] if rest else []
 
 
 def _setting(value: float, one: SingleSetting, white: bool, knob: GainControl, context: Context) -> SweepSetting:
-    """Statistics of one setting."""
+    """Return the statistics of one setting."""
     series = one.series
     chosen = np.flatnonzero(series.fitted)
     flats = [series.flats[i] for i in chosen]
@@ -215,9 +299,9 @@ def _setting(value: float, one: SingleSetting, white: bool, knob: GainControl, c
 
 
 def _with_quantisation(s: SweepSetting, share: float, least_dn2: float, knob: GainControl) -> SweepSetting:
-    """Return a setting whose noise is smaller than the digitiser's steps, with what these may have added to it."""
-    told = f"noise of {np.sqrt(least_dn2):.2g} DN is less than the digitiser's steps, which add {100 * share:.2g} %"
-    found = (("quantised", f"at {knob.text(s.value)}: {told}"),) if share > QUANTISED_SHARE else ()
+    """Return a setting with the uncertainty and finding of quantisation noise."""
+    told = f"noise of {np.sqrt(least_dn2):.2g} DN is smaller than the quantisation step, which adds {100 * share:.2g} %"
+    found = (("quantised", f"at {knob.text(s.value)}: {told}"),) if share > SWEEP.max_quantisation else ()
     return replace(
         s,
         unsure_dn=share * float(np.exp(s.log_variance)),
@@ -227,27 +311,27 @@ def _with_quantisation(s: SweepSetting, share: float, least_dn2: float, knob: Ga
 
 
 def _is_dark_of(dark: StackStatistics, flat: StackStatistics, knob: GainControl) -> bool:
-    """Whether a dark was taken at a flat's setting, as far as is known."""
+    """Return whether a dark was taken at a flat's setting, as far as stated."""
     value = getattr(dark.conditions, knob.name)
     return value is None or repeatable_value(dark.conditions, knob.name) == repeatable_value(flat.conditions, knob.name)
 
 
 def _white_gain(one: SingleSetting, context: Context) -> Array:
-    """Draws of the photon transfer curve's slope."""
+    """Return draws of the slope of the photon transfer curve."""
     tube = has_intensifier([flat.conditions for flat in one.series.flats], context)
     allowance = allowance_of(one.neighbours, one.exposures, tube=tube)
     return emva1288.gain_line(one.series, context=replace(context, quick=True), allowance=allowance).slope
 
 
 def _findings(one: SingleSetting, value: float, knob: GainControl, context: Context) -> list[Finding]:
-    """What speaks against a setting, with the setting named; remarks that flag nothing stay with its own gain."""
+    """Return the flagged findings of a setting, with the setting named."""
     found = [entry for entry in series_findings(one.series, context=context) if flag_of(entry) not in OF_ONE_SERIES]
     found += one.findings()
     return [(flag, f"at {knob.text(value)}: {note_of(one)}") for one in found if (flag := flag_of(one)) is not None]
 
 
 def _light(flats: list[StackStatistics]) -> tuple[Array | None, str]:
-    """Light of every flat in one unit, or None where one is unknown."""
+    """Return the light of every flat in one unit; None if one is unknown."""
     known = [flat.conditions for flat in flats]
     photons = [c.photons_per_px for c in known]
     if all(photons):

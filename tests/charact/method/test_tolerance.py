@@ -5,7 +5,7 @@ import pytest
 
 from charact import mtf
 from charact.method import Context, registry
-from charact.method.tolerance import beyond_note, meets
+from charact.method.registry import beyond_note, meets
 from charact.study.bars.scene import BarScene
 from charact.study.edge.scene import EdgeScene
 from charact.study.point.scene import PointScene

@@ -50,7 +50,7 @@ def test_variance_alone_reads_the_gain_low_by_the_blur_factor_and_says_so(pulses
     assert gain.value / camera.covariance_gain_dn == pytest.approx(0.080, abs=0.004)
     assert gain.status == "suspect" and "correlated-noise" in gain.flags
     refused = one(noise.measure(session, method="covariance-sum", context=QUICK), "system_gain")
-    assert refused.status == "refused" and "share noise" in refused.reason
+    assert refused.status == "refused" and "is correlated" in refused.reason
 
 
 def test_wings_beyond_any_window_of_lags_are_extrapolated(pulses, series, seed):

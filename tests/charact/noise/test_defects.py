@@ -70,7 +70,7 @@ def test_blinking_pixels_are_left_out_of_the_noise(in_memory, seed):
     # 2 DN of any sound pixel and the steps; the pixels put in would make it 2.9.
     for one in (random, read_noise):
         assert one.status == "ok" and one.value == pytest.approx(np.hypot(2.0, 12.0**-0.5), rel=0.01)
-    assert any("24 misbehaving pixels" in note for note in read_noise.notes)
+    assert any("24 defective pixels" in note for note in read_noise.notes)
 
 
 def test_pulses_of_light_are_no_defects(pulses, in_memory, seed):

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.studies.dark_events_coverage import DarkScene
 from charact.method import Context
-from charact.noise.events.characteristic_function_covariance import blend_covariances
+from charact.noise.events.characteristic_functions import blend_covariances
 from charact.noise.events.event_distribution import PulseDecay, PulsePopulation, height_transform
 from charact.noise.events.event_measurements import measure_events, pulses_of_darks
 from charact.noise.events.filters import Filter, boxes
 from charact.noise.gain.series import read_levels
-from charact.study.flats.dark_events import DarkScene
 from labdata.conditions import Conditions
 
 QUICK = Context(seed=1, quick=True)
@@ -137,7 +137,12 @@ def test_darks_without_pulses_are_left_alone_quickly(seed):
 
 @pytest.mark.parametrize(
     ("changes", "word"),
-    [({"height_dn": 1.0}, "noise"), ({"density": 0.0}, "noise"), ({"frames": 4}, "frames"), ({"rows": 40}, "room")],
+    [
+        ({"height_dn": 1.0}, "detected"),
+        ({"density": 0.0}, "detected"),
+        ({"frames": 4}, "frames"),
+        ({"rows": 40}, "too small"),
+    ],
 )
 def test_what_cannot_be_measured_is_refused_in_a_sentence(seed, changes, word):
     result = measured(replace(BRIGHT, **changes), seed)

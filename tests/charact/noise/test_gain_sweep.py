@@ -9,8 +9,7 @@ import pytest
 from benchmarks.studies.gain_sweeps import SweepScene, covered
 from charact import noise
 from charact.method import Context
-from charact.noise.sweep.gain_control import KNOBS
-from charact.noise.sweep.settings import Sweep
+from charact.noise.sweep.settings import KNOBS, Sweep
 from charact.noise.sweep.sweep import measure_sweep
 from labdata.conditions import Conditions
 
@@ -177,7 +176,7 @@ def test_a_law_that_bends_is_flagged_and_says_so(seed):
     bent = [SweepScene(volts=(v,), exponent=14.0 - 8.0 * (v - 620) / 230, departure=0.0) for v in SweepScene().volts]
     settings = tuple(scene.drawn(np.random.default_rng([seed, i]))[0].settings[0] for i, scene in enumerate(bent))
     exponent = one(told_by(Sweep(knob=KNOBS[0], settings=settings, main=800.0)), "gain_exponent")
-    assert "nonlinear" in exponent.flags and any("is bent by" in note for note in exponent.notes)
+    assert "nonlinear" in exponent.flags and any("is curved by" in note for note in exponent.notes)
 
 
 def test_a_knee_or_a_saturation_beyond_the_sweep_is_refused_with_its_limit(seed):
@@ -263,5 +262,5 @@ def test_dark_frames_that_do_not_change_tell_no_read_noise(pulses, in_memory, se
     """Without read noise and light in the dark every dark frame is one code: the knee is refused, the law is not."""
     session = swept(pulses, in_memory, seed, read_noise_dn=0.0, lights=(10.0, 30.0), dark_pe=0.0)
     result = measured(session)
-    assert all("read noise is not known" in m.reason for m in result.find("gain_knee"))
+    assert all("read noise is unknown" in m.reason for m in result.find("gain_knee"))
     assert abs(errors(one(result, "gain_exponent"), EXPONENT)) < 4.5

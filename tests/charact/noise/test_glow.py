@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from charact.method import Context
-from charact.noise.gain.image_lag_tail import untruncated_lag_sum
-from charact.noise.gain.pooled_noise import lag_of
+from charact.noise.gain.pooled_noise import lag_of, untruncated_lag_sum
 from charact.noise.gain.series import read_levels, series_of
 from charact.noise.gain.single_setting import fit_single_setting
 from charact.noise.stack.spectrum import bins_of

@@ -10,12 +10,11 @@ from scipy.special import ndtr
 from charact import noise
 from charact.method import Context
 from charact.noise.gain.series import read_levels
-from charact.noise.snr.area import SIDE_PX
-from charact.noise.snr.minimum_illumination import Scope, minimum_illumination
+from charact.noise.rounding import rounding_sd, unrounded_variance_range
 from charact.noise.snr.noise_law import SignalNoiseSeries, noise_law
-from charact.noise.snr.rounding import rounding_sd, unrounded_variance_range
-from charact.noise.snr.snr_against_light import snr_against_light
+from charact.noise.snr.snr_against_light import Scope, minimum_illumination, snr_against_light
 from charact.noise.snr.stated_illumination import StatedIllumination, response_draws
+from charact.noise.stack.stack_statistics import SIDE_PX
 from labdata.conditions import Conditions
 from labdata.measurement import Measurement
 
@@ -288,7 +287,7 @@ def test_every_gain_has_its_own_ratios_and_minimum(pulses, in_memory, seed):
     result = measured(in_memory(stacks))
     low, high = of(result, "minimum_illumination")
     assert low.value > 2.0 * high.value
-    assert "plate at 700 V" in low.notes and "plate at 800 V" in high.notes
+    assert "MCP at 700 V" in low.notes and "MCP at 800 V" in high.notes
     # One light for both: its error is one and the same draw.
     assert np.array_equal(low.posterior["light_scale"], high.posterior["light_scale"])
     assert len(result.evidence["snr-light"]["gains"]) == 2
@@ -314,7 +313,7 @@ def test_quantum_efficiency_holds_the_stated_doubt_of_its_photons(pulses, in_mem
                for electrons in (400.0, 1500.0, 4000.0, 9000.0)]  # fmt: skip
     (found,) = of(noise.measure(in_memory(stacks), method="variance", context=QUICK), "quantum_efficiency")
     if relative_sd is None:
-        assert any("taken for exact" in note for note in found.notes)
+        assert any("assumed exact" in note for note in found.notes)
         assert found.interval95[1] < 50.0
     else:
         assert errors(found, 50.0) == pytest.approx(-1.0, abs=0.3)

@@ -151,7 +151,7 @@ def test_frames_that_do_not_belong_together_are_bad_input(in_memory, seed, metho
     with pytest.raises(BadInput, match="one size"):
         noise.measure(cut, method=method, context=context)
     same = session(in_memory, plain(rng, (0.0,)), plain(rng, number=(3, 3, 3, 3)))
-    with pytest.raises(BadInput, match="numbers of their own"):
+    with pytest.raises(BadInput, match="must be unique"):
         noise.measure(same, method=method, context=context)
     huge = FrameStack(data=1e30 * rng.standard_normal((4, 96, 128)))
     with pytest.raises(BadInput, match="must lie below"):
@@ -192,5 +192,5 @@ def test_a_dark_of_a_single_frame_is_told_apart_from_no_dark(in_memory, seed, me
     given = session(in_memory, plain(rng, (0.0,), count=1), plain(rng, levels))
     found = noise.measure(given, method=method, context=Context(seed=1, quick=True)).measurements
     told = [sentence for m in found for sentence in (m.reason or "", *m.notes)]
-    assert any("left out, of a single frame, which shows no noise: dark-0" in sentence for sentence in told)
+    assert any("excluded (single frame, no noise): dark-0" in sentence for sentence in told)
     assert not any("no dark frames" in sentence for sentence in told)

@@ -9,7 +9,7 @@ import pytest
 
 from charact.method.cluster import parallel_map
 from charact.noise.gain.series import read_levels
-from charact.noise.stack import parallel_reading
+from charact.noise.stack import stack_statistics
 from charact.session_measurement import method_context
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
@@ -65,14 +65,14 @@ def levels(session, **more):
 
 def test_a_stack_larger_than_memory_has_the_statistics_of_one_that_is_not(session, monkeypatch):
     whole = levels(session)
-    monkeypatch.setattr(parallel_reading, "WHOLE_BYTES", 0)
+    monkeypatch.setattr(stack_statistics, "WHOLE_BYTES", 0)
     assert same(levels(session), whole)
 
 
 def test_two_workers_of_a_cluster_give_the_same_bytes(session, monkeypatch):
     distributed = pytest.importorskip("distributed", reason="Dask is not installed: pip install 'charact[dask]'")
     here = levels(session)
-    monkeypatch.setattr(parallel_reading, "WHOLE_BYTES", 2**19)
+    monkeypatch.setattr(stack_statistics, "WHOLE_BYTES", 2**19)
     with (
         distributed.LocalCluster(
             n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None, silence_logs=50
@@ -82,12 +82,12 @@ def test_two_workers_of_a_cluster_give_the_same_bytes(session, monkeypatch):
         assert same(levels(session, spread=spread), here)
         broken = replace(session.stacks[0], frames="frames/none")
         with pytest.raises(BadInput):
-            list(spread(parallel_reading.part_statistics, [replace(_part(session), entry=broken)]))
+            list(spread(stack_statistics.part_statistics, [replace(_part(session), entry=broken)]))
 
 
 def _part(session):
     context = method_context(session, quick=True, seed=1)
-    return parallel_reading.Part(
+    return stack_statistics.Part(
         entry=session.stacks[0], runs=((0, 2),), cube=False, spectra=False, context=context, whole=False
     )
 
@@ -97,7 +97,7 @@ def test_a_frame_that_is_not_what_was_acknowledged_is_refused_part_by_part_too(s
     shutil.copytree(session.folder, copy)
     (chunk,) = (path for path in copy.rglob("c.35.0.0") if "dark" in path.parent.name)
     chunk.write_bytes(chunk.read_bytes()[:-1] + b"x")
-    monkeypatch.setattr(parallel_reading, "WHOLE_BYTES", 0)
+    monkeypatch.setattr(stack_statistics, "WHOLE_BYTES", 0)
     with pytest.raises(BadInput, match="frame 35"):
         levels(open_session(copy))
 

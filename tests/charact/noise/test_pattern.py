@@ -5,10 +5,10 @@ import pytest
 
 from charact import noise
 from charact.method import Context
-from charact.noise.stack.exposure_order import order_of
-from charact.noise.stack.pattern import measure_fixed_pattern
+from charact.noise.stack.frame_block import measure_fixed_pattern
 from charact.noise.stack.pixels import pixel_sums
 from charact.noise.stack.spectrum import NO_BINS
+from charact.noise.stack.temporal import order_of
 
 QUICK = Context(seed=1, quick=True)
 

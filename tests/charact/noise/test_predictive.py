@@ -9,11 +9,11 @@ from scipy.ndimage import gaussian_filter
 
 from charact import noise
 from charact.method import Context
+from charact.noise import predictive_check
 from charact.noise.gain import emva1288
 from charact.noise.gain.series import read_levels, series_of
 from charact.noise.gain.single_setting import fit_single_setting
-from charact.noise.predictive import check
-from charact.noise.predictive.predictive_frames import LightNoise
+from charact.noise.predictive_frames import LightNoise
 from labdata.frames import FrameStack
 
 CONTEXT = Context(seed=1, quick=True)
@@ -30,7 +30,7 @@ def told(session):
     darks, flats, single = read_levels(session, context=CONTEXT, spectra=True)
     one = fit_single_setting(series_of(flats, darks, single), context=CONTEXT, quick=True)
     gain = emva1288.gain_line(one.series, context=CONTEXT).slope if one.white else None
-    return check.predictive_residuals(session.stacks, one, gain, context=CONTEXT)
+    return predictive_check.predictive_residuals(session.stacks, one, gain, context=CONTEXT)
 
 
 def changed(session, in_memory, change):
@@ -53,7 +53,7 @@ def test_a_camera_that_is_as_the_model_has_it_is_not_called_wrong(pulses, keepin
     levels = tuple(100.0 * level for level in LEVELS) if kind == "white" else LEVELS
     found = told(series(camera, np.random.default_rng(seed), levels, frames=6, dark_frames=6))
     assert {one.stack for one in found} == {"flat-0", "flat-2", "flat-3"}
-    assert not check.findings_of(found)
+    assert not predictive_check.findings_of(found)
 
 
 @pytest.mark.parametrize("wrong", ["flicker", "blobs", "gamma", "patches"])
@@ -83,14 +83,18 @@ def test_what_the_model_has_not_is_found_by_its_own_sign(pulses, series, in_memo
     # Few frames tell little of how their means vary.
     frames = 8 if wrong == "flicker" else 5
     found = told(changed(series(camera, rng, LEVELS, frames=frames, dark_frames=5), in_memory, change))
-    flags = check.findings_of(found)
+    flags = predictive_check.findings_of(found)
     assert [flag for flag, _ in flags] == ["model-misfit"] * len(flags) and flags
-    assert any(one.sign == sign and one.chance * len(found) < check.LEVEL for one in found)
+    assert any(one.sign == sign and one.chance * len(found) < predictive_check.LEVEL for one in found)
 
 
 def test_chances_are_no_smaller_than_they_say(seed, monkeypatch):
     """Frames drawn from the very law: of each sign no more are odd than chance has it, with nothing held harmless."""
-    monkeypatch.setattr(check, "STATISTICS", {n: replace(sign, harmless=0.0) for n, sign in check.STATISTICS.items()})
+    monkeypatch.setattr(
+        predictive_check,
+        "STATISTICS",
+        {n: replace(sign, harmless=0.0) for n, sign in predictive_check.STATISTICS.items()},
+    )
     rng, sets, odd = np.random.default_rng(seed), 80, 0.1
     law = LightNoise(pulse_dn=20.0, height_variance=1.0, electron_gain_dn=0.1)
     light, dark = np.full((40, 40), 80.0), 2.0 * rng.standard_normal((6, 40, 40))
@@ -98,11 +102,13 @@ def test_chances_are_no_smaller_than_they_say(seed, monkeypatch):
     for _ in range(sets):
         frames = law.frames(light, 4, 1, rng) + 2.0 * rng.standard_normal((4, 40, 40))
         seen.update(
-            one.sign for one in check._stack_residuals("flat", frames, dark, lambda: law, 1, rng) if one.chance < odd
+            one.sign
+            for one in predictive_check._stack_residuals("flat", frames, dark, lambda: law, 1, rng)
+            if one.chance < odd
         )
     most = sets * odd + 4.5 * np.sqrt(sets * odd * (1.0 - odd))
     assert max(seen.values()) <= most, seen
-    assert sum(seen.values()) >= 0.3 * odd * sets * len(check.STATISTICS)
+    assert sum(seen.values()) >= 0.3 * odd * sets * len(predictive_check.STATISTICS)
 
 
 def test_a_number_that_is_not_quick_carries_what_its_frames_say(pulses, series, in_memory, seed):

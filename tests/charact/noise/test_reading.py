@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from charact.noise.gain.pixel_readout_model import PixelReadoutModel
+from charact.noise.gain.model import PixelReadoutModel
 from labdata.sensors import load_sensor
 
 X, ROWS = (axis.ravel() for axis in np.meshgrid(np.linspace(0.0, 0.25, 11), np.linspace(-0.3, 0.3, 9)))

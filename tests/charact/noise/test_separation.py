@@ -7,12 +7,10 @@ import pytest
 
 from charact import noise
 from charact.method import Context
+from charact.noise.cathode_radiometry import luminous_sensitivity_ua_per_lm, photoelectrons_per_photon
 from charact.noise.gain.series import read_levels, series_of
 from charact.noise.gain.single_setting import fit_single_setting
-from charact.noise.snr.cathode_radiometry import luminous_sensitivity_ua_per_lm, photoelectrons_per_photon
-from charact.noise.snr.gain_separation import posterior_of, separate_gains
-from charact.noise.snr.gain_separation_events import add_event_gains
-from charact.noise.snr.tube_snr import snr_from_specification
+from charact.noise.snr.gain_separation import add_event_gains, posterior_of, separate_gains, snr_from_specification
 from labdata.conditions import Conditions
 from labdata.measurement import Result, measurement_from_draws
 from labdata.sensors import load_sensor
@@ -165,8 +163,15 @@ def found(rng, flux: bool, heights_off: float = 1.0, flux_sd: float = 0.04) -> R
     def spread(value, sd):
         return value * np.exp(sd * rng.standard_normal(4000))
 
-    out = [measurement_from_draws("pulse_gain", "DN", (draws := spread(12.0 * 2.0 / 0.6, 0.02)), method="covariance-sum",
-                      posterior=posterior_of("pulse_gain", "DN", draws, 1))]  # fmt: skip
+    out = [
+        measurement_from_draws(
+            "pulse_gain",
+            "DN",
+            (draws := spread(12.0 * 2.0 / 0.6, 0.02)),
+            method="covariance-sum",
+            posterior=posterior_of("pulse_gain", "DN", draws, 1),
+        )
+    ]
     heights = spread(heights_off * 12.0 / 0.6, 0.03)
     out.append(measurement_from_draws("detected_photoelectron_gain", "DN", heights, method="pulse-law", stack="dark",
                           posterior=posterior_of("height_dn", "DN", heights, 1)))  # fmt: skip

@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from charact.noise.gain.model import leakage_ratio, spectrum_at
-from charact.noise.gain.pixel_readout_model import PixelReadoutModel
-from charact.noise.stack.exposure_order import exposures, fluctuations, order_of
+from charact.noise.gain.model import PixelReadoutModel, leakage_ratio, spectrum_at
 from charact.noise.stack.pixels import pixel_sums
 from charact.noise.stack.spectrum import bins_of, cross_spectra
+from charact.noise.stack.temporal import exposures, fluctuations, order_of
 from labdata.frames import FrameStack
 
 

@@ -8,8 +8,8 @@ from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
 from charact import noise
 from charact.method import Context
-from charact.noise.cube.components import components
-from charact.noise.cube.contrasts import contrasts, waves
+from charact.noise.stack.components import components
+from charact.noise.stack.contrasts import contrasts, waves
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
 
@@ -263,7 +263,7 @@ def test_few_hot_pixels_are_not_called_pattern(in_memory, seed):
     parts = measured(in_memory, frames)
     assert parts["vh"].status == parts["tvh"].status == "ok"
     assert parts["vh"].value == pytest.approx(0.5, rel=0.1)
-    assert any("3 misbehaving pixels" in note for note in parts["vh"].notes)
+    assert any("3 defective pixels" in note for note in parts["vh"].notes)
 
 
 def test_what_is_not_seen_is_reported_with_its_limit(in_memory, seed):
@@ -280,7 +280,7 @@ def test_what_is_not_seen_is_reported_with_its_limit(in_memory, seed):
             if low95 == 0:
                 notes.append(" ".join(m.notes))
     assert len(notes) > 24
-    assert all("is seen" in note and "at most" in note for note in notes)
+    assert all("detected" in note and "at most" in note for note in notes)
 
 
 def test_cut_and_coarse_codes_are_flagged(in_memory, seed):

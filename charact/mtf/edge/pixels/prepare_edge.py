@@ -14,10 +14,8 @@ from charact.mtf.edge.pixels.line import EdgeLine
 from charact.mtf.edge.pixels.profile import EdgeProfile, centre_line, profile_of
 from charact.mtf.edge.pixels.roughness import roughness_of
 from charact.mtf.edge.thresholds import ACCURACY, THRESHOLDS
-from charact.mtf.mean_frame import OrientedFrame, mean_oriented_frame
-from charact.mtf.noise_reduction_check import SlopeNoise, noise_on_slopes
-from charact.mtf.plateau_noise import Sides, plateau_noise
-from charact.mtf.region import Region
+from charact.mtf.mean_frame import OrientedFrame, Region, mean_oriented_frame
+from charact.mtf.plateau_noise import Sides, SlopeNoise, noise_on_slopes, plateau_noise
 from charact.mtf.target_motion import TargetMotion, measure_line_motion
 from charact.robust import NORMAL, median
 from labdata.frames import FrameStack

@@ -15,7 +15,7 @@ from charact.mtf.edge.pixels.line import EdgeLine
 from charact.mtf.edge.pixels.noise_model import EdgeNoiseModel, bin_covariance, estimate_edge_noise
 from charact.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.mtf.mean_frame import OrientedFrame
-from charact.mtf.nonlinearity_prior import usable_black_level
+from charact.mtf.nonlinearity import usable_black_level
 from charact.robust import NORMAL, median
 
 Array = NDArray[np.float64]

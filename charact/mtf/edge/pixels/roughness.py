@@ -12,7 +12,7 @@ from charact.mtf.edge.pixels.fields import steepness
 from charact.mtf.edge.pixels.profile import EdgeProfile
 from charact.mtf.edge.thresholds import ACCURACY
 from charact.mtf.mean_frame import OrientedFrame
-from charact.mtf.rounding import QUANTISATION_DN2
+from charact.mtf.quantisation_checks import QUANTISATION_DN2
 from charact.mtf.target_motion import TargetMotion
 
 Array = NDArray[np.float64]
@@ -58,7 +58,7 @@ def roughness_of(picture: OrientedFrame, profile: EdgeProfile) -> TargetMotion:
 def _rounding(picture: OrientedFrame, profile: EdgeProfile) -> float:
     """Return the mean square that rounding to whole codes leaves in means of pixels at any level, DN^2.
 
-    All pixels of a plateau have it alike, those near an edge each its own. The sawtooth of `charact.mtf.rounding`.
+    All pixels of a plateau have it alike; those near an edge differ. Sawtooth of `charact.mtf.quantisation_checks`.
     """
     if not picture.whole_codes:
         return 0.0

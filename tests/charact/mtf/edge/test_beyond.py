@@ -8,6 +8,7 @@ from scipy.integrate import quad
 from scipy.special import ndtri
 from scipy.stats import lognorm
 
+from benchmarks.studies.edge_map import case_of, cell_of
 from charact.method import Context
 from charact.mtf.blur_models.one_dimensional import BlurModel, DiscComponent, ScatterComponent, UnresolvedGlareComponent
 from charact.mtf.edge import result as edge_result
@@ -19,7 +20,6 @@ from charact.mtf.edge.pixels.prepare_edge import prepare_edge
 from charact.mtf.edge.pixels.profile import EVEN_PER_PX, UNEVEN_PER_PX
 from charact.mtf.edge.thresholds import THRESHOLDS
 from charact.mtf.known_transfer import known_transfer
-from charact.study.edge.map import case_of, cell_of
 from charact.study.edge.scene import EdgeScene, TrueBlur
 
 QUICK = Context(quick=True)

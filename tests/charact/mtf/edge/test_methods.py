@@ -6,13 +6,13 @@ import edges
 import numpy as np
 import pytest
 
+from benchmarks.studies.cramer_rao import least_relative_sd
+from benchmarks.studies.edge_coverage import measure_mixed_scene
+from benchmarks.studies.edge_peers import answers, row, scene_of
 from charact import mtf
 from charact.method import Context
 from charact.mtf.edge import parametric as edge_parametric
 from charact.mtf.edge.thresholds import THRESHOLDS
-from charact.study.edge.coverage import measure_mixed_scene
-from charact.study.edge.cramer_rao import least_relative_sd
-from charact.study.edge.peers import answers, row, scene_of
 from labdata.frames import FrameStack
 
 QUICK = Context(quick=True)

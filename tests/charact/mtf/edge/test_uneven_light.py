@@ -9,7 +9,7 @@ from charact.method import Context
 from charact.mtf.edge.parametric import edge_parametric
 from charact.mtf.edge.pixels.profile import EVEN_PER_PX, UNEVEN_PER_PX, uneven_light
 from charact.mtf.edge.thresholds import THRESHOLDS
-from charact.mtf.nonlinearity_prior import usable_black_level
+from charact.mtf.nonlinearity import usable_black_level
 from charact.study.edge.scene import EdgeScene, TrueBlur
 
 DISTANCE = np.linspace(-30.0, 40.0, 141)

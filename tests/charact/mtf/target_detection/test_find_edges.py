@@ -127,7 +127,7 @@ def test_what_is_left_out_is_said() -> None:
         "edge", FrameStack(data=picture[None]), method="edge-slanted", at_most=2, context=Context(quick=True)
     )
     assert len({m.region for m in result.measurements}) == 2
-    assert any("18 more edges were found and left out" in note for m in result.measurements for note in m.notes)
+    assert any("18 further edges were not measured" in note for m in result.measurements for note in m.notes)
 
 
 def test_a_frame_with_one_edge_is_measured_as_before() -> None:

@@ -1,1 +1,0 @@
-"""3-D noise: a stack as a cube of frames, rows and columns."""
