@@ -25,7 +25,9 @@ def preview_into(
     out: Path, request: SimulationRequest, description: "Description", conditions: Conditions, *, explain: bool
 ) -> tuple[str, ...]:
     """Keep what a scene out of doors shows in seconds, print its plan if request for, and return what it leaves out."""
-    view = night_of(request, description, conditions).render(tolerance=request.tolerance, seed=request.seed, preview=True)
+    view = night_of(request, description, conditions).render(
+        tolerance=request.tolerance, seed=request.seed, preview=True
+    )
     if explain:
         print(view.plan.text())
     _save_view(view, out)

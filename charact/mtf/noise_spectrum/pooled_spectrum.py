@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.mtf.noise_spectrum.thresholds import ACCURACY, THRESHOLDS
-from charact.noise.gain.emva1288 import QUANTISATION_DN2
 from charact.noise.gain.series import CLIPPED_SHARE, longest_series, read_levels, series_of
 from charact.noise.rounding import QUANTISATION_DN2, unrounded_variance_range
 from charact.noise.stack.spectrum import Bins, bins_of, cross_spectra

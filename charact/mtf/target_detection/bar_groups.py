@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.bars.thresholds import ACCURACY
+from charact.mtf.bars.thresholds import ACCURACY as BAR_ACCURACY
 from charact.mtf.mean_frame import Region
 from charact.mtf.target_detection.smoothed_mean_frame import local_maximum, mean_frame_of
 from charact.mtf.target_detection.thresholds import ACCURACY, THRESHOLDS
@@ -294,7 +294,7 @@ def _candidate_counts(picture: Array, answer: _Detection) -> list[tuple[int, flo
     rows = picture[max(middle - half, 0) : middle + half + 1]
     value = rows.mean(axis=0, dtype=np.float64)
     wave = (value - value.mean()) * np.exp(-2j * np.pi * answer.frequency * np.arange(value.size))
-    height = np.abs(gaussian_filter1d(wave, ACCURACY.smoothing_periods / answer.frequency, mode="nearest"))
+    height = np.abs(gaussian_filter1d(wave, BAR_ACCURACY.smoothing_periods / answer.frequency, mode="nearest"))
     here = min(max(round(answer.col), 0), value.size - 1)
     low = height < 0.5 * height[here]
     before, after = np.flatnonzero(low[:here]), np.flatnonzero(low[here:])

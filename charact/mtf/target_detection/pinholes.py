@@ -75,7 +75,7 @@ def steady_light(pictures: NDArray | FrameStack, replaced: tuple[NDArray[np.bool
     height = height - middle
     robust = 1.4826 * float(np.median(np.abs(height)))
     tail = float(np.quantile(height[::2, ::2], ACCURACY.tail_quantile)) / ACCURACY.tail_sd
-    rounding = ROUNDING_DN if data.dtype.kind in "ui" else 0.0
+    rounding = LIMITS.min_background_sd_dn if data.dtype.kind in "ui" else 0.0
     spread = max(robust, tail, rounding, 1e-6 * float(np.ptp(height)))
     return SteadySpots(groups=groups - middle, height=height, spread=spread)
 
@@ -164,7 +164,7 @@ def find_pinholes(
 def _sources(light: SteadySpots) -> tuple[list[tuple[int, int]], float]:
     """Return where sources stand, brightest first, and the standard deviation that they stand out of, DN."""
     brightest = THRESHOLDS.min_source * float(light.height.max())
-    likely = _peaks(light.height, max(DETECTED * light.spread, brightest))
+    likely = _peaks(light.height, max(LIMITS.min_height_sd * light.spread, brightest))
     likely = [place for place in likely if light.stays(*place)]
     spread = light.far_spread(likely, MIN_REACH_PX)
     return [place for place in likely if light.height[place] >= LIMITS.min_height_sd * spread], spread

@@ -58,7 +58,7 @@ def roughness_of(picture: OrientedFrame, profile: EdgeProfile) -> TargetMotion:
 def _rounding(picture: OrientedFrame, profile: EdgeProfile) -> float:
     """Return the mean square that rounding to whole codes leaves in means of pixels at any level, DN^2.
 
-    All pixels of a plateau have it alike, those near an edge each its own. The sawtooth of `charact.mtf.quantisation_checks`.
+    All pixels of a plateau have it alike; those near an edge differ. Sawtooth of `charact.mtf.quantisation_checks`.
     """
     if not picture.whole_codes:
         return 0.0

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_stage_budget import cascade
+from test_mtf_budget import cascade
 
 from charact.method import Context
 from charact.mtf.curve import REPORTED, curve_of
