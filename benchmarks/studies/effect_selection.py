@@ -69,7 +69,7 @@ class SelectionOutcome:
         Time taken, s.
     planned_rays, exact_rays
         Rays a pixel, each of which gathers 2 and 4 more.
-    bands, max_bounces
+    bands, bounces
         Of the plan.
     left_out
         What the plan leaves out.
@@ -89,7 +89,7 @@ class SelectionOutcome:
     planned_rays: float
     exact_rays: float
     bands: int
-    max_bounces: int
+    bounces: int
     left_out: tuple[str, ...]
 
     @property
@@ -197,7 +197,7 @@ def measure_case(number: int) -> SelectionOutcome:
         planned_rays=float(planned.picture.rays.mean()),
         exact_rays=float(exact.picture.rays.mean()),
         bands=len(planned.plan.wavelength_nm),
-        max_bounces=planned.plan.effort.max_bounces,
+        bounces=planned.plan.effort.max_bounces,
         left_out=tuple(sorted(planned.plan.plan.names)),
     )
 

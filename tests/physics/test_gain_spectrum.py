@@ -19,7 +19,7 @@ from charact.noise.stack.spectrum import bins_of
 from simulate.iiccd import true_quantities
 from simulate.iiccd.camera import IntensifiedCamera
 
-NO_LAG = ImageLag(lag=np.array([1]), correlation=np.zeros(1), correlation_sd=np.zeros(1), seen=False, factor=1.0,
+NO_LAG = ImageLag(lag=np.array([1]), correlation=np.zeros(1), correlation_sd=np.zeros(1), is_detected=False, factor=1.0,
              factor_sd=0.0, freedom=np.inf, tested=True, open=False)  # fmt: skip
 EXPOSURES = 60.0
 ORDERS = (-2, -1, 0, 1, 2)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from charact.method import Context
-from charact.noise.gain.pooled_noise import lag_of, untruncated_lag_sum
+from charact.noise.gain.pooled_noise import lag_of, lag_sum_correction
 from charact.noise.gain.series import read_levels, series_of
 from charact.noise.gain.single_setting import fit_single_setting
 from charact.noise.stack.spectrum import bins_of
@@ -37,7 +37,7 @@ def test_what_few_frames_hide_of_an_even_decay_is_put_back(frames, fields, kept)
     project = centring(parity)
     measured = autocovariance(project @ screen(time, 0.28, kept) @ project, time, parity, lags)
     correlation = measured[1:] / measured[0]
-    lacking, _ = untruncated_lag_sum(
+    lacking, _ = lag_sum_correction(
         [level(time, parity, lags)], np.ones(1), lags, correlation, 1e-6 * np.eye(len(lags) - 1)
     )
     whole = (1.0 + 2.0 * 0.28 / (1.0 - kept)) / measured[0]
@@ -63,9 +63,9 @@ def test_chance_that_all_lags_share_is_put_back_as_glow_only_where_likelier_than
     sd, chance = 0.01, np.full(len(lags) - 1, 0.025)
     together = sd**2 * error_correlation(time, parity, lags)[1:, 1:]
     levels = [level(time, parity, lags)]
-    own, _ = untruncated_lag_sum(levels, np.ones(1), lags, chance, sd**2 * np.eye(len(chance)))
-    shared, _ = untruncated_lag_sum(levels, np.ones(1), lags, chance, together)
-    none, _ = untruncated_lag_sum(levels, np.ones(1), lags, 0.4 * chance, together)
+    own, _ = lag_sum_correction(levels, np.ones(1), lags, chance, sd**2 * np.eye(len(chance)))
+    shared, _ = lag_sum_correction(levels, np.ones(1), lags, chance, together)
+    none, _ = lag_sum_correction(levels, np.ones(1), lags, 0.4 * chance, together)
     assert shared < 0.5 * own
     assert abs(none) < 0.1
 
