@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.synthetic_rig import COLUMNS, ROWS, NoOperator, PacedCamera, SlowBench
-from charact.cli.judge import SaturationJudge
+from charact.cli.benches import SaturationJudge
 from drivers.acquisition.acquire import LOG, acquire
 from labdata.capture import Frame
 from labdata.conditions import Conditions
@@ -132,7 +132,7 @@ def _store(folder: Path, frames: np.ndarray) -> None:
     with SessionWriter.create(folder, name="benchmark") as writer, Storage(writer, patience_s=60.0) as storage:
         stack = storage.begin_stack("flat", "flat", frames.shape[1:], frames.dtype, Conditions())
         for number, pixels in enumerate(frames):
-            stack.put(Frame(pixels=pixels, number=number, time_s=number / RATE_HZ))
+            stack.enqueue(Frame(pixels=pixels, number=number, time_s=number / RATE_HZ))
         stack.finish()
         storage.wait()
 

@@ -18,8 +18,7 @@ from labdata.conditions import Conditions
 from labdata.sensors import load_sensor
 from simulate.iiccd import pattern, sampler_choice, stage_image
 from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.effect_bounds.camera_effects import select_camera_effects
-from simulate.iiccd.effect_bounds.effects import bound_effects
+from simulate.iiccd.effect_bounds.camera_effects import bound_effects, select_camera_effects
 from simulate.iiccd.effect_bounds.noise_budget import NoiseBudget, per_pixel
 from simulate.iiccd.fast_sampler import charge_distribution
 from simulate.iiccd.scene_to_photoelectrons import photoelectrons_from_image

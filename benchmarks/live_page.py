@@ -37,7 +37,7 @@ READ = """
   });
   return tried;
 })()
-"""  # noqa: E501 - a script reads better whole
+"""
 
 
 def main(out: Path) -> int:

@@ -29,8 +29,8 @@ EDGES = 20
 def rows() -> Iterator[Row]:
     """The three promises, each beside its plain way."""
     from charact.method import Context
+    from charact.mtf.dispatch import measure_all
     from charact.mtf.edge.parametric import edge_parametric
-    from charact.mtf.multiple_targets import measure_all
     from labdata.frames import FrameStack
 
     edge = plain_edge(np.random.default_rng(1))

@@ -1,7 +1,7 @@
 """Frames a second of the intensified camera, all stages on, against plain NumPy and OpenCV and other simulators.
 
 Each tier and each peer draws the same uneven scene, 768 x 493, in the same run. Peers live in an environment of their
-own, `make peers`; without it their rows are missing, and said to be.
+own, `make .venv-peers/ready`; without it their rows are missing, and said to be.
 """
 
 import json
@@ -63,10 +63,9 @@ def seconds_a_frame(level: float, *, threads: int = 1, tier: Tier | None = None,
     """Median time of a frame of the shipped camera, geometry and local depletion on, nothing left out, s."""
     from labdata.conditions import Conditions
     from labdata.sensors import load_sensor
-    from simulate.cameras import camera_from_description
     from simulate.iiccd import sampler_choice
     from simulate.iiccd.camera import IntensifiedCamera
-    from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons
+    from simulate.iiccd.scene_to_photoelectrons import camera_from_description, mcp_input_from_photoelectrons
 
     sensor = load_sensor("pulnix-ag5745ef3")
     camera = camera_from_description(sensor)
@@ -99,7 +98,7 @@ def median_seconds(frame: Callable[[], object], count: int) -> float:
 def peers() -> dict[str, float]:
     """Frames a second of the peers that are installed, on the scene of ten photoelectrons; one thread."""
     if not PEERS.exists():
-        print("other simulators are not installed: make peers", file=sys.stderr)
+        print("other simulators are not installed: make .venv-peers/ready", file=sys.stderr)
         return {}
     with tempfile.TemporaryDirectory() as folder:
         np.save(Path(folder) / "scene.npy", uneven(10.0))

@@ -27,7 +27,7 @@ _HOMES = {"measure": "charact.session_measurement", "fit_sensor": "charact.fit",
 
 
 def __getattr__(name: str) -> Any:
-    """Import the analysis only when it is asked for: the command line must answer at once."""
+    """Import the analysis on first use, so that the command line starts fast."""
     if name in _HOMES:
         from importlib import import_module
 

@@ -1,4 +1,4 @@
-"""All that a session's stacks allow: each stack goes to the analysis of its kind."""
+"""Measurement of a session: every stack goes to the analysis of its kind."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -7,18 +7,17 @@ from pathlib import Path
 
 from charact.method import Context
 from charact.method.cluster import Spread
-from labdata.digest import sha256_of
+from labdata.camera_description import Parameter
 from labdata.errors import BadInput
 from labdata.measurement import Measurement, Result
-from labdata.parameter import Parameter
-from labdata.session import MANIFEST, Session, StackEntry, open_session
+from labdata.session import MANIFEST, Session, StackEntry, open_session, sha256_of
 
 Progress = Callable[[str, float], None]
 Task = Callable[[Context], Result]
 
 
 def ignore_progress(sentence: str, share: float) -> None:
-    """Progress that nobody listens to."""
+    """Ignore progress."""
 
 
 def measure(
@@ -30,33 +29,33 @@ def measure(
     progress: Progress = ignore_progress,
     spread: Spread = map,
 ) -> Result:
-    """Measure all that a session allows: noise and gain, MTF of every target, halo and blooming.
+    """Measure everything the stacks of a session support: noise and gain, MTF of every target, halo and blooming.
 
     Parameters
     ----------
     session
         A session, or the folder of one.
     quick
-        No Markov chain: intervals from the curvature at the maximum.
+        Skip posterior sampling; intervals are from the Laplace approximation.
     seed
         Seed of every random step.
     within_percent
-        Error that the automatic choice of a method must meet, percent.
+        Error tolerance of the automatic choice of methods, percent.
     progress
-        Called with a sentence and the share done (0..1).
+        Called with a sentence and the fraction done (0..1).
     spread
-        Where parts of the noise analysis are computed, see `charact.method.Context`.
+        Map function that computes parts of the noise analysis, see `charact.method.Context`.
 
     Returns
     -------
     Result
-        Measurements (some of them refused, with the reason), curves and evidence; several stacks' curves are told
-        apart by ":label".
+        Measurements (refused ones with the reason), curves and figure data; the name of a curve ends in ":label" of
+        its stack.
 
     Raises
     ------
     BadInput
-        If every stack is of kind scene, of which nothing is measured.
+        If every stack is of kind scene, which is not measured.
     """
     session = session if isinstance(session, Session) else open_session(session)
     tasks = _tasks(session, within_percent)
@@ -75,9 +74,9 @@ def measure(
 
 
 def with_inputs(result: Result, session: Session) -> Result:
-    """Return a result of which each number's provenance holds the SHA-256 of its stack's frames, else of all stacks'.
+    """Return the result with SHA-256 digests of the frames in the provenance of every measurement.
 
-    What is measured of one stack may lean on others, such as its dark: those stand with the numbers of the session.
+    A measurement of one stack has the digests of that stack; a measurement of the session has those of all stacks.
     """
     digests = {entry.label: _digests(entry) for entry in session.stacks if entry.kind != "scene"}
     everything = {name: digest for one in digests.values() for name, digest in one.items()}
@@ -91,23 +90,22 @@ def with_inputs(result: Result, session: Session) -> Result:
 
 
 def _digests(entry: StackEntry) -> dict[str, str]:
-    """SHA-256 of the files or arrays of a stack, by the name that the session gives them."""
+    """SHA-256 of the files or arrays of a stack, by their names in the manifest."""
     names = (entry.frames,) if isinstance(entry.frames, str) else entry.frames
     return {name: sha256_of(path) for name, path in zip(names, entry.paths, strict=True)}
 
 
 def _within(progress: Progress, done: int, tasks: int, sentence: str, share: float) -> None:
-    """Tell what one of several analyses says of its own progress."""
+    """Report the progress of one of several analyses as progress of all."""
     progress(sentence, (done + share) / tasks)
 
 
 def _combine_targets(session: Session, result: Result, context: Context) -> Result:
-    """Return a session's result with what its targets tell of one MTF and its stages, and whether they agree."""
+    """Add the joint MTF of all targets, MTF consistency, MTF uniformity and the MTF budget to a session's result."""
     from charact.mtf.bars.group_curve import session_curves
-    from charact.mtf.session.consistency import mtf_consistency
+    from charact.mtf.session.consistency import mtf_consistency, mtf_uniformity
     from charact.mtf.session.joint import fit_joint_mtf
     from charact.mtf.session.session_budget import add_mtf_budget
-    from charact.mtf.session.uniformity import mtf_uniformity
 
     targets = session.of_kind("edge", "bars", "point")
     kinds = {entry.label: entry.kind for entry in targets}
@@ -123,10 +121,9 @@ def _combine_targets(session: Session, result: Result, context: Context) -> Resu
 
 
 def _with_measured_gap(context: Context, result: Result) -> Context:
-    """Return the context in which the gap before the channel plate is what the session's own halo says.
+    """Return the context with the proximity gap measured by the session's own halo, diameter = 4 gaps.
 
-    The halo's diameter is four gaps; a point series tells it far better than the description does, and an edge that
-    must find it anew finds several.
+    A point series constrains the gap better than the description; a single edge often fits several gaps.
     """
     found = [m for m in result.find("halo_diameter") if m.status == "ok" and m.interval95 is not None]
     if context.sensor is None or not found or found[0].value is None or found[0].interval95 is None:
@@ -141,7 +138,7 @@ def _with_measured_gap(context: Context, result: Result) -> Context:
 def method_context(
     session: Session, *, quick: bool, seed: int, progress: Progress = ignore_progress, spread: Spread = map
 ) -> Context:
-    """What methods are told of a session."""
+    """Return the context of the methods that measure a session."""
     full_scale_dn = None if session.bit_depth is None else float(2**session.bit_depth - 1)
     return Context(
         seed=seed,
@@ -156,12 +153,12 @@ def method_context(
 
 
 def _tasks(session: Session, within_percent: float) -> list[tuple[str, Task]]:
-    """Sentence and function of every analysis the session has stacks for; the halo first, for the others know of it."""
+    """Sentence and function of every analysis the session has stacks for; the halo precedes the MTF, which uses it."""
     tasks: list[tuple[str, Task]] = []
     if session.of_kind("dark", "flat"):
         tasks.append(("noise against gain", partial(_noise, session, within_percent)))
     if session.of_kind("flat"):
-        tasks.append(("MTF after the gain, from the noise of flats", partial(_post_gain, session, within_percent)))
+        tasks.append(("post-gain MTF from the noise of flats", partial(_post_gain, session, within_percent)))
     if session.of_kind("point"):
         tasks.append(("halo and blooming", partial(_bloom, session, within_percent)))
     targets = session.of_kind("edge", "bars")
@@ -195,17 +192,17 @@ def _target(session: Session, entry: StackEntry, within_percent: float, context:
     target, stack = entry.target, entry.read()
     if entry.kind == "edge" and stack.black_level_dn is None:
         stack = replace(stack, black_level_dn=session.black_dn(entry))
-    asked = {"bars": target.bars, "frequency_cy_per_px": target.frequency_cy_per_px} if entry.kind == "bars" else {}
+    arguments = {"bars": target.bars, "frequency_cy_per_px": target.frequency_cy_per_px} if entry.kind == "bars" else {}
     found = mtf.measure(
-        entry.kind, stack, region=target.region, within_percent=within_percent, context=context, **asked
+        entry.kind, stack, region=target.region, within_percent=within_percent, context=context, **arguments
     )
     return with_stack_label(found, entry.label)
 
 
 def _best_point(session: Session, within_percent: float, context: Context) -> Result:
-    """The MTF of the point source that its method distrusts least, of several the one with most light.
+    """Measure all point sources; return the MTF with the fewest refusals and flags, of equals the brightest.
 
-    Not the one with the narrowest interval: that is the one whose halo, by chance, came out small and its MTF high.
+    The narrowest interval would select a halo that is too small by chance, with an MTF that is too high.
     """
     from charact import mtf
     from charact.mtf.point.source import source_signal
@@ -220,7 +217,7 @@ def _best_point(session: Session, within_percent: float, context: Context) -> Re
         found.append((_count_refusals_and_flags(one.measurements), entry, with_stack_label(one, entry.label)))
     least = min(distrust for distrust, _, _ in found)
     trusted = [(entry, result) for distrust, entry, result in found if distrust == least]
-    # Read again rather than kept: a long series does not fit into memory.
+    # Read again: a long series does not fit into memory.
     return max(trusted, key=lambda one: source_signal(one[0].read().data))[1] if len(trusted) > 1 else trusted[0][1]
 
 
@@ -230,7 +227,7 @@ def _count_refusals_and_flags(measurements: tuple[Measurement, ...]) -> tuple[in
 
 
 def with_stack_label(result: Result, label: str) -> Result:
-    """Return the result of one stack with the stack's label on everything in it."""
+    """Return the result of one stack with the stack's label on measurements, curves and figure data."""
     return Result(
         measurements=tuple(m.with_(stack=label) for m in result.measurements),
         curves={f"{name}:{label}": curve for name, curve in result.curves.items()},

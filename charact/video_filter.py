@@ -1,4 +1,4 @@
-"""A video's low pass along the rows, whose bandwidth a description knows within a range."""
+"""Video filter: causal low-pass along the rows with an uncertain bandwidth."""
 
 from dataclasses import dataclass
 
@@ -9,25 +9,21 @@ from labdata.sensor import Sensor
 
 Array = NDArray[np.float64]
 
-# Bandwidths at which the transfer is computed, in standard deviations of ln of the bandwidth, at least. In between a
-# polynomial of its logarithm holds it within three in ten thousand, of a camera known to 4 %.
-NODES_SD, LEAST_SD = np.array([-4.0, -2.75, -1.25, 1.25, 2.75, 4.0]), 1e-3
-# The bandwidth may lie so many standard deviations from the described one.
-MOST_SD = 6.0
-# A range holds its value with 95 % probability: it is so many standard deviations wide.
-SD_OF_RANGE = 2.0 * 1.959964
+# Bandwidths at which the transfer function is computed, in standard deviations of ln(bandwidth). A polynomial of its
+# logarithm interpolates within 3e-4 for a bandwidth known to 4 %.
+NODES_SD = np.array([-4.0, -2.75, -1.25, 1.25, 2.75, 4.0])
 
 
 @dataclass(frozen=True, kw_only=True)
 class VideoFilter:
-    """A Butterworth low pass on stairs one clock wide, read once a clock, its delay removed.
+    """Butterworth low-pass of a sample-and-hold signal, sampled at the pixel clock, linear phase removed.
 
     Parameters
     ----------
     bandwidth_mhz, clock_mhz
         Described bandwidth (3 dB) and pixel clock, MHz.
     order
-        Of the filter.
+        Order of the filter.
     ln_bandwidth_sd
         Standard deviation of ln of the bandwidth about the described one, dimensionless.
     """
@@ -39,23 +35,24 @@ class VideoFilter:
 
     @classmethod
     def of(cls, sensor: Sensor | None) -> "VideoFilter | None":
-        """Return the filter of a described camera; None of a digital one, or where nothing is described."""
+        """Return the filter of a sensor description; None for a digital camera or without description."""
         if sensor is None or sensor.video.low_pass is None:
             return None
         bandwidth, clock, order = sensor.video.low_pass
         known = sensor.video.bandwidth_mhz
         assert known is not None
-        sd = 0.0 if known.low is None or known.high is None else (known.high - known.low) / SD_OF_RANGE / bandwidth
+        # A 95 % range is 2 x 1.96 standard deviations wide.
+        sd = 0.0 if known.low is None or known.high is None else (known.high - known.low) / (2.0 * 1.959964) / bandwidth
         return cls(bandwidth_mhz=bandwidth, clock_mhz=clock, order=order, ln_bandwidth_sd=sd)
 
     @property
     def parameters(self) -> dict[str, tuple[str, tuple[float, float]]]:
-        """Unit and bounds of what is not known of it, by name; none where the bandwidth is exact."""
-        most = MOST_SD * self.ln_bandwidth_sd
+        """Unit and bounds (6 standard deviations) of the free parameters by name; empty if the bandwidth is exact."""
+        most = 6.0 * self.ln_bandwidth_sd
         return {"ln_video_bandwidth": ("1", (-most, most))} if most > 0.0 else {}
 
     def __call__(self, frequency: Array) -> NDArray[np.complex128]:
-        """Return the described transfer at cycles per pixel along rows, complex."""
+        """Return the complex transfer function at the described bandwidth; frequency along the rows, cy/px."""
         return self._at(frequency, 0.0)
 
     def bend(self, frequency: Array) -> NDArray[np.complex128]:
@@ -63,10 +60,10 @@ class VideoFilter:
 
         The transfer of another bandwidth is `self(frequency) * exp(powers(x) @ bend)`, shape of bend (power, f).
         """
-        nodes = NODES_SD * max(self.ln_bandwidth_sd, LEAST_SD)
+        nodes = NODES_SD * max(self.ln_bandwidth_sd, 1e-3)
         described = int(np.searchsorted(nodes, 0.0))
         transfers = np.array([self._at(frequency, x) for x in np.insert(nodes, described, 0.0)])
-        # From one to the next no phase turns by half or more.
+        # Phase steps between neighbouring nodes stay below pi.
         steps = np.log(transfers[1:] / transfers[:-1])
         moved = np.concatenate(
             [-np.cumsum(steps[:described][::-1], axis=0)[::-1], np.cumsum(steps[described:], axis=0)]
@@ -74,11 +71,11 @@ class VideoFilter:
         return np.asarray(np.linalg.solve(powers(nodes), moved), np.complex128)
 
     def doubt(self, frequency: Array) -> Array:
-        """Return by how much of itself one standard deviation of the bandwidth moves the transfer, shape (f,)."""
+        """Return the relative standard uncertainty of the transfer function due to the bandwidth, shape (f,)."""
         return np.abs(self.bend(frequency)[0].real) * self.ln_bandwidth_sd
 
     def log_prior(self, ln_bandwidth: Array) -> Array:
-        """Return ln of the normal prior density of ln of bandwidth over described, shape (n,)."""
+        """Return the log density of the normal prior of ln(bandwidth / described bandwidth), shape (n,)."""
         return -0.5 * (ln_bandwidth / self.ln_bandwidth_sd) ** 2 - np.log(self.ln_bandwidth_sd * np.sqrt(2.0 * np.pi))
 
     def _at(self, frequency: Array, ln_bandwidth: float) -> NDArray[np.complex128]:
@@ -87,12 +84,12 @@ class VideoFilter:
 
 
 def powers(ln_bandwidth: Array) -> Array:
-    """Return powers of ln of bandwidth over described, from the first on, shape (n,) -> (n, power)."""
+    """Return the powers, from the first, of ln(bandwidth / described bandwidth), shape (n,) -> (n, power)."""
     return ln_bandwidth[:, None] ** np.arange(1, len(NODES_SD) + 1)
 
 
 def transfer(frequency: Array, bandwidth_mhz: float, clock_mhz: float, order: int) -> NDArray[np.complex128]:
-    """Return the complex transfer of a Butterworth low pass sampled at the pixel clock, its linear phase removed.
+    """Return the complex transfer function of a Butterworth low-pass sampled at the pixel clock, linear phase removed.
 
     Notes
     -----

@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact import bloom
-from charact.bloom.bloom_map import NEAR_PX, bloom_map
+from charact.bloom.bloom_map import NEAR_PX, bloom_map, evidence_of, spread_from
 from charact.bloom.lit_edge_halo import measure_lit_edge
-from charact.bloom.session_bloom_map import evidence_of, spread_from
 from charact.method import Context
-from charact.report.extent_figure_data import add_extent_data
+from charact.report.bloom_images import add_extent_data
 from charact.report.figure_registry import FIGURES
 from charact.report.style import white_style
 from charact.study.bloom.scene import BloomScene, bloom_session, truth

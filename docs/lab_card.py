@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from labdata.sensor import Sensor
 from simulate.radiance.cube import RadianceCube
-from simulate.radiance.photometry import LUMENS_PER_WATT, luminous_efficiency, planck
+from simulate.radiance.spectrum import LUMENS_PER_WATT, luminous_efficiency, planck
 
 FRAME = (493, 768)
 # Rows and columns of the frame that the pictures show; the card is a little larger.

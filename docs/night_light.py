@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from labdata.sensors import load_sensor
 from simulate.iiccd.tube_photometry import quantum_efficiency
-from simulate.radiance.lamps import spectrum
-from simulate.radiance.photometry import LUMENS_PER_WATT, luminous_efficiency
-from simulate.radiance.sky import NightSky, ObserverLocation, TownGlow
-from simulate.radiance.sky.dark_sky import dark_sky
+from simulate.radiance.lamps.spectra import spectrum
+from simulate.radiance.sky.ephemeris import ObserverLocation
 from simulate.radiance.sky.moon import moon_spectrum
-from simulate.radiance.spectrum import SourceSpectrum
+from simulate.radiance.sky.night_sky import NightSky
+from simulate.radiance.sky.sky_glow import TownGlow, dark_sky
+from simulate.radiance.spectrum import LUMENS_PER_WATT, SourceSpectrum, luminous_efficiency
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt
@@ -60,7 +60,7 @@ def spectra(path: Path) -> None:
     natural = [
         ("moon, phase 5°, above the air", moon_spectrum(5.0)),
         ("moon, phase 90°", moon_spectrum(90.0)),
-        ("dark sky, π L of the zenith", dark_sky().total.scaled(np.pi)),
+        ("dark sky, π L of the zenith", dark_sky().total.scale(np.pi)),
         ("its zodiacal light and stars", _quiet(np.pi)),
     ]
     _curves(upper, natural)
@@ -74,7 +74,7 @@ def spectra(path: Path) -> None:
         ("metal halide", spectrum("metal-halide")),
         ("LED, warm", spectrum("led-warm")),
     ]
-    _curves(lower, [(name, one.scaled(1e3)) for name, one in lamps])
+    _curves(lower, [(name, one.scale(1e3)) for name, one in lamps])
     lower.set_yscale("log")
     lower.set_ylim(1e-3, 1.0)
     lower.set_ylabel("flux per lumen, mW nm⁻¹")
@@ -87,7 +87,7 @@ def spectra(path: Path) -> None:
 
 def _quiet(scale: float) -> SourceSpectrum:
     parts = NightSky(airglow=0.0).sources()[-1]
-    return parts.scaled(scale)
+    return parts.scale(scale)
 
 
 def _curves(axes: plt.Axes, lights: Sequence[tuple[str, SourceSpectrum]]) -> None:

@@ -9,8 +9,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from charact.cli.simulated_conditions import conditions_of
-from charact.cli.simulation_sources import SimulationRequest, load_described_camera, shot_of
+from charact.cli.simulation_sources import SimulationRequest, conditions_of, load_described_camera, shot_of
 from simulate.radiance.cube import RadianceCube, band_widths
 
 FOLDER = Path(__file__).resolve().parent / "night-scenes"

@@ -18,9 +18,12 @@ from labdata.conditions import Conditions
 from labdata.sensor import Sensor
 from labdata.sensors import load_sensor, save_sensor
 from labdata.session import open_session
-from simulate.cameras import camera_from_description
 from simulate.iiccd import sampler_choice, true_quantities
-from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons, photoelectrons_from_radiance
+from simulate.iiccd.scene_to_photoelectrons import (
+    camera_from_description,
+    mcp_input_from_photoelectrons,
+    photoelectrons_from_radiance,
+)
 
 FOLDER = Path(__file__).resolve().parent / "simulator"
 CAMERA = "pulnix-ag5745ef3"

@@ -1,1 +1,1 @@
-"""The rig: gate and gain instruments, cameras, and acquisition that leaves the tube safe."""
+"""Drivers of the test bench: instruments, cameras, interlock and acquisition."""

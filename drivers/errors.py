@@ -1,4 +1,4 @@
-"""What can go wrong with an instrument: a small tree, each branch one that a caller can do something about."""
+"""Errors of instruments and cameras, one class for each remedy."""
 
 from typing import Any, Self
 
@@ -6,8 +6,8 @@ from typing import Any, Self
 class BenchError(Exception):
     """An instrument failed.
 
-    The message is one sentence that names the instrument, the rule and the value. Use it to catch whatever happens
-    at the bench; `instrument` is the one that failed.
+    The message is one sentence with instrument, rule and value. Use it to catch any error of the
+    bench; `instrument` is the one that failed.
     """
 
     def __init__(self, sentence: str, *, instrument: str = "bench") -> None:
@@ -21,17 +21,17 @@ class BenchError(Exception):
 
 
 class InstrumentTimeout(BenchError):
-    """No answer, or a part of one, within the time allowed: the line is open and the instrument off, hung or late."""
+    """No complete reply within the time limit: the line is open, the instrument off, hung or late."""
 
 
 class InstrumentDisconnected(BenchError):
-    """The port is gone, cannot be opened or is held by another program: somebody has to look at the cable."""
+    """The port is gone, cannot be opened or is in use by another program: check the cable."""
 
 
 class InstrumentRejected(BenchError):
-    """The instrument heard the command and did not obey, or reads back another value than it was given.
+    """The instrument did not obey a command, or reads back another value than set.
 
-    Use this when the instrument is healthy and the setting is not; `code` is the instrument's own error code.
+    Use this when the instrument works and the setting is wrong; `code` is its error code.
     """
 
     def __init__(self, sentence: str, *, instrument: str = "bench", code: int | None = None) -> None:
@@ -40,20 +40,20 @@ class InstrumentRejected(BenchError):
 
 
 class InstrumentTripped(BenchError):
-    """The high-voltage supply switched itself off: a person has to find out why before the voltage is raised again."""
+    """The high-voltage supply switched itself off: find the cause before the voltage is raised again."""
 
 
 class InstrumentReplyError(BenchError):
-    """The answer is not of the form that the question asks for: another instrument, or another answer, is there."""
+    """The reply has not the form of the query: another instrument, or a reply to another query."""
 
 
 class CameraError(BenchError):
-    """A camera is missing, is held by another program, refuses a setting, or stopped sending."""
+    """A camera is missing, in use by another program, refuses a setting, or stopped sending."""
 
 
 class BenchServerLost(BenchError):
-    """The process that owns the serial ports is gone or does not answer: make the bench safe by other means."""
+    """The bench server is gone or does not answer: make the bench safe by other means."""
 
 
 class BenchStopped(BenchError):
-    """The bench is being made safe, and only the safe action may speak: a procedure ends without another order."""
+    """A safe action has taken the line over: the procedure ends without another command."""

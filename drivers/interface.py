@@ -1,4 +1,4 @@
-"""What acquisition asks of a rig: a camera whose frames carry their own numbers, a bench, and an operator."""
+"""Protocols that acquisition requires: camera, bench and operator."""
 
 from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
@@ -15,49 +15,49 @@ from labdata.target import Target
 
 
 class Capture(Iterable[Frame], AbstractContextManager["Capture"], Protocol):
-    """A running capture: iterate it for whole frames; frames that arrive in part are counted, never handed out."""
+    """A running capture: iterate it for complete frames; incomplete frames are counted and never returned."""
 
     @property
     def lost_frames(self) -> int:
-        """Frames numbered by the camera since the first one and not whole."""
+        """Number of frames numbered by the camera since the first one and not complete."""
         ...
 
     @property
     def losses(self) -> tuple[LostFrames, ...]:
-        """The same frames with their numbers and why they are not whole."""
+        """The same frames with numbers and causes."""
         ...
 
 
 class Camera(Protocol):
-    """A camera, open between `with` and the end of its block."""
+    """A camera, open in its `with` block."""
 
     @property
     def identifier(self) -> str:
-        """What the camera calls itself."""
+        """Name of the camera."""
         ...
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
-        """Set what is not None and return every setting as the camera reads it back."""
+        """Apply the settings that are not None and return the read-back of all."""
         ...
 
     def capture(self, *, frames: int, discard: int = 0, while_waiting: Callable[[], None] = lambda: None) -> Capture:
-        """Start exposing, throw away the first `discard` whole frames, hand out the next `frames`, and stop.
+        """Start exposing, discard the first `discard` complete frames, return the next `frames`, and stop.
 
-        `while_waiting` is called at least every 0.1 s while no frame comes; what it raises ends the capture.
+        `while_waiting` is called at least every 0.1 s while no frame comes; an exception ends the capture.
         """
         ...
 
 
 @dataclass(frozen=True, kw_only=True)
 class FrameLevels:
-    """How bright a frame is."""
+    """Levels of a frame."""
 
     mean: float
-    """Mean pixel value, of full scale."""
+    """Mean pixel value, fraction of full scale."""
     saturated: float
-    """Share of pixels at full scale, 0..1."""
+    """Fraction of pixels at full scale."""
     allowed: float = 0.0
-    """Share that its step allows, 0..1."""
+    """Fraction allowed by its step."""
 
     @classmethod
     def of(cls, pixels: NDArray, full_scale_dn: float, *, allowed: float = 0.0) -> "FrameLevels":
@@ -67,49 +67,49 @@ class FrameLevels:
 
 
 class Bench(Protocol):
-    """Gate and gain of the tube, made safe by leaving its block."""
+    """Gate, gain and light of the tube; leaving its `with` block makes the tube safe."""
 
     def set_conditions(self, conditions: Conditions) -> Conditions:
-        """Set gate and gain, the gate shut meanwhile, and return what the instruments read back.
+        """Set gate and gain, with the gate shut meanwhile, and return the read-backs.
 
         `gate_ns` None or 0 leaves the gate shut.
         """
         ...
 
     def guard(self, operator: "Operator") -> "Operator":
-        """Put the bench's lamp, and whoever places targets and light, behind the interlock.
+        """Return the operator and the bench's lamp behind the interlock.
 
         Only what is returned may be used.
         """
         ...
 
     def read_meters(self) -> tuple[Conditions, tuple[str, ...]]:
-        """Read the auxiliary meters, and return a sentence for each that does not answer and is not needed."""
+        """Read the auxiliary meters; return a sentence for each optional one that does not answer."""
         ...
 
     @property
     def dark_seen(self) -> bool:
-        """Whether a dark frame was seen through the open gate since the bench was opened; no light is set before."""
+        """Whether a dark frame was verified through the open gate since the bench was opened; required before light."""
         ...
 
     def dark_frame_seen(self, levels: FrameLevels) -> bool:
-        """Report a frame taken without light, and return `dark_seen`; one that is not dark is a BenchError."""
+        """Report a frame without light, and return `dark_seen`; BenchError if it is bright."""
         ...
 
     def frame_seen(self, levels: FrameLevels) -> None:
-        """Report how much of a frame is saturated, waiting for nothing."""
+        """Report the saturation of a frame, without waiting."""
         ...
 
     def verify(self) -> None:
-        """Compare gate and supply with what was set; a difference is a BenchError, and the tube is made safe."""
+        """Compare gate and supply with their settings; a difference is a BenchError and makes the tube safe."""
         ...
 
     def check(self) -> None:
-        """Show a sign of life of the run, and raise what went wrong at the bench since the last look."""
+        """Record a heartbeat of the run, and raise an error of the bench since the last check."""
         ...
 
     def patience(self, seconds: float) -> AbstractContextManager[None]:
-        """Announce that no sign of life may come for some seconds; the gate must be shut."""
+        """Suspend the heartbeat for a time; the gate must be shut."""
         ...
 
     def safe(self) -> None:
@@ -117,47 +117,47 @@ class Bench(Protocol):
         ...
 
     def safe_at_once(self) -> None:
-        """Order the same and wait for nothing, from any thread."""
+        """Order the safe state without waiting, from any thread."""
         ...
 
     @property
     def last_words(self) -> str:
-        """How the tube was left, and what to do by hand where it may be hot; empty before it was made safe."""
+        """Final state of the tube, with manual steps if it may be hot; empty before the safe action."""
         ...
 
 
 class Operator(Protocol):
-    """Whoever puts targets and light before the camera."""
+    """Person or device that places targets and sets light."""
 
     @property
     def is_by_hand(self) -> bool:
-        """Whether it is a person who sets the light, for whom the gate is shut meanwhile."""
+        """Whether a person sets the light; the gate is then shut meanwhile."""
         ...
 
     while_waiting: Callable[[], None]
-    """Called at least every 0.1 s while it waits for a person; what it raises ends the waiting."""
+    """Called at least every 0.1 s while it waits for a person; an exception ends the wait."""
 
     def darken(self) -> None:
-        """Block the light, waiting for nobody."""
+        """Block the light, without waiting."""
         ...
 
     def place(
         self, *, kind: Kind, target: Target, illuminance_lux: float, filter_density: float | None = None
     ) -> Conditions:
-        """Put a target before the camera, set the light (0: dark), and return what the light meter reads.
+        """Place a target, set the light (0: dark), and return the reading of the light meter.
 
         Parameters
         ----------
         kind, target
-            What the frames will show.
+            Kind and target of the frames.
         illuminance_lux
-            On the photocathode, behind the filter, lux.
+            Illuminance on the photocathode, behind the filter, lux.
         filter_density
-            Optical density of the neutral filter in the light; None: whichever suits.
+            Optical density of the neutral filter; None: any suitable one.
 
         Returns
         -------
         Conditions
-            `illuminance_lux` as read, and `illuminance_relative_sd` of the meter's calibration where it is known.
+            `illuminance_lux` as read, and `illuminance_relative_sd` of the meter's calibration, where known.
         """
         ...

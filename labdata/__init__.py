@@ -1,4 +1,4 @@
-"""What a lab knows and recorded: frames, conditions, sensors, targets, plans, sessions, measurements, storage."""
+"""Laboratory data: frames, conditions, sensors, targets, plans, sessions and measurements."""
 
 from typing import TYPE_CHECKING, Any
 

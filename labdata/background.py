@@ -1,4 +1,4 @@
-"""Writing in a thread of its own, so that a file that blocks delays nothing but itself."""
+"""Writer thread with a bounded queue, so that a blocking file delays no other thread."""
 
 import threading
 from collections import deque
@@ -9,11 +9,11 @@ from typing import Generic, TypeVar
 T = TypeVar("T")
 
 CAPACITY = 10_000
-"""Items that may wait: minutes of events, a few megabytes of memory."""
+"""Queued items: minutes of events, a few megabytes of memory."""
 
 
 class BackgroundWriter(Generic[T]):
-    """Hands items one by one to a function that may block, fail or never return.
+    """Writes items one by one in a daemon thread; the write may block, fail or never return.
 
     The thread starts in the constructor, so that a process that later can start none still has it. It is a daemon: a
     write that never returns does not keep the process from ending.
@@ -25,7 +25,7 @@ class BackgroundWriter(Generic[T]):
     name
         Name of the thread.
     capacity
-        Number of items that may wait; `put` drops what exceeds it.
+        Number of items that may wait; `enqueue` drops what exceeds it.
     begin, finish
         Called in the thread before the first item and after the last; an exception is kept as `failure`.
     """
@@ -42,18 +42,18 @@ class BackgroundWriter(Generic[T]):
         self._write, self._begin, self._finish, self._capacity = write, begin, finish, capacity
         self._items: deque[T] = deque()
         self._begun, self._writing, self._closed = False, False, False
-        # Reentrant: a signal handler may put an item while its thread is inside `put`.
+        # Reentrant: a signal handler may put an item while its thread is inside `enqueue`.
         self._turn = threading.Condition(threading.RLock())
         self.dropped = 0
         """Number of items that found no room, or came after `close`."""
         self.failed = 0
         """Number of items whose writing raised."""
         self.failure: Exception | None = None
-        """What was raised last in the thread."""
+        """Last exception raised in the thread."""
         self._thread = threading.Thread(target=self._work, name=name, daemon=True)
         self._thread.start()
 
-    def put(self, item: T) -> None:
+    def enqueue(self, item: T) -> None:
         """Queue an item; never waits for the writing and never raises."""
         with self._turn:
             if self._closed or len(self._items) >= self._capacity:
@@ -85,7 +85,7 @@ class BackgroundWriter(Generic[T]):
         self._thread.join(timeout_s)
         with self._turn:
             self.dropped += len(self._items)
-            # What is counted as not written is not written later.
+            # An item counted as not written must not be written later.
             self._items.clear()
             return self.dropped + self.failed + self._writing
 
@@ -111,7 +111,7 @@ class BackgroundWriter(Generic[T]):
 
     @staticmethod
     def _failure_of(action: Callable[[], object]) -> Exception | None:
-        """Return what an action raised, whatever it is: the next item is tried all the same."""
+        """Return the exception of an action, so that the next item is still tried."""
         try:
             action()
         except Exception as error:

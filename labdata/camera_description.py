@@ -1,11 +1,80 @@
-"""What every camera description is: stages whose numbers are parameters, found and changed by path."""
+"""Camera descriptions as stages of parameters, each with range, basis and source."""
 
+import math
 from dataclasses import dataclass, fields, is_dataclass, replace
 from itertools import pairwise
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 from labdata.errors import BadInput
-from labdata.parameter import Parameter
+
+# sheet: data sheet. default: typical of the type, not of this device. derived: computed from others.
+# fitted: identified by a session's data. prior: fitted, but not identified by the data.
+Standing = Literal["sheet", "default", "derived", "fitted", "prior"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parameter:
+    """One number of a sensor description; its unit is in the name of the field that holds it.
+
+    Parameters
+    ----------
+    value
+        Best value.
+    low, high
+        95 % bounds; both None where the number is exact by construction.
+    standing
+        Basis of the value, see `Standing`.
+    source
+        Source, as text.
+    """
+
+    value: float
+    low: float | None = None
+    high: float | None = None
+    standing: Standing = "default"
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        for name in ("value", "low", "high"):
+            number = getattr(self, name)
+            if number is not None and not math.isfinite(number):
+                raise BadInput(f"a parameter's {name} must be a finite number, got {number:g}")
+        if (self.low is None) != (self.high is None):
+            raise BadInput(f"low and high must be given together, got {self.low} and {self.high}")
+        if self.low is not None and self.high is not None and not self.low <= self.value <= self.high:
+            raise BadInput(
+                f"a value must lie between its low and high, got {self.value:g} for {self.low:g}..{self.high:g}"
+            )
+
+    def __float__(self) -> float:
+        return float(self.value)
+
+    def times(self, factor: float, words: str = "") -> "Parameter":
+        """Return the parameter times a positive factor, derived, with words added to its source."""
+        ends = None if self.low is None or self.high is None else (self.low * factor, self.high * factor)
+        return Parameter(
+            value=self.value * factor,
+            low=ends[0] if ends else None,
+            high=ends[1] if ends else None,
+            standing="derived",
+            source=self.source + words,
+        )
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> Any:
+        from pydantic_core import core_schema
+
+        # The reference must name this validator: one to the bare table would accept a plain number only in the first
+        # field of its kind.
+        table: Any = dict(handler.resolve_ref_schema(handler(source)))
+        reference = table.pop("ref", None)
+        return core_schema.no_info_before_validator_function(_of_number, table, ref=reference)
+
+
+def _of_number(given: Any) -> Any:
+    """Return the table of an exact parameter given as a bare number."""
+    bare = isinstance(given, int | float) and not isinstance(given, bool)
+    return {"value": given} if bare else given
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,35 +112,35 @@ class Description:
 
 
 def must_be_positive(stage: Any, *names: str) -> None:
-    """Refuse a stage in which a number that stands for a length, a time or a factor is not above zero."""
+    """Require lengths, times and factors of a stage to be positive."""
     for name in names:
         if not float(getattr(stage, name)) > 0.0:
             raise BadInput(f"{name} must be positive, got {float(getattr(stage, name)):g}")
 
 
 def must_not_be_negative(stage: Any, *names: str) -> None:
-    """Refuse a stage in which a number that may vanish is below zero."""
+    """Require numbers of a stage not to be negative."""
     for name in names:
         if not float(getattr(stage, name)) >= 0.0:
             raise BadInput(f"{name} must not be negative, got {float(getattr(stage, name)):g}")
 
 
 def must_be_a_share(stage: Any, *names: str) -> None:
-    """Refuse a stage in which a fraction or a probability does not lie between 0 and 1."""
+    """Require fractions and probabilities of a stage to lie between 0 and 1."""
     for name in names:
         if not 0.0 <= float(getattr(stage, name)) <= 1.0:
             raise BadInput(f"{name} must lie between 0 and 1, got {float(getattr(stage, name)):g}")
 
 
 def must_be_a_count(stage: Any, *names: str) -> None:
-    """Refuse a stage in which a number of rows, columns or stages is below one."""
+    """Require counts of rows, columns or stages to be at least 1."""
     for name in names:
         if getattr(stage, name) < 1:
             raise BadInput(f"{name} must be at least 1, got {getattr(stage, name)}")
 
 
 def must_be_an_efficiency_table(wavelength_nm: tuple[float, ...], efficiency: tuple[float, ...]) -> None:
-    """Refuse a table of efficiency over wavelength that does not rise in wavelength or leaves 0 to 1."""
+    """Require an efficiency table to rise in wavelength and to stay within 0 to 1."""
     if len(wavelength_nm) != len(efficiency) or len(wavelength_nm) < 2:
         raise BadInput(
             f"an efficiency table must have two wavelengths or more and as many efficiencies, "

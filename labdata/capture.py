@@ -1,4 +1,4 @@
-"""What passes between a camera and whoever records it: settings, frames with their numbers, and the lost ones."""
+"""Camera settings, single frames and lost frames."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -21,10 +21,10 @@ PIXEL_BITS = {
     "Mono12Packed": 12,
     **dict.fromkeys(("YUYV", "YVYU", "UYVY", "VYUY", "NV12", "NV21", "NV16", "YU12", "YV12", "422P"), 8),
 }
-"""Bits of a pixel by the name of its format: grey by GenICam, luma of colour video by the kernel's four letters."""
+"""Bits of a pixel by format name: GenICam names for grey, V4L2 FourCC for the luma of colour video."""
 
 FieldOrder = Literal["progressive", "top first", "bottom first", "top only", "bottom only"]
-"""Which rows of a frame were exposed first: all at once, those of the top field (rows 0, 2, ...), or the others."""
+"""Rows of a frame exposed first: all at once, the top field (rows 0, 2, ...), or the bottom field."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,23 +34,23 @@ class CameraSettings:
     Parameters
     ----------
     rows, columns
-        Size of the picture, px.
+        Size of the image, px.
     first_row, first_column
-        Where on the sensor the picture begins, px.
+        First row and column of the image on the sensor, px.
     pixel_format
         A name of `PIXEL_BITS`, such as "Mono8" or "Mono16".
     exposure_s
         Exposure of one field or frame, s.
     gain_db
-        Gain behind the sensor, dB (a camera with a raw gain counts it in its own steps).
+        Camera gain, dB (of a camera with a raw gain: its own steps).
     frame_rate_hz
         Frames per second, Hz.
     trigger
-        "off": frames follow one another freely; else the camera's name of what triggers each, such as "Line1".
+        "off": free-running; else the camera's name of the trigger source, such as "Line1".
     field_order
         Order of the two fields of a frame.
     notes
-        What the camera says of its frames; only read back, never set.
+        Remarks of the camera on its frames; read back, never set.
     """
 
     rows: int | None = None
@@ -78,7 +78,7 @@ class CameraSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class Frame:
-    """One whole frame as the camera sent it.
+    """One complete frame as sent by the camera.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ class Frame:
     time_s
         The camera's own time stamp, s.
     field_order
-        Order of its two fields; None where the camera does not say.
+        Order of its two fields; None where the camera does not report it.
     """
 
     pixels: NDArray
@@ -103,14 +103,14 @@ class Frame:
 
 @dataclass(frozen=True, kw_only=True)
 class LostFrames:
-    """Frames that follow one another, that the camera numbered, and that are not in the record.
+    """Consecutive frames that the camera numbered and that were not recorded.
 
     Parameters
     ----------
     first, last
         The camera's numbers of the first and the last of them.
     reason
-        Why they are not there, in a few words, such as "missing packets".
+        Cause, such as "missing packets".
     """
 
     first: int
@@ -131,27 +131,27 @@ NEVER_ARRIVED = "never arrived"
 
 
 def losses_before(number: int, *, expected: int, faults: Mapping[int, str]) -> tuple[LostFrames, ...]:
-    """Return the frames that are missing before one that is whole.
+    """Return the frames missing before a complete one.
 
     Parameters
     ----------
     number
-        Number of the frame that is whole.
+        Number of the complete frame.
     expected
-        Number that it should have had.
+        Expected number.
     faults
-        What was wrong with the frames that came in part, by number; any other never arrived.
+        Faults of incomplete frames, by number; any other missing frame never arrived.
     """
     return _merge_adjacent(_stretches_before(number, expected=expected, faults=faults))
 
 
 def lost_frames_with_reason(reason: str, numbers: Iterable[int]) -> tuple[LostFrames, ...]:
-    """Return frames, by number in order, that are all lost for one reason."""
+    """Return frames, given by ascending number, lost for one common reason."""
     return _merge_adjacent((number, number, reason) for number in numbers)
 
 
 def _stretches_before(number: int, *, expected: int, faults: Mapping[int, str]) -> Iterator[tuple[int, int, str]]:
-    """Yield what is missing as first, last and reason; a camera may leap by thousands of millions of numbers."""
+    """Yield missing stretches as first, last and reason; a camera may skip more than 1e9 numbers."""
     missing = expected
     for faulty in sorted(one for one in faults if expected <= one < number):
         if missing < faulty:
@@ -163,7 +163,7 @@ def _stretches_before(number: int, *, expected: int, faults: Mapping[int, str]) 
 
 
 def _merge_adjacent(lost: Iterable[tuple[int, int, str]]) -> tuple[LostFrames, ...]:
-    """Join lost frames, first, last and reason, that follow one another and have the same reason."""
+    """Merge consecutive stretches (first, last, reason) of one reason."""
     runs: list[tuple[int, int, str]] = []
     for first, last, reason in lost:
         if runs and runs[-1][1:] == (first - 1, reason):

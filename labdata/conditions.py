@@ -1,17 +1,17 @@
-"""The conditions frames were taken under: gain, gate, exposure, light and temperature."""
+"""Conditions of a stack: gain, gate, exposure, light and temperature."""
 
 import math
 from dataclasses import dataclass, fields
 
 from labdata.errors import BadInput
 
-# On or off; every other condition is a number.
+# Booleans; every other condition is a number.
 SWITCHES = ("automatic_gain", "brightness_control")
 
 
-# Temperatures at which a camera can be, degrees Celsius.
+# Plausible temperatures of a camera, degrees Celsius.
 CAMERAS_LIVE_C = (-200.0, 150.0)
-# Gain of a camera, up or down, that is no slip of the pen, dB.
+# Largest plausible gain of a camera, up or down, dB.
 MOST_GAIN_DB = 200.0
 
 
@@ -35,7 +35,7 @@ class Conditions:
     photons_per_px
         Photons that fall on one pixel in one exposure.
     camera_gain_db
-        Gain of the camera behind the intensifier, dB.
+        Gain of the camera after the intensifier, dB.
     temperature_c
         Temperature of the camera or tube, degrees Celsius.
     wavelength_nm
@@ -43,7 +43,7 @@ class Conditions:
     automatic_gain
         Whether the camera's automatic gain was on.
     brightness_control
-        Whether the tube's supply was lowering the plate's voltage in bright light.
+        Whether automatic brightness control was lowering the MCP voltage.
     em_gain
         Multiplication of an electron-multiplying register, dimensionless, at least 1.
     gain_control
@@ -51,9 +51,9 @@ class Conditions:
     lamp_a
         Current through the lamp of the bench, A.
     metered_w
-        Power on the head of a light meter beside the tube, W, whatever its zero.
+        Power on the head of the auxiliary light meter, W, zero offset not subtracted.
     metered_lux
-        Illuminance on the photocathode by that meter, lux, whatever its zero.
+        Illuminance on the photocathode by that meter, lux, zero offset not subtracted.
     metered_time_s, temperature_time_s
         When meter and thermometer were read, s since 1970.
     luminous_gain
@@ -61,7 +61,7 @@ class Conditions:
     luminous_gain_relative_sd
         Relative standard uncertainty of that calibration, dimensionless; its error is common to all stacks.
     filter_density
-        Optical density of the neutral filter in the beam, dimensionless, base 10; the illuminance is behind it.
+        Optical density (base 10) of the neutral filter in the beam; the illuminance is that behind the filter.
     """
 
     exposure_s: float | None = None

@@ -1,9 +1,9 @@
-"""The one error a user can cause: input that breaks a stated rule."""
+"""The error of invalid input."""
 
 
 class BadInput(ValueError):
-    """Input that breaks a rule.
+    """Invalid input.
 
-    The message is one sentence that names the rule and the value that broke it; the command line prints it
+    The message is one sentence with the rule and the offending value; the command line prints it
     and exits with 1. Use it for files, settings and parameters that come from outside.
     """

@@ -1,4 +1,4 @@
-"""Event log: a file of JSON lines, one for each event, written by a thread of its own."""
+"""Event log: a file of JSON lines, written by its own thread."""
 
 import json
 import os
@@ -7,18 +7,18 @@ import time
 from datetime import UTC, datetime
 from pathlib import Path
 
-from labdata.atomic_write import ends_mid_line
 from labdata.background import BackgroundWriter
 from labdata.errors import BadInput
+from labdata.file_io import ends_mid_line
 
 OPENING_S = 1.0
-"""Longest wait for the file to open, s: the longest that a tube may wait for its orders."""
+"""Longest wait for the file to open, s; commands to the tube wait for it."""
 
 
 class EventLog:
-    """A log, open for appending; a last line that a crash cut short is ended first.
+    """A log, open for appending; an incomplete last line is ended first.
 
-    A file that blocks, or a disk that takes no line, delays nobody. Lines that could not be written are counted, and
+    A file that blocks, or a full disk, delays no caller. Lines that could not be written are counted, and
     the next line that can be written carries the count as `lines_missed_before`.
 
     Parameters
@@ -47,13 +47,13 @@ class EventLog:
     def __call__(self, event: str, **details: object) -> None:
         """Record an event with its time of day and monotonic time, s; never waits and never raises.
 
-        The details are written as they are when their turn comes: they must not change after the call.
+        The details are written later, so they must not change after the call.
         """
         line = {"time": datetime.now(UTC), "monotonic_s": round(time.monotonic(), 4), "event": event, **details}
-        self._writer.put((line, self._writer.dropped))
+        self._writer.enqueue((line, self._writer.dropped))
 
     def flush(self, timeout_s: float = 1.0) -> bool:
-        """Wait at most `timeout_s` until no line waits; return whether that is so."""
+        """Wait at most `timeout_s` until all lines are written; return whether they are."""
         return self._writer.flush(timeout_s)
 
     def close(self, timeout_s: float = 1.0) -> int:
@@ -63,7 +63,7 @@ class EventLog:
     # In the thread
 
     def _open(self) -> int:
-        """Open the file for appending and find out whether its last line was cut short."""
+        """Open the file for appending and find out whether its last line is incomplete."""
         file = os.open(self._path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)
         try:
             if stat.S_ISREG(os.fstat(file).st_mode):
@@ -86,7 +86,7 @@ class EventLog:
         data = json.dumps(line, default=str).encode() + b"\n"
         if self._mid_line:
             data = b"\n" + data
-        # A disk that takes only a part of a line says why at the next try.
+        # A disk that accepts only part of a line raises at the next attempt.
         while data:
             written = os.write(file, data)
             self._mid_line = not data[:written].endswith(b"\n")
@@ -99,7 +99,7 @@ class EventLog:
 
 
 def read_events(path: str | Path) -> list[dict]:
-    """Return the events of a log; a line that a crash cut short is left out."""
+    """Return the events of a log; incomplete lines are omitted."""
     found = []
     for line in Path(path).read_bytes().splitlines():
         try:

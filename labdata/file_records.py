@@ -1,26 +1,226 @@
-"""How sessions and plans are written in a file: conditions lie flat in the table of their stack or step."""
+"""Records of session and plan files: one dataclass for each TOML table."""
 
-from dataclasses import dataclass, field, fields
-from typing import Any, TypeVar
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, Literal, TypeVar
 
-from labdata.adaptive import SaturationSearch, StopCriterion
+import numpy as np
+
+from labdata.calibration import GainTable, LampCalibration
 from labdata.capture import LostFrames
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from labdata.gain_table import GainTable
-from labdata.lamp_calibration import LampCalibration
 from labdata.limits import Override
-from labdata.plan import Plan, PlanHead, Step
+from labdata.plan import Plan, PlanHead, SaturationSearch, Step, StopCriterion
 from labdata.serialiser import from_toml
 from labdata.session import Kind
-from labdata.sweep import MOST_STEPS, SweepRecord
 from labdata.target import Target
+
+Order = Literal["as-written", "boustrophedon", "randomised"]
+Numbers = float | tuple[float, ...]
+
+AXES = (
+    "target",
+    "mcp_v",
+    "luminous_gain",
+    "gate_ns",
+    "exposure_s",
+    "camera_gain_db",
+    "filter_density",
+    "illuminance_lux",
+)
+"""Settings that can be swept; the outermost is the slowest and stresses the tube most."""
+
+MOST_STEPS = 20_000
+"""Largest number of steps of a plan; more are an error of input."""
+
+_SHORT = {
+    "mcp_v": "{:g}V",
+    "luminous_gain": "gain{:g}",
+    "gate_ns": "{:g}ns",
+    "exposure_s": "{:g}s",
+    "camera_gain_db": "{:g}dB",
+    "filter_density": "nd{:g}",
+    "illuminance_lux": "{:g}lux",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class SweepRecord:
+    """One [[sweep]] of a plan file: every combination of the settings that are lists.
+
+    Parameters
+    ----------
+    kind
+        Kind of target.
+    frames
+        Number of frames per stack.
+    label
+        Prefix of every label; the varied values and the number of the repeat follow. Default: the kind.
+    target
+        The target, or several.
+    mcp_v
+        Voltage across the MCP, V; one or several.
+    luminous_gain
+        Luminous gain, lm/lm, converted to volts by the gain table of the plan or its sensor; one or several.
+    gate_ns
+        Gate, ns; one or several.
+    exposure_s
+        Exposure, s; one or several.
+    camera_gain_db
+        Camera gain, dB; one or several.
+    filter_density
+        Optical density of the neutral filter in front of the lamp; one or several.
+    illuminance_lux
+        Light, lux; one or several.
+    illuminance_relative_sd
+        Relative standard uncertainty of the light.
+    repeats
+        Number of passes through the sweep.
+    order
+        "as-written": order of the lists, the last axis fastest. "boustrophedon": every inner list alternately forwards
+        and backwards, so that no setting jumps. "randomised": every repeat shuffled separately.
+    seed
+        Seed of the shuffle.
+    dark_every
+        Number of stacks between darks, with one before the first and one after the last stack, at the settings
+        of the adjacent stack; 0: no darks.
+    dark_frames
+        Frames per dark; None: as many as per stack.
+    until
+        Criterion to stop each stack but the darks before it has all its frames; None: no criterion.
+    saturated_fraction
+        Fraction of a frame's pixels that may be saturated in each stack but the darks.
+
+    Notes
+    -----
+    The order of nesting is that of `AXES`: targets outermost, light innermost, repeats around all.
+    """
+
+    kind: Kind
+    frames: int
+    label: str | None = None
+    target: Target | tuple[Target, ...] = field(default_factory=Target)
+    mcp_v: Numbers | None = None
+    luminous_gain: Numbers | None = None
+    gate_ns: Numbers | None = None
+    exposure_s: Numbers | None = None
+    camera_gain_db: Numbers | None = None
+    filter_density: Numbers | None = None
+    illuminance_lux: Numbers | None = None
+    illuminance_relative_sd: float | None = None
+    repeats: int = 1
+    order: Order = "as-written"
+    seed: int = 0
+    dark_every: int = 0
+    dark_frames: int | None = None
+    until: StopCriterion | None = None
+    saturated_fraction: float | None = None
+
+    def __post_init__(self) -> None:
+        name = self.label or self.kind
+        if not 1 <= self.repeats <= MOST_STEPS:
+            raise BadInput(f"repeats must lie between 1 and {MOST_STEPS}, got {self.repeats} in the sweep {name!r}")
+        if self.dark_every < 0 or (self.dark_every and self.kind == "dark"):
+            raise BadInput(
+                f"dark_every must be 0, or positive in a sweep with light, got {self.dark_every} in {name!r}"
+            )
+        if self.seed < 0:
+            raise BadInput(f"a seed must not be negative, got {self.seed} in the sweep {name!r}")
+        if empty := [axis for axis in AXES if getattr(self, axis) == ()]:
+            raise BadInput(f"a list must hold a value, got none for {empty[0]} in the sweep {name!r}")
+        if self.count > MOST_STEPS:
+            raise BadInput(f"a sweep must have at most {MOST_STEPS} steps, got {self.count} in {name!r}")
+
+    @property
+    def count(self) -> int:
+        """Stacks of the sweep, darks between them not counted."""
+        sizes = [len(_as_tuple(getattr(self, axis))) for axis in AXES]
+        return self.repeats * int(np.prod(sizes, dtype=object))
+
+    def steps(self) -> tuple[Step, ...]:
+        """Return the steps, in order."""
+        return tuple(self._with_darks([step for repeat in range(self.repeats) for step in self._pass(repeat)]))
+
+    def _pass(self, repeat: int) -> Iterator[Step]:
+        points = list(self._points(snake=self.order == "boustrophedon"))
+        if self.order == "boustrophedon" and repeat % 2:
+            points.reverse()
+        if self.order == "randomised":
+            order = np.random.default_rng([self.seed, repeat]).permutation(len(points))
+            points = [points[index] for index in order]
+        for point in points:
+            yield self._step(point, repeat)
+
+    def _points(self, *, snake: bool) -> Iterator[dict[str, int]]:
+        """Indices into the lists, axis by axis."""
+        sizes = [len(_as_tuple(getattr(self, axis))) for axis in AXES]
+        for indices in itertools.product(*map(range, sizes)):
+            yield dict(zip(AXES, _snake_order(indices, sizes) if snake else indices, strict=True))
+
+    def _step(self, point: dict[str, int], repeat: int) -> Step:
+        values = {axis: _as_tuple(getattr(self, axis))[index] for axis, index in point.items()}
+        target = values.pop("target")
+        return Step(
+            label=self._label(point, values, repeat),
+            kind=self.kind,
+            frames=self.frames,
+            conditions=Conditions(**values, illuminance_relative_sd=self.illuminance_relative_sd),
+            target=target,
+            until=self.until,
+            saturated_fraction=self.saturated_fraction,
+        )
+
+    def _label(self, point: dict[str, int], values: dict[str, Any], repeat: int) -> str:
+        parts = [self.label or self.kind]
+        if len(_as_tuple(self.target)) > 1:
+            parts.append(f"target{point['target'] + 1}")
+        parts += [text.format(values[axis]) for axis, text in _SHORT.items() if len(_as_tuple(getattr(self, axis))) > 1]
+        if self.repeats > 1:
+            parts.append(f"r{repeat + 1}")
+        return "-".join(parts)
+
+    def _with_darks(self, lit: list[Step]) -> Iterator[Step]:
+        if not self.dark_every:
+            yield from lit
+            return
+        numbers = itertools.count(1)
+        yield self._dark(lit[0], next(numbers))
+        for taken, step in enumerate(lit, 1):
+            yield step
+            if taken % self.dark_every == 0 or taken == len(lit):
+                yield self._dark(step, next(numbers))
+
+    def _dark(self, neighbour: Step, number: int) -> Step:
+        """Return a dark at the settings of an adjacent stack."""
+        without = {"illuminance_lux": 0.0, "illuminance_relative_sd": None, "filter_density": None}
+        return Step(
+            label=f"{self.label or self.kind}-dark{number}",
+            kind="dark",
+            frames=self.dark_frames or self.frames,
+            conditions=replace(neighbour.conditions, **without),
+        )
+
+
+def _snake_order(indices: tuple[int, ...], sizes: list[int]) -> list[int]:
+    """Return indices in boustrophedon order: each list runs backwards on every other pass."""
+    turned, passes = [], 0
+    for index, size in zip(indices, sizes, strict=True):
+        turned.append(size - 1 - index if passes % 2 else index)
+        passes = passes * size + index
+    return turned
+
+
+def _as_tuple(value: Any) -> tuple[Any, ...]:
+    return value if isinstance(value, tuple) else (value,)
+
 
 T = TypeVar("T")
 
 
 def conditions_of(form: Conditions) -> Conditions:
-    """Return the conditions alone of a table that holds them flat."""
+    """Return the conditions of a stack or step record."""
     return Conditions(**_flat(form))
 
 
@@ -30,32 +230,32 @@ def _flat(conditions: Conditions) -> dict[str, Any]:
 
 @dataclass(frozen=True, kw_only=True)
 class StackRecord(Conditions):
-    """One [[stack]] of a session file; its conditions stand flat beside the other keys.
+    """One [[stack]] of a session file; its conditions are keys of the same table.
 
     Parameters
     ----------
     label
         Name of the stack, unique in the session.
     kind
-        What it shows.
+        Kind of target.
     frames
         File or files of the frames, or a Zarr array, relative to the session's folder.
     axis
-        Number (from 0) or name of the axis of the files that counts frames; by default the first.
+        Number (from 0) or name of the frame axis of the files; by default the first.
     plane
-        Plane to read of colour pictures, mosaics and files of more axes.
+        Plane to read of colour images, mosaics and files with more axes.
     asked
-        Conditions asked of the instruments, where they differ from those in force.
+        Requested conditions, where they differ from those in force.
     target
-        What stood before the camera.
+        Target in front of the camera.
     finished
-        False while the stack is being taken, or where its taking was broken off.
+        False while the stack is being acquired, and after an interrupted acquisition.
     lost_frames
-        Number of the frames that the camera numbered and that are not in the record.
+        Number of frames that the camera numbered and that were not recorded.
     lost
-        Which ones they are and why, where that is known.
+        Their numbers and causes, where known.
     doubt
-        Why its frames may not show what it says, such as a bench that was made safe while they were taken.
+        Reason to doubt its frames, such as a bench that went to the safe state while they were acquired.
     notes
         Remarks.
     """
@@ -85,7 +285,7 @@ class SessionFile:
     sensor
         Name of a shipped sensor description, or the path of one relative to the session's folder.
     bit_depth
-        Bits of the digitiser: full scale is 2^bits - 1.
+        Bits of the digitiser; full scale is 2^bits - 1.
     interlaced
         Whether the two fields of a frame were exposed one after the other.
     notes
@@ -104,22 +304,22 @@ class SessionFile:
 
 @dataclass(frozen=True, kw_only=True)
 class StepRecord(Conditions):
-    """One [[step]] of a plan file; the conditions that it asks for stand flat beside the other keys.
+    """One [[step]] of a plan file; the requested conditions are keys of the same table.
 
     Parameters
     ----------
     label
-        Label of the stack to take, unique in the plan.
+        Label of the stack to acquire, unique in the plan.
     kind
-        What is put before the camera.
+        Kind of target.
     frames
-        Number of frames to take; with `until`, at most.
+        Number of frames to acquire; with `until`, the largest number.
     target
-        The target, as its kind needs.
+        The target, with the keys of its kind.
     until
-        When to stop before all frames are taken.
+        Criterion to stop before all frames are acquired.
     search
-        A search for the light that saturates, beginning at the step's own.
+        A search for the light that saturates; it starts at the step's own light.
     saturated_fraction
         Fraction of a frame's pixels that may be saturated.
     """
@@ -153,15 +353,15 @@ class PlanFile(PlanHead):
     Parameters
     ----------
     override
-        Limits of the tube that are set aside, with reasons.
+        Overridden limits of the tube, with reasons.
     gain_table
-        Calibration of the tube, by which steps may ask for a luminous gain, or the TOML file that holds it.
+        Gain calibration of the tube, needed for steps with a luminous gain, or the path of its TOML file.
     lamp
-        Calibration of the light source and of the filters before it, or the TOML file that holds it.
+        Calibration of the light source and its filters, or the path of its TOML file.
     step
-        The stacks to take, in order.
+        The stacks to acquire, in order.
     sweep
-        Series of stacks, taken after the single steps, in order.
+        Series of stacks, acquired after the single steps, in order.
     """
 
     override: tuple[Override, ...] = ()
@@ -183,7 +383,7 @@ class PlanFile(PlanHead):
         )
 
     @classmethod
-    def written(cls, plan: Plan) -> "PlanFile":
+    def from_plan(cls, plan: Plan) -> "PlanFile":
         """Return the file form of a plan."""
         return cls(
             **plan.head,
@@ -195,7 +395,7 @@ class PlanFile(PlanHead):
 
 
 def _read(given: T | str | None, type_: type[T]) -> T | None:
-    """Return a calibration that stands in the plan, or read the file that it names."""
+    """Return a calibration given in the plan, or read the file that it names."""
     return from_toml(given, type_) if isinstance(given, str) else given
 
 
@@ -213,7 +413,7 @@ def _step_form(step: Step) -> StepRecord:
 
 
 def stack_record(conditions: Conditions, **keys: Any) -> StackRecord:
-    """Return the table of a stack from its conditions and its other keys."""
+    """Return the record of a stack from its conditions and its other keys."""
     return StackRecord(**_flat(conditions), **keys)
 
 

@@ -1,4 +1,4 @@
-"""Frames as they were recorded: a read-only stack (frame, row, col) with its time stamps and gaps."""
+"""Frame stack: read-only pixels (frame, row, col) with time stamps and gaps."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from labdata.errors import BadInput
 
 BLOCK_BYTES = 2**26
-"""Bytes of frames that are looked at in one piece."""
+"""Bytes of frames processed in one block."""
 
 
 def read_only(array: NDArray) -> NDArray:
@@ -20,7 +20,7 @@ def read_only(array: NDArray) -> NDArray:
 
 
 def blocks(data: NDArray) -> Iterator[NDArray]:
-    """Yield runs of frames of some tens of megabytes, so that an array on the disk passes through memory in parts."""
+    """Yield blocks of at most 64 MB of frames, so that an array on the disk need not fit into memory."""
     frame_bytes = max(1, data[:1].nbytes)
     run = max(1, BLOCK_BYTES // frame_bytes)
     for first in range(0, len(data), run):
@@ -42,17 +42,17 @@ class FrameStack:
     frame_number
         The camera's own number of each frame, shape (frame,); empty if unknown.
     lost_frames
-        Frames that the camera numbered and that never arrived.
+        Frames numbered by the camera that never arrived.
     black_level_dn
         Black level recorded with the frames, DN; None if unknown. Never subtracted on reading.
     full_scale_dn
-        Highest code of the digitiser, DN; None if unknown.
+        Full scale of the digitiser, DN; None if unknown.
     plane
-        Colour plane of a mosaic ("r", "g1", "g2", "b") or of an RGB picture ("r", "g", "b", "luminance"), or "mono".
+        Colour plane of a mosaic ("r", "g1", "g2", "b") or of an RGB image ("r", "g", "b", "luminance"), or "mono".
     notes
-        What a reader should know of how the frames were read.
+        Remarks on how the frames were read.
     origin
-        Row and column of the file where the frames begin: a border that is not finite is cut off.
+        First row and column in the file: a non-finite border is cut off.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""How the gate keeps step with the fields of the camera, and how long it is open in each field where it does not."""
+"""Synchronisation of the gate with the camera's fields."""
 
 import math
 from dataclasses import dataclass
@@ -13,23 +13,23 @@ Sync = Literal["free-running", "line-locked", "triggered"]
 MAINS_HZ = (50.0, 60.0)
 
 HOLDOFF = 0.99
-"""A triggered gate takes no trigger earlier than this share of a field after the one before."""
+"""Hold-off of a triggered gate, as a fraction of a field."""
 
 IN_STEP = 1e-3
-"""Fields whose open times differ by less than this share of the opening are in step."""
+"""Largest relative difference of the open times of synchronous fields."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Gating:
-    """What triggers the gate.
+    """Trigger of the gate.
 
     Parameters
     ----------
     sync
         "free-running": the generator's own clock, set to the camera's field rate. "line-locked": the mains.
-        "triggered": the camera's field pulse at the generator's trigger input, so that every field has its opening.
+        "triggered": the camera's field pulse at the generator's trigger input, one gate pulse per field.
     delay_ns
-        From the trigger to the opening, ns.
+        Delay from the trigger to the gate pulse, ns.
     line_hz
         Frequency of the mains, Hz.
     """
@@ -45,29 +45,29 @@ class Gating:
             raise BadInput(f"delay_ns must lie between 0 and 1e9, got {self.delay_ns:g}")
 
     def rate_hz(self, field_hz: float) -> float:
-        """Openings a second, Hz, before a camera of a field rate, Hz."""
+        """Return the gate rate for a camera of a field rate, Hz."""
         return self.line_hz if self.sync == "line-locked" else field_hz
 
     def most_hz(self, field_hz: float) -> float:
-        """Openings a second that there can be at most, Hz: triggers may come too early, and count then."""
+        """Return the largest gate rate, Hz; the hold-off admits triggers that come early."""
         return self.rate_hz(field_hz) / (HOLDOFF if self.sync == "triggered" else 1.0)
 
     def open_time_variation(self, *, width_ns: float, exposure_s: float, field_hz: float) -> float:
-        """Return by how much the open time of fields differs, largest less smallest, over the width of one opening.
+        """Return the largest difference between open times of fields, relative to the gate width.
 
         Parameters
         ----------
         width_ns
-            Width of one opening, ns.
+            Gate width, ns.
         exposure_s
             Exposure of a field, s.
         field_hz
-            Fields a second, Hz.
+            Field rate, Hz.
 
         Notes
         -----
-        A gate of its own clock, or of the mains, meets the fields at a phase that nobody set and that moves: all phases
-        count. A triggered one has the phase that it was given.
+        A free-running or line-locked gate has an undefined, drifting phase to the fields: all phases are considered.
+        A triggered gate has a fixed phase.
         """
         if not width_ns:
             return 0.0
@@ -86,7 +86,7 @@ class Gating:
 
 
 def whole_field_s(exposure_s: float, field_hz: float) -> float:
-    """Return an exposure, s, or the time of a whole field where it is next to that: a register counts in whole us."""
+    """Return an exposure, s; one within the resolution of 1 us of a field time becomes the field time."""
     field_s = 1.0 / field_hz
     return field_s if abs(exposure_s - field_s) < IN_STEP * field_s else exposure_s
 
@@ -94,22 +94,22 @@ def whole_field_s(exposure_s: float, field_hz: float) -> float:
 def fields_open_ns(
     begins_s: NDArray[np.floating], exposure_s: float, *, width_ns: float, rate_hz: float
 ) -> NDArray[np.floating]:
-    """Return how long a gate is open in each of many exposures, ns.
+    """Return the open time of the gate in each exposure, ns.
 
     Parameters
     ----------
     begins_s
-        When each exposure begins, s after an opening began.
+        Start of each exposure relative to the start of a gate pulse, s.
     exposure_s
-        How long each lasts, s.
+        Length of the exposures, s.
     width_ns
-        Width of one opening, ns.
+        Gate width, ns.
     rate_hz
-        Openings a second, Hz.
+        Gate rate, Hz.
 
     Notes
     -----
-    The time open since the beginning is F(t) = n w + min(t - n P, w), n = floor(t / P); an exposure has F(end) -
+    The cumulative open time is F(t) = n w + min(t - n P, w), n = floor(t / P); an exposure has F(end) -
     F(begin).
     """
     period_s, width_s = 1.0 / rate_hz, min(width_ns * 1e-9, 1.0 / rate_hz)
@@ -122,7 +122,7 @@ def fields_open_ns(
 
 
 def out_of_step(gating: Gating, *, width_ns: float, exposure_s: float, field_hz: float) -> str | None:
-    """Say in a sentence where gate and fields are not in step; None where they are."""
+    """Return a sentence if gate and fields are not synchronous, else None."""
     uneven = gating.open_time_variation(width_ns=width_ns, exposure_s=exposure_s, field_hz=field_hz)
     if uneven < IN_STEP:
         return None

@@ -1,4 +1,4 @@
-"""The wires of a bench: which instruments stand at it, of which model, and how each is reached."""
+"""Instruments of a bench: models, ports and addresses, and the use of the auxiliary meters."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -7,12 +7,12 @@ from typing import Literal
 from labdata.errors import BadInput
 
 Role = Literal["gate", "supply", "light-source", "filter-wheel", "light-meter", "thermometer"]
-"""What an instrument is for."""
+"""Role of an instrument."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class InstrumentConnection:
-    """One serial instrument of the bench and how it is reached.
+    """One serial instrument of the bench and its connection.
 
     Parameters
     ----------
@@ -21,9 +21,9 @@ class InstrumentConnection:
     model
         Name of its model.
     port
-        Serial port of it or of the adapter before it; None: not known.
+        Serial port of the instrument or of its adapter; None: not known.
     address
-        GPIB address, where it stands behind an adapter.
+        GPIB address behind an adapter.
     """
 
     role: Role
@@ -34,25 +34,25 @@ class InstrumentConnection:
 
 @dataclass(frozen=True, kw_only=True)
 class InstrumentConfig:
-    """How the instruments are reached.
+    """Models and connections of the instruments.
 
     Parameters
     ----------
     bench
-        "virtual": the virtual bench's own processes on real wires. "in-process": its camera and serial lines inside
-        this process, where Aravis cannot be had. "real": the ports below. On a virtual bench an instrument whose port
-        is named, or a camera that is named, is a real one among virtual ones.
+        "virtual": the processes of the virtual bench on pseudo-terminals. "in-process": its camera and lines inside
+        this process, where Aravis is not available. "real": the ports below. On a virtual bench an instrument whose
+        port is named, or a named camera, is a real one among virtual ones.
     gate, supply
-        Models of the gate generator and of the high-voltage supply; other packages may bring further ones.
+        Models of the gate generator and of the high-voltage supply; other packages can provide further models.
     gate_port, supply_port
-        Serial ports of gate and supply, or of the adapters before them.
+        Serial ports of gate and supply, or of their adapters.
     light, wheel, light_meter, thermometer
-        Models of the light source and of the filter wheel before it, of the light meter and of the thermometer; None:
-        there is none, and a person sets the light.
+        Models of the light source, its filter wheel, the light meter and the thermometer; None: there is none, and
+        a person sets the light.
     light_port, wheel_port, light_meter_port, thermometer_port
-        Their serial ports.
+        Serial ports of these.
     gate_address, supply_address
-        GPIB addresses of those behind an adapter.
+        GPIB addresses behind an adapter.
     camera
         Aravis identifier or IP address; "v4l2:/dev/video0" (with "#1": input 1 of a capture card); "replay:FOLDER" or
         "replay:FOLDER#LABEL": a recorded session or one of its stacks. None: the only camera there is, or the virtual
@@ -113,3 +113,30 @@ PORT_KEYS: dict[Role, str] = {
     "thermometer": "thermometer_port",
 }
 """Keys of the ports, by role."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Meters:
+    """Use of the auxiliary meters.
+
+    Parameters
+    ----------
+    lux_per_w
+        Illuminance on the photocathode per watt on the head of the light meter, lux/W; None: not calibrated, only
+        watts are recorded.
+    wavelength_nm
+        Wavelength of the light meter's sensitivity correction, nm.
+    light_needed, temperature_needed
+        Whether a run ends if the meter does not answer; otherwise this is reported and noted with the stack.
+    """
+
+    lux_per_w: float | None = None
+    wavelength_nm: float = 550.0
+    light_needed: bool = False
+    temperature_needed: bool = False
+
+    def __post_init__(self) -> None:
+        if self.lux_per_w is not None and not self.lux_per_w > 0:
+            raise BadInput(f"lux_per_w must be positive, got {self.lux_per_w:g}")
+        if not self.wavelength_nm > 0:
+            raise BadInput(f"wavelength_nm must be positive, got {self.wavelength_nm:g}")

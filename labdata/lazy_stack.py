@@ -1,4 +1,4 @@
-"""A stack opened but not read: its frames come a run at a time, so that it may be larger than memory."""
+"""Lazy stack: frames are read on demand, so that a stack may be larger than memory."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata.errors import BadInput
-from labdata.regular_file import require_regular, require_regular_parts
+from labdata.file_io import require_regular, require_regular_parts
 from labdata.session import StackEntry
 from labdata.store import is_ours, read_journal
 from labdata.store.array_reader import open_array, read_frames
@@ -17,7 +17,7 @@ from labdata.store.array_reader import open_array, read_frames
 
 @dataclass(frozen=True, kw_only=True)
 class LazyStack:
-    """Frames that are read when they are asked for.
+    """Frames that are read on demand.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ class LazyStack:
     time_s, frame_number
         As in `labdata.frames.FrameStack`.
     full_scale_dn
-        Highest code where it is stated, DN; None where only the frames could show it.
+        Full scale where it is stated, DN; None where only the frames could show it.
     block
         Returns the frames first..last-1, shape (frame, row, col).
     """
@@ -57,26 +57,26 @@ class LazyStack:
         Raises
         ------
         BadInput
-            If a pixel is not finite or above the highest code of its bit depth, or a frame is not as acknowledged.
+            If a pixel is not finite or above full scale, or a frame differs from its acknowledged digest.
         """
         return self.block(first, last)
 
     def in_memory(self) -> "LazyStack":
-        """Return the same with all frames in memory."""
+        """Return a copy with all frames in memory."""
         data = self.frames(0, len(self))
         return replace(self, block=lambda first, last: data[first:last])
 
 
 class View(Protocol):
-    """How the frames of a stack are shown: scaled, or with pixels replaced."""
+    """Transformation of the frames of a stack on reading: scaled, or with pixels replaced."""
 
     def through(self, stack: LazyStack) -> LazyStack:
-        """Return the stack as it is shown."""
+        """Return the transformed stack."""
         ...
 
 
 def open_lazy_stack(entry: StackEntry) -> LazyStack:
-    """Open a stack: a Zarr array or a .npy file without reading it, anything else read whole; through its view.
+    """Open a stack: a Zarr array or .npy file lazily, any other file read completely; then apply its view.
 
     Raises
     ------
@@ -88,7 +88,7 @@ def open_lazy_stack(entry: StackEntry) -> LazyStack:
 
 
 def _as_they_are(entry: StackEntry) -> LazyStack:
-    """The frames of a stack without its view."""
+    """Return the frames of a stack without its view."""
     from labdata.importers.axes import FRAME, UNNAMED, names_of_shape
     from labdata.importers.decompression_limit import require_picture
 
@@ -132,7 +132,7 @@ def _lazy_stack(entry: StackEntry, array, block: Callable[[int, int], NDArray], 
 
 
 def _require_valid(entry: StackEntry, data: NDArray) -> NDArray:
-    """Frames whose pixels are what a stack may hold."""
+    """Return frames whose pixels are finite and within full scale."""
     if data.dtype.kind == "f" and not np.isfinite(data).all():
         bad = int(data.size - np.count_nonzero(np.isfinite(data)))
         raise BadInput(f"every pixel must be finite, got {bad} that are NaN or infinite in stack {entry.label!r}")
@@ -145,7 +145,7 @@ def _require_valid(entry: StackEntry, data: NDArray) -> NDArray:
 
 
 def _map_array(path: Path):
-    """The array of a Zarr folder or of a .npy file, its pixels unread; None for anything else."""
+    """Return the unread array of a Zarr folder or a .npy file; None for anything else."""
     try:
         if (path / "zarr.json").is_file():
             import zarr
@@ -154,5 +154,5 @@ def _map_array(path: Path):
             return zarr.open_array(path, mode="r")
         require_regular(path)
         return np.load(path, mmap_mode="r", allow_pickle=False) if path.suffix.lower() == ".npy" else None
-    except (OSError, ValueError, EOFError):  # BadInput too: what cannot be mapped is refused where it is read
+    except (OSError, ValueError, EOFError):  # BadInput too: the reader reports it
         return None

@@ -1,15 +1,133 @@
-"""What a tube may never be asked: limits of the sensor description, tightened or openly overridden by a plan."""
+"""Limits of a tube from its sensor description, tightened or overridden by a plan."""
 
+import math
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING
 
-from labdata.camera_description import must_be_a_share, must_be_positive
+from labdata.camera_description import Parameter, must_be_a_share, must_be_positive
 from labdata.errors import BadInput
-from labdata.parameter import Parameter
-from labdata.tube_load import CAUTIOUS_LOAD, TubeLoad
 
 if TYPE_CHECKING:
     from labdata.sensor import Sensor
+
+
+NA_PER_UA = 1e3
+CM2_PER_M2 = 1e4
+_SIDES_95 = 2 * 1.96
+
+
+@dataclass(frozen=True, kw_only=True)
+class TubeLoad:
+    """Current through photocathode and MCP.
+
+    Parameters
+    ----------
+    luminous_sensitivity_ua_per_lm
+        Luminous sensitivity of the photocathode at 2856 K, uA/lm.
+    electron_gain
+        Electron gain of the MCP at reference_v.
+    reference_v
+        Voltage of that gain, V.
+    gain_exponent
+        m of G = G0 (V / V0)^m.
+    saturated_na_per_cm2
+        Output current density at which the MCP gain has halved, nA/cm2.
+    ebi_lux
+        Equivalent background illumination, lux.
+    relative_sd
+        Standard uncertainty of the logarithm of the current at reference_v.
+    exponent_sd
+        Standard uncertainty of the exponent.
+    """
+
+    luminous_sensitivity_ua_per_lm: float
+    electron_gain: float
+    reference_v: float
+    gain_exponent: float
+    saturated_na_per_cm2: float
+    ebi_lux: float = 0.0
+    relative_sd: float
+    exponent_sd: float = 0.0
+
+    @classmethod
+    def of(cls, sensor: "Sensor") -> "TubeLoad":
+        """Return the load model of a sensor description."""
+        cathode, plate = sensor.photocathode, sensor.microchannel_plate
+        return cls(
+            luminous_sensitivity_ua_per_lm=float(cathode.luminous_sensitivity_ua_per_lm),
+            electron_gain=float(plate.electron_gain),
+            reference_v=float(plate.reference_v),
+            gain_exponent=float(plate.gain_exponent),
+            saturated_na_per_cm2=float(plate.saturation_fraction) * float(plate.strip_current_ua_per_cm2) * NA_PER_UA,
+            ebi_lux=float(cathode.ebi_lm_per_cm2) * CM2_PER_M2,
+            relative_sd=math.hypot(_log_sd(cathode.luminous_sensitivity_ua_per_lm), _log_sd(plate.electron_gain)),
+            exponent_sd=_sd(plate.gain_exponent),
+        )
+
+    def gain(self, mcp_v: float) -> float:
+        """Return the electron gain of the MCP at a voltage, V; 0 without voltage."""
+        return self.electron_gain * (max(mcp_v, 0.0) / self.reference_v) ** self.gain_exponent
+
+    def anode_na_per_cm2(self, illuminance_lux: float, mcp_v: float, duty: float) -> float:
+        """Return the MCP output current density without saturation, nA/cm2.
+
+        Parameters
+        ----------
+        illuminance_lux
+            Illuminance on the photocathode, lux.
+        mcp_v
+            Voltage across the MCP, V.
+        duty
+            Fraction of the time that the gate is open.
+
+        Notes
+        -----
+        j = E S G d with illuminance E, luminous sensitivity S, electron gain G and duty d. For the saturated
+        current see `screen_na_per_cm2`.
+        """
+        cathode_ua_per_cm2 = illuminance_lux * self.luminous_sensitivity_ua_per_lm / CM2_PER_M2
+        return cathode_ua_per_cm2 * NA_PER_UA * self.gain(mcp_v) * duty
+
+    def screen_na_per_cm2(self, illuminance_lux: float, mcp_v: float, duty: float) -> float:
+        """Return the current density at the phosphor, nA/cm2, with dark current and MCP saturation.
+
+        Notes
+        -----
+        j / (1 + j / j_s) while the gate is open; the gain halves at j_s.
+        """
+        open_now = self.anode_na_per_cm2(illuminance_lux + self.ebi_lux, mcp_v, 1.0)
+        return duty * open_now / (1.0 + open_now / self.saturated_na_per_cm2)
+
+    def log_sd(self, mcp_v: float) -> float:
+        """Return the standard uncertainty of the logarithm of the current at a voltage, V."""
+        if not mcp_v > 0.0:
+            return self.relative_sd
+        return math.hypot(self.relative_sd, self.exponent_sd * (math.log(mcp_v) - math.log(self.reference_v)))
+
+
+def _log_sd(parameter: Parameter) -> float:
+    if parameter.low is None or parameter.high is None or parameter.low <= 0.0:
+        return 0.0
+    return math.log(parameter.high / parameter.low) / _SIDES_95
+
+
+def _sd(parameter: Parameter) -> float:
+    if parameter.low is None or parameter.high is None:
+        return 0.0
+    return (parameter.high - parameter.low) / _SIDES_95
+
+
+CAUTIOUS_LOAD = TubeLoad(
+    luminous_sensitivity_ua_per_lm=2700.0,
+    electron_gain=1000.0,
+    reference_v=800.0,
+    gain_exponent=12.0,
+    saturated_na_per_cm2=200.0,
+    relative_sd=1.0,
+    exponent_sd=1.0,
+)
+"""Sensitive photocathode and high MCP gain, for an unknown tube."""
+
 
 _UNKNOWN = "nothing is known of this tube: "
 
@@ -20,7 +138,7 @@ def _cautious(value: float, reason: str) -> Parameter:
 
 @dataclass(frozen=True, kw_only=True)
 class TubeLimits:
-    """Limits of a tube, each with its reason as the source of its parameter; the defaults suit a tube nobody described.
+    """Limits of a tube; the source of each parameter gives the reason. The defaults suit an unknown tube.
 
     Parameters
     ----------
@@ -29,19 +147,19 @@ class TubeLimits:
     ramp_v_per_s
         Fastest rise of that voltage, V/s.
     gate_ns
-        Longest opening of the gate, ns.
+        Longest gate, ns.
     gate_duty
-        Largest share of the time that the gate may be open.
+        Largest fraction of the time that the gate may be open.
     illuminance_lux
         Brightest large area on the photocathode, lux, whatever the gain.
     point_illuminance_lux
         Brightest image of a pinhole on the photocathode, lux, whatever the gain.
     anode_na_per_cm2
-        Largest mean current density that light may ask of the plate at the present gain and duty, nA/cm2.
+        Largest mean MCP output current density at the present gain and duty, without saturation, nA/cm2.
     point_anode_na_per_cm2
-        The same inside the image of a pinhole, whose plate gives far less than is asked.
+        The same inside the image of a pinhole, where the MCP saturates far below it.
     screen_charge_c_per_cm2
-        Charge through the screen after which the cathode is expected to have aged, C/cm2; warned of, never refused.
+        Charge through the phosphor at which the photocathode is expected to have aged, C/cm2; only a warning.
     """
 
     mcp_v: Parameter = field(
@@ -77,7 +195,7 @@ class TubeLimits:
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """What a plan says that it will never exceed; None: the tube's own limit. It can only be tighter than that.
+    """Limits of a plan; None: the tube's limit, which a plan can only tighten.
 
     Names and units are those of `TubeLimits`.
     """
@@ -100,16 +218,16 @@ class Limits:
 
 @dataclass(frozen=True, kw_only=True)
 class Override:
-    """A limit of the tube that a plan sets aside, and why; written into the session and printed in its report.
+    """A limit of the tube that a plan overrides, with its reason; kept in the session and printed in its report.
 
     Parameters
     ----------
     limit
         Name of the limit, see `TubeLimits`.
     value
-        What holds instead, in the unit of the name.
+        Value in force instead, in the unit of the name.
     reason
-        Why, in words.
+        Reason, as text.
     """
 
     limit: str
@@ -127,16 +245,16 @@ class Override:
 
 @dataclass(frozen=True, kw_only=True)
 class LimitsInForce:
-    """The limits that hold, each a number, and the tube that they protect.
+    """Limits in force, as numbers, with the load model of the tube.
 
     Parameters
     ----------
     load
-        How much current light draws from the plate.
+        Model of the current that light draws from the MCP.
     overridden
-        One sentence for each limit of the tube that a plan set aside; the session keeps them, its report prints them.
+        One sentence for each overridden limit of the tube, for session and report.
     known
-        Whether a sensor described the tube.
+        Whether a sensor description gave the limits.
 
     Names and units of the others are those of `TubeLimits`.
     """
@@ -154,16 +272,16 @@ class LimitsInForce:
     known: bool = True
 
     def largest_lux(self, *, point: bool) -> float:
-        """Brightest light that is ever allowed, lux."""
+        """Largest illuminance allowed at any gain, lux."""
         return self.point_illuminance_lux if point else self.illuminance_lux
 
     def largest_anode_na_per_cm2(self, *, point: bool) -> float:
-        """Largest current density that may be asked of the plate, nA/cm2."""
+        """Largest MCP output current density allowed, nA/cm2."""
         return self.point_anode_na_per_cm2 if point else self.anode_na_per_cm2
 
 
 OVERRIDDEN = "The tube's limit"
-"""How the sentence of an overridden limit begins."""
+"""First words of the sentence on an overridden limit."""
 
 LIMITS = tuple(item.name for item in fields(Limits))
 """Names of the limits that a plan can tighten or override."""
@@ -174,16 +292,16 @@ def limits_in_force(
     sensor: "Sensor | None" = None,
     overrides: tuple[Override, ...] = (),
 ) -> LimitsInForce:
-    """Return the limits that hold: the tube's, tightened by a plan, save what the plan overrides with a reason.
+    """Return the limits in force: those of the tube, tightened or overridden by the plan.
 
     Parameters
     ----------
     asked
-        The plan's own limits. Where no sensor describes the tube, they stand alone.
+        Limits of the plan. Without a sensor description they are not compared with the tube's.
     sensor
-        Description of the camera; None: unknown, and the cautious defaults hold where the plan says nothing.
+        Sensor description; None: unknown, and the cautious defaults apply where the plan has no limit.
     overrides
-        Limits of the tube that the plan sets aside.
+        Limits of the tube that the plan overrides.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Results: a number with its intervals, verdict and provenance, the curves and the posterior behind it."""
+"""Measurements with interval, status and provenance, their curves and posterior."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
@@ -17,14 +17,14 @@ Interval = tuple[float, float]
 
 @dataclass(frozen=True, kw_only=True)
 class Posterior:
-    """Draws of a posterior distribution with the evidence that they may be trusted.
+    """Draws of a posterior distribution with their convergence diagnostics.
 
     Parameters
     ----------
     names, units
         Name and unit of each parameter.
     draws
-        Thinned draws, shape (draw, parameter). Made read-only.
+        Thinned draws, shape (draw, parameter), read-only.
     autocorrelation_time
         Integrated autocorrelation time of each parameter, steps, shape (parameter,).
     acceptance
@@ -34,7 +34,7 @@ class Posterior:
     effective_sample_size
         Effective number of independent draws of each parameter, shape (parameter,).
     sampler
-        "emcee", "laplace" where draws come from the curvature at the maximum, or "importance" where they were picked
+        "emcee", "laplace" (curvature at the maximum) or "importance" (importance sampling).
         by their weight.
     seed
         Seed of the draws.
@@ -67,7 +67,7 @@ class Posterior:
 
 def intervals_of(draws: ArrayLike) -> tuple[float, Interval, Interval]:
     """Return the median and the equal-tailed 68 % and 95 % intervals of draws."""
-    # Numpy's own quantile gives the same and takes ten times as long on a few hundred draws.
+    # np.quantile gives the same result in ten times the time for a few hundred draws.
     ordered = np.sort(np.asarray(draws, float), axis=None)
     if np.isnan(ordered[-1]):
         return np.nan, (np.nan, np.nan), (np.nan, np.nan)
@@ -76,13 +76,13 @@ def intervals_of(draws: ArrayLike) -> tuple[float, Interval, Interval]:
     return float(middle), (float(low68), float(high68)), (float(low95), float(high95))
 
 
-# 68 and 95 % as the contract names them.
+# Median and equal-tailed 68 % and 95 % intervals.
 QUANTILES = (0.025, 0.16, 0.5, 0.84, 0.975)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Provenance:
-    """How a number came about: enough to make it again.
+    """Provenance of a value, sufficient to reproduce it.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ class Provenance:
     settings
         Settings of the method, by name.
     inputs
-        SHA-256 of each input file, by path as given; see `labdata.digest`.
+        SHA-256 of each input file, by path as given; see `labdata.session`.
     """
 
     version: str
@@ -104,22 +104,22 @@ class Provenance:
 
 @dataclass(frozen=True, kw_only=True)
 class Measurement:
-    """One measured quantity of the contract. Build it with `make_measurement`, `measurement_from_draws` or `make_refusal`.
+    """One measured quantity; made by `make_measurement`, `measurement_from_draws` or `make_refusal`.
 
     Parameters
     ----------
     quantity, unit
         A name of `labdata.quantity.QUANTITIES` and one of its units.
     value, interval68, interval95
-        The number and its equal-tailed intervals; all None when refused.
+        Value and equal-tailed intervals; all None when refused.
     status
-        "ok" (no flags), "suspect" (flags say what to distrust) or "refused" (no number; `reason` says why).
+        "ok" (no flags), "suspect" (flagged) or "refused" (no value; see `reason`).
     method, seconds
-        Name of the method and the time it took, s, compiling not counted.
+        Name of the method and its run time without compilation, s.
     stack, region, frequency_cy_per_px, orientation_deg
-        Where they apply: label of the stack; ROW, COL, HEIGHT, WIDTH in px; frequency of `mtf`; direction in degrees.
+        Where applicable: label of the stack; ROW, COL, HEIGHT, WIDTH in px; frequency of `mtf`; direction in degrees.
     posterior
-        The posterior the intervals are views of, if there is one.
+        Posterior from which the intervals were computed, if any.
     """
 
     quantity: str
@@ -153,7 +153,7 @@ class Measurement:
             raise ValueError(f"{self.quantity} is {self.status} with flags {self.flags}")
 
     def with_(self, *, findings: Iterable[vocabulary.Finding] = (), **changes: Any) -> "Measurement":
-        """Return a copy with fields changed; flags and findings given here are added and make an ok one suspect."""
+        """Return a copy with fields changed; flags and findings are added and change the status to suspect."""
         found = tuple(findings)
         flags = vocabulary.ordered_flags((*self.flags, *(each.flag for each in found), *changes.pop("flags", ())))
         if found:
@@ -173,7 +173,7 @@ def make_measurement(
     flags: tuple[str, ...] = (),
     **fields: Any,
 ) -> Measurement:
-    """Return a measurement that carries a number: ok without flags, suspect with them."""
+    """Return a measurement with a value: ok without flags, suspect with flags."""
     return Measurement(
         quantity=quantity,
         unit=unit,
@@ -210,7 +210,7 @@ def measurement_from_sd(
 
 
 def make_refusal(quantity: str, unit: str, reason: str, *, method: str, **fields: Any) -> Measurement:
-    """Return a measurement without a number and with the sentence that says why."""
+    """Return a measurement without a value, with the reason for it."""
     return Measurement(
         quantity=quantity,
         unit=unit,
@@ -237,10 +237,10 @@ class Curve:
     interval68, interval95
         Lower and upper bounds, shape (2, n), or None.
     stack
-        Label of the stack it was measured on.
+        Label of the measured stack.
     draws
-        Curves drawn from its posterior, shape (draw, n), from which follows how errors at two frequencies are
-        correlated; None where nothing is drawn. They stay in memory: no document holds them.
+        Curves drawn from the posterior, shape (draw, n), for the correlation of errors between frequencies; None
+        where there are none. Not written to files.
     """
 
     frequency_cy_per_px: NDArray[np.float64]
@@ -253,17 +253,17 @@ class Curve:
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """What one analysis found.
+    """Result of one analysis.
 
     Parameters
     ----------
     measurements
         The quantities.
     curves
-        Curves by name ("mtf", "mtf_vertical", ...). Two stacks' curves of a session are told apart by a
+        Curves by name ("mtf", "mtf_vertical", ...). Curves of several stacks of a session have a
         suffix ":label".
     evidence
-        What the report draws, by name: JSON-ready mappings of lists and numbers (profiles, fits, residuals).
+        Figure data by name: JSON-ready mappings of lists and numbers (profiles, fits, residuals).
     """
 
     measurements: tuple[Measurement, ...] = ()

@@ -1,4 +1,4 @@
-"""Where numba keeps compiled loops, and until when: `labdata.numba_cache` names these classes to it."""
+"""Cache locators for numba, named to it by `labdata.numba_cache`."""
 
 from pathlib import Path
 from typing import Any
@@ -9,22 +9,22 @@ from labdata.numba_cache import stamp_of
 
 
 class _BySources:
-    """Loops are those of a stamp that changes with all sources that may be compiled into them."""
+    """Cached loops are valid while none of their sources changes."""
 
     _py_file: str
 
     def get_source_stamp(self) -> Any:
-        """Return what must be as it was for a kept loop to serve."""
+        """Return the stamp of the sources of a cached loop."""
         return stamp_of(Path(self._py_file)) or super().get_source_stamp()  # pyright: ignore[reportAttributeAccessIssue]
 
 
 class Provided(_BySources, UserProvidedCacheLocator):
-    """Kept where NUMBA_CACHE_DIR says."""
+    """Cache in NUMBA_CACHE_DIR."""
 
 
 class NextToSources(_BySources, InTreeCacheLocator):
-    """Kept beside the sources, where they can be written to."""
+    """Cache next to the sources, where these are writable."""
 
 
 class OfTheUser(_BySources, UserWideCacheLocator):
-    """Kept in the user's own cache."""
+    """Cache in the user's cache folder."""

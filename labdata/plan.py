@@ -1,51 +1,165 @@
-"""An acquisition plan: which stacks to take, at which settings, within which limits."""
+"""Acquisition plan: steps, settings, adaptive steps and calibrated gain."""
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Protocol
 
 from numpy.typing import NDArray
 
-from labdata.adaptive import SaturationSearch, StopCriterion
+from labdata.calibration import GainTable, LampCalibration
+from labdata.capture import PIXEL_BITS
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from labdata.frame_format import FrameFormat
-from labdata.gain_table import GainTable
 from labdata.gating import Gating
-from labdata.instrument_config import InstrumentConfig
-from labdata.lamp_calibration import LampCalibration
+from labdata.instrument_config import InstrumentConfig, Meters
 from labdata.limits import Limits, LimitsInForce, Override, limits_in_force
-from labdata.meters import Meters
+from labdata.sensor import Sensor
 from labdata.session import Kind
 from labdata.target import Target
 
+
+@dataclass(frozen=True, kw_only=True)
+class FrameFormat:
+    """Frame format requested for all steps; None: as in the sensor description.
+
+    Parameters
+    ----------
+    rows, columns
+        Size of the image, px; by default the full sensor.
+    first_row, first_column
+        First row and column of the image on the sensor, px.
+    pixel_format
+        Such as "Mono12" or "Mono12p"; by default "Mono8" or "Mono16".
+    trigger
+        "off": free-running; else the camera's name of the trigger source, such as "Line1".
+    """
+
+    rows: int | None = None
+    columns: int | None = None
+    first_row: int | None = None
+    first_column: int | None = None
+    pixel_format: str | None = None
+    trigger: str | None = None
+
+    def __post_init__(self) -> None:
+        for name, least in (("rows", 1), ("columns", 1), ("first_row", 0), ("first_column", 0)):
+            value = getattr(self, name)
+            if value is not None and value < least:
+                raise BadInput(f"{name} of a picture must be at least {least}, got {value}")
+        if self.pixel_format is not None and self.pixel_format not in PIXEL_BITS:
+            raise BadInput(f"pixel_format must be one of {', '.join(PIXEL_BITS)}, got {self.pixel_format!r}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class StopCriterion:
+    """Criterion by which a step stops before it has all its frames.
+
+    Parameters
+    ----------
+    mean_within_dn
+        Largest half-width of the 95 % interval of the stack's mean at which the step stops, DN.
+    least_frames
+        Smallest number of frames.
+    """
+
+    mean_within_dn: float
+    least_frames: int = 8
+
+    def __post_init__(self) -> None:
+        if not self.mean_within_dn > 0:
+            raise BadInput(f"mean_within_dn must be positive, got {self.mean_within_dn:g}")
+        if self.least_frames < 4:
+            raise BadInput(f"least_frames must be at least 4, got {self.least_frames}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SaturationSearch:
+    """Search for the light that saturates a stack: doubling, then bisection of the logarithm.
+
+    Parameters
+    ----------
+    most_illuminance_lux
+        Upper limit of the light, lux.
+    within_percent
+        Largest gap between the highest unsaturated and the lowest saturated light at the end, %.
+    """
+
+    most_illuminance_lux: float
+    within_percent: float = 10.0
+
+    def __post_init__(self) -> None:
+        if not self.most_illuminance_lux > 0:
+            raise BadInput(f"most_illuminance_lux must be positive, got {self.most_illuminance_lux:g}")
+        if not self.within_percent > 0:
+            raise BadInput(f"within_percent must be positive, got {self.within_percent:g}")
+
+    def next_lux(self, begin_lux: float, seen: Sequence[tuple[float, bool]]) -> float | None:
+        """Return the light to try next, lux; None when the search is over.
+
+        Parameters
+        ----------
+        begin_lux
+            First light, lux.
+        seen
+            Light tried so far, lux, and whether it saturated.
+        """
+        dark = max((lux for lux, saturated in seen if not saturated), default=None)
+        bright = min((lux for lux, saturated in seen if saturated), default=None)
+        if not seen:
+            return begin_lux
+        if bright is None:
+            return None if dark == self.most_illuminance_lux else min(2.0 * (dark or 0.0), self.most_illuminance_lux)
+        if dark is None:
+            # No lamp can be set further below its first light.
+            return bright / 2.0 if bright > begin_lux / 1024.0 else None
+        return None if bright <= dark * (1.0 + self.within_percent / 100.0) else math.sqrt(dark * bright)
+
+    def verdict(self, seen: Sequence[tuple[float, bool]]) -> str:
+        """Return the result in one sentence."""
+        dark = [lux for lux, saturated in seen if not saturated]
+        bright = [lux for lux, saturated in seen if saturated]
+        after = f"after {len(seen)} levels"
+        if not bright:
+            return f"no level up to {max(dark):.4g} lux saturates, {after}"
+        if not dark:
+            return f"every level down to {min(bright):.4g} lux saturates, {after}"
+        return f"saturation begins between {max(dark):.4g} and {min(bright):.4g} lux, {after}"
+
+    def most_levels(self, begin_lux: float) -> int:
+        """Return the largest number of levels of a search whose first level does not saturate."""
+        doublings = max(0, math.ceil(math.log2(self.most_illuminance_lux / begin_lux)))
+        return 1 + doublings + max(0, math.ceil(math.log2(math.log(2.0) / math.log1p(self.within_percent / 100.0))))
+
+
 LONGEST_SETTLE_S = 86400.0
-"""A wait longer than a day is a slip of the pen, s."""
+"""Longest settle time, one day, s; longer ones are an error of input."""
 
 POINT_SATURATION = 0.3
-"""Fraction of a frame's pixels that a bright point may saturate with its halo and streaks; room light fills it all."""
+"""Fraction of pixels that a bright point, its halo and streaks may saturate; room light saturates all pixels."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Step:
-    """One stack to take. Conditions are what is asked.
+    """One stack to acquire.
 
     Parameters
     ----------
     label, kind
-        Name of the stack, and what it shows.
+        Name of the stack, and kind of target.
     frames
-        Frames to take; with `until`, at most.
+        Frames to acquire; with `until`, the largest number.
     conditions
-        What is asked of the instruments.
+        Set-points of the instruments.
     target
-        What stands before the camera.
+        Target in front of the camera.
     until
-        When to stop before all frames are taken; None: never.
+        Criterion to stop before all frames are acquired; None: no criterion.
     search
-        Not one stack but a search for the light that saturates, each level a stack of its own; None: one stack.
+        Search for the light that saturates, one stack per level; None: a single stack.
     saturated_fraction
-        Fraction of a frame's pixels that may be saturated; with 0.05 more the tube is made safe and the run ends.
-        None: 0, of a point 0.3 and of a search 1.
+        Fraction of a frame's pixels that may be saturated; 0.05 more forces the safe state and ends the run.
+        None: 0, for a point 0.3, for a search 1.
     """
 
     label: str
@@ -84,20 +198,20 @@ class Step:
 
     @property
     def brightest(self) -> "Step":
-        """The step under the most light that it may ask for; limits are checked on it."""
+        """The step at its largest illuminance, for the check of limits."""
         if self.search is None:
             return self
         return self.level(self.search.most_illuminance_lux, self.label)
 
     @property
     def most_frames(self) -> int:
-        """Frames that it takes at most."""
+        """Largest number of frames."""
         if self.search is None:
             return self.frames
         return self.frames * self.search.most_levels(self.conditions.illuminance_lux or 0.0)
 
     def level(self, illuminance_lux: float, label: str) -> "Step":
-        """Return one level of a search: one stack under one light."""
+        """Return one level of a search: a stack at one illuminance."""
         conditions = replace(self.conditions, illuminance_lux=illuminance_lux)
         return replace(
             self, label=label, conditions=conditions, search=None, saturated_fraction=self.max_saturated_fraction
@@ -113,14 +227,14 @@ class Step:
 
 @dataclass(frozen=True, kw_only=True)
 class SettleTimes:
-    """How long to wait after a change, before frames are taken.
+    """Settle times after a change of settings.
 
     Parameters
     ----------
     after_gain_s
-        After the plate's voltage was changed and verified, s.
+        Time after the MCP voltage was changed and verified, s.
     after_light_s
-        After light, filter, gate or target were changed, s.
+        Time after a change of light, filter, gate or target, s.
     """
 
     after_gain_s: float = 0.0
@@ -132,39 +246,39 @@ class SettleTimes:
                 raise BadInput(f"{name} must lie between 0 and {LONGEST_SETTLE_S:g}, got {getattr(self, name):g}")
 
     def wait_s(self, before: Conditions | None, now: Conditions) -> float:
-        """Time to wait between settings, s; `before` None: nothing was set yet."""
+        """Return the settle time between two settings, s; `before` None: nothing was set yet."""
         gain_moved = before is None or (before.mcp_v or 0.0) != (now.mcp_v or 0.0)
         return max(self.after_gain_s if gain_moved else 0.0, self.after_light_s)
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlanHead:
-    """What a plan says of itself and of its bench, in a file as in memory.
+    """Keys common to a plan and its file record.
 
     Parameters
     ----------
     name
-        Name of the plan and of the session that it makes.
+        Name of the plan and of its session.
     sensor
-        Name of a shipped sensor description, or the path of one.
+        Name of a shipped sensor description, or path of one.
     tube
-        Name of the tube, such as its serial number, under which its dose is kept over sessions.
+        Name of the tube, such as its serial number; names its dose ledger.
     seed
         Seed of the virtual bench.
     scene
         Lab scene of the virtual bench.
     wires
-        How the instruments are reached.
+        Models and ports of the instruments.
     limits
-        What the plan may never exceed, where that is tighter than the tube's limits.
+        Limits of the plan, where tighter than those of the tube.
     settle
-        How long to wait after a change.
+        Settle times after a change.
     meters
-        How the meters beside the tube are read.
+        Use of the auxiliary meters.
     gating
-        What triggers the gate, and so whether it keeps step with the camera's fields.
+        Trigger of the gate, and its synchronisation with the camera's fields.
     picture
-        What is asked of the camera for all steps, where that is not the whole sensor in 8 or 16 bits.
+        Frame format of all steps, where not the full sensor in 8 or 16 bits.
     """
 
     name: str
@@ -181,7 +295,7 @@ class PlanHead:
 
     @property
     def head(self) -> dict[str, Any]:
-        """All of this by name."""
+        """Values of these keys by name."""
         return {item.name: getattr(self, item.name) for item in fields(PlanHead)}
 
 
@@ -192,13 +306,13 @@ class Plan(PlanHead):
     Parameters
     ----------
     overrides
-        Limits of the tube that are set aside, with reasons.
+        Overridden limits of the tube, with reasons.
     gain_table
-        Calibration of the tube, by which steps may ask for a luminous gain; None: that of the sensor, if it has one.
+        Gain calibration of the tube, needed for steps with a luminous gain; None: that of the sensor, if any.
     lamp
-        Calibration of the light source and of the filters before it; a plan whose wires name a light source has one.
+        Calibration of the light source and its filters; required if the wires name a light source.
     steps
-        The stacks to take, in order.
+        The stacks to acquire, in order.
     """
 
     overrides: tuple[Override, ...] = ()
@@ -218,7 +332,7 @@ class Plan(PlanHead):
             raise BadInput(f"a plan must have a lamp where its wires name a light, got {there} for {self.wires.light}")
         if len(set(labels)) != len(labels):
             raise BadInput(f"every step's label must be its own, got {labels}")
-        # Where a sensor is named, its own limits are known to whoever has read it; see drivers.acquisition.plan_check.
+        # The limits of a named sensor are checked by drivers.acquisition.plan_check, which has read the sensor.
         if self.sensor is None:
             known = limits_in_force(self.limits, None, self.overrides)
             for step in self.steps:
@@ -234,7 +348,7 @@ class Plan(PlanHead):
 
 
 def _check_against(limits: LimitsInForce, step: Step) -> None:
-    """Refuse a step that asks for more than is allowed, in a BadInput that names setting and limit."""
+    """Require the settings of a step to lie within the limits."""
     bounds = {
         "mcp_v": limits.mcp_v,
         "illuminance_lux": limits.largest_lux(point=step.kind == "point"),
@@ -247,28 +361,101 @@ def _check_against(limits: LimitsInForce, step: Step) -> None:
 
 
 class Watcher(Protocol):
-    """A higher room's judgement of one stack while it is taken."""
+    """Assessment of one stack during acquisition; implemented in a higher layer."""
 
     def see(self, pixels: NDArray) -> None:
-        """Look at the next frame, shape (row, col), DN."""
+        """Take the next frame, shape (row, col), DN."""
         ...
 
     def enough(self) -> str | None:
-        """Return one sentence on why the step's `until` is reached, or None."""
+        """Return a sentence if the criterion of the step is met, else None."""
         ...
 
-    def saturated(self) -> bool:
+    def is_saturated(self) -> bool:
         """Whether the frames so far are saturated."""
         ...
 
     def complaint(self) -> str | None:
-        """Return one sentence on what is wrong with the stack, or None."""
+        """Return a sentence on a fault of the stack, or None."""
         ...
 
 
 class Judge(Protocol):
-    """Who judges stacks while they are taken; handed in from a higher room."""
+    """Factory of watchers; passed in from a higher layer."""
 
     def watch(self, step: Step, full_scale_dn: float) -> Watcher:
-        """Begin to watch one stack; `full_scale_dn` is the highest code of the digitiser, DN."""
+        """Return the watcher of one stack; `full_scale_dn` is the full scale of the digitiser, DN."""
         ...
+
+
+SETTABLE_V = 1.0
+"""Voltage step that every supply can set, V."""
+
+READ_V = 2.0
+"""Settling tolerance of a supply: a read-back may exceed the end of the table by this, V."""
+
+
+def gain_table_of(plan: Plan, sensor: Sensor | None) -> GainTable | None:
+    """Return the gain table of a plan, else that of its sensor, else None."""
+    if plan.gain_table is not None:
+        return plan.gain_table
+    return None if sensor is None else sensor.gain_table
+
+
+def in_volts(plan: Plan, sensor: Sensor | None) -> Plan:
+    """Return the plan with every gain in volts and, where the tube is calibrated, as luminous gain.
+
+    Parameters
+    ----------
+    plan
+        The plan.
+    sensor
+        Sensor of the camera, or None.
+
+    Raises
+    ------
+    BadInput
+        If a step asks for a luminous gain without a table, for volts or gain outside it, or for both and they differ;
+        or if the table is of another tube.
+    """
+    table = gain_table_of(plan, sensor)
+    if table is not None and None not in (table.tube, plan.tube) and table.tube != plan.tube:
+        raise BadInput(f"a gain table must be of the plan's tube {plan.tube!r}, got one of {table.tube!r}")
+    return replace(plan, steps=tuple(_resolve_gain(step, table) for step in plan.steps))
+
+
+def by_calibration(table: GainTable | None, mcp_v: float | None) -> Conditions:
+    """Return the luminous gain at a read-back voltage, V; empty without a table or with the MCP off."""
+    if table is None or not mcp_v or mcp_v < table.mcp_v[0] - READ_V:
+        return Conditions()
+    gain, relative_sd = table.gain_at(mcp_v, beyond_v=READ_V)
+    return Conditions(luminous_gain=gain, luminous_gain_relative_sd=relative_sd)
+
+
+def _resolve_gain(step: Step, table: GainTable | None) -> Step:
+    asked = step.conditions
+    if table is None:
+        if asked.luminous_gain is not None:
+            raise BadInput(
+                f"luminous_gain must have a gain table in the plan or its sensor, got none in step {step.label!r}"
+            )
+        return step
+    try:
+        return replace(step, conditions=_both(asked, table))
+    except BadInput as error:
+        raise BadInput(f"{error}, in step {step.label!r}") from None
+
+
+def _both(asked: Conditions, table: GainTable) -> Conditions:
+    """Return conditions with the voltage that gives the luminous gain; a given voltage must lie in the table."""
+    if asked.luminous_gain is None:
+        if asked.mcp_v:
+            table.gain_at(asked.mcp_v)
+        return asked
+    volts = round(table.volts_for(asked.luminous_gain) / SETTABLE_V) * SETTABLE_V
+    if asked.mcp_v is not None and asked.mcp_v != volts:
+        raise BadInput(
+            f"mcp_v must be left out or be what luminous_gain {asked.luminous_gain:g} needs by the gain table, "
+            f"{volts:g}, got {asked.mcp_v:g}"
+        )
+    return replace(asked, mcp_v=volts)

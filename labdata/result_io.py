@@ -1,4 +1,4 @@
-"""A result as a document: the JSON of the command line, and the full result kept in its session's folder."""
+"""Results as JSON: output of the command line, and the result saved in a session folder."""
 
 import hashlib
 import io
@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata.atomic_write import write_atomically
 from labdata.errors import BadInput
+from labdata.file_io import write_atomically
 from labdata.measurement import Curve, Measurement, Posterior, Provenance, Result
 
 RESULTS = "results.json"
 DRAWS = "results-{}.npz"
 FORMAT = 1
 
-# Fields of a measurement that stand in the JSON only where they apply.
+# Fields of a measurement written to the JSON only if set.
 WHERE_THEY_APPLY = ("stack", "region", "frequency_cy_per_px", "orientation_deg", "notes", "reason")
 ALWAYS = ("quantity", "unit", "value", "interval68", "interval95", "status", "flags", "method", "seconds")
 
@@ -32,7 +32,7 @@ def to_json(result: Result, *, given: str, version: str) -> dict[str, Any]:
     result
         The result.
     given
-        The input as it was named on the command line.
+        Input as named on the command line.
     version
         Version of charact.
     """
@@ -45,14 +45,14 @@ def to_json(result: Result, *, given: str, version: str) -> dict[str, Any]:
 
 
 def save(result: Result, folder: str | Path) -> Path:
-    """Keep a full result, with posterior draws and evidence, in a session's folder.
+    """Save a full result, with posterior draws and figure data, in a session folder.
 
     Parameters
     ----------
     result
         The result.
     folder
-        The session's folder. A result that it holds already is replaced, in one step.
+        The session folder. An existing result is replaced atomically.
 
     Returns
     -------
@@ -69,7 +69,7 @@ def save(result: Result, folder: str | Path) -> Path:
     }
     packed = io.BytesIO()
     np.savez_compressed(packed, allow_pickle=False, **arrays)
-    # The draws carry their digest in the name, so old document and old draws stay a pair until the rename.
+    # The file name of the draws contains their digest, so that old document and old draws match until the rename.
     draws = folder / DRAWS.format(hashlib.sha256(packed.getvalue()).hexdigest()[:16])
     text = json.dumps({**document, "draws": draws.name}, allow_nan=False)
     write_atomically(draws, packed.getvalue())
@@ -81,12 +81,12 @@ def save(result: Result, folder: str | Path) -> Path:
 
 
 def load(folder: str | Path) -> Result | None:
-    """Return the result kept in a session's folder; None if there is none.
+    """Load the result saved in a session folder; None if there is none.
 
     Raises
     ------
     BadInput
-        If what is kept cannot be read.
+        If the saved result cannot be read.
     """
     path = Path(folder) / RESULTS
     if not path.exists():
@@ -130,7 +130,7 @@ def _full_measurement(measurement: Measurement, key: str, arrays: dict[str, NDAr
 
 
 def _full_posterior(posterior: Posterior, key: str, arrays: dict[str, NDArray]) -> dict[str, Any]:
-    """Return a posterior with its arrays put aside; measurements that share one share its arrays."""
+    """Return a posterior whose arrays are replaced by names; equal arrays are stored once."""
     whole: dict[str, Any] = {}
     for item in fields(posterior):
         value = getattr(posterior, item.name)
@@ -180,7 +180,7 @@ def _read_curve(document: dict[str, Any]) -> Curve:
 
 
 def _value(value: Any) -> Any:
-    """Return a value as JSON holds it; a number that is not finite becomes null, a gap in what is drawn."""
+    """Return a value as JSON; a non-finite number becomes null, a gap in a figure."""
     if isinstance(value, np.ndarray | np.generic):
         return _value(value.tolist())
     if isinstance(value, float):

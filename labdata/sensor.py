@@ -1,11 +1,13 @@
-"""The description of an image-intensified camera, stage by stage, every number with its range and source."""
+"""Sensor description of an image-intensified camera, stage by stage."""
 
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from labdata.calibration import GainTable
 from labdata.camera_description import (
     Description,
+    Parameter,
     must_be_a_count,
     must_be_a_share,
     must_be_an_efficiency_table,
@@ -13,9 +15,7 @@ from labdata.camera_description import (
     must_not_be_negative,
 )
 from labdata.errors import BadInput
-from labdata.gain_table import GainTable
 from labdata.limits import TubeLimits
-from labdata.parameter import Parameter
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -363,7 +363,7 @@ class Sensor(Description):
             "microchannel_plate.electron_gain": 1.0 if measured else 1.0 / brighter,
         }
         known, words = self.parameters(), f"; scaled from {self.phosphor.name} to {phosphor.name}"
-        changed = self.with_parameters({path: known[path].scaled(factor, words) for path, factor in factors.items()})
+        changed = self.with_parameters({path: known[path].times(factor, words) for path, factor in factors.items()})
         kept = "electron gain of the plate" if measured else "photons per photoelectron"
         note = f"Screen changed from {self.phosphor.name} to {phosphor.name}; the {kept} stayed."
         draws, notes = self.draws.without_phosphor(factors), (*self.notes, note)

@@ -1,19 +1,186 @@
-"""The border: TOML and JSON become frozen dataclasses here or are refused in one sentence, and go back out."""
+"""Serialisers: convert TOML and JSON to frozen dataclasses and back; invalid input raises BadInput."""
 
 import dataclasses
+import difflib
 import inspect
 import json
 import math
+import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_type_hints
 
+from labdata.camera_description import Parameter
 from labdata.errors import BadInput
-from labdata.regular_file import require_regular
-from labdata.schema import with_descriptions
-from labdata.validation_message import sentence
+from labdata.file_io import require_regular
+
+EXPECTED = {
+    "float_type": "a number",
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "string_type": "a text",
+    "bool_type": "true or false",
+    "finite_number": "a finite number",
+    "tuple_type": "a list",
+    "list_type": "a list",
+    "dataclass_type": "a table",
+    "dict_type": "a table",
+}
+
+
+def sentence(errors: Sequence[Mapping[str, Any]], mapping: Mapping[str, Any], where: str, known: Sequence[str]) -> str:
+    """Return one sentence on the first of several validation errors.
+
+    Parameters
+    ----------
+    errors
+        Errors as listed by pydantic; the first item of each location is the wrapper's index.
+    mapping
+        The mapping that was validated.
+    where
+        File name.
+    known
+        Valid keys, for the suggestion after a misspelt one.
+    """
+    error = errors[0]
+    steps = tuple(error["loc"])[1:]
+    kind = error["type"]
+    if kind in ("unexpected_keyword_argument", "missing") and isinstance(steps[-1], str):
+        return _about_a_key(kind, steps, mapping, where, known)
+    steps = _steps_in(steps, mapping)
+    if kind in ("missing", "too_long"):
+        steps = steps[:-1] if kind == "missing" and steps and isinstance(steps[-1], int) else steps
+        error = {**error, "input": _at(steps, mapping)}
+    if kind in ("value_error", "assertion_error"):
+        return f"{error['ctx']['error']}{_place(', in ', steps, mapping, where)}"
+    # Each member of a union reports its own error.
+    rules = [_rule(one) for one in errors if _steps_in(tuple(one["loc"])[1:], mapping) == steps] or [_rule(error)]
+    rule = " or ".join(dict.fromkeys(rules))
+    *outer, key = steps or ("the file",)
+    if isinstance(key, int) and outer:
+        place = _place(", in ", outer[:-1], mapping, where)
+        return f"every item of {outer[-1]} must be {rule}, got {_display(error['input'])}{place}"
+    return f"{key} must be {rule}, got {_display(error['input'])}{_place(', in ', outer, mapping, where)}"
+
+
+def _about_a_key(
+    kind: str, steps: Sequence[str | int], mapping: Mapping[str, Any], where: str, known: Sequence[str]
+) -> str:
+    *outer, key = steps
+    outer = _steps_in(outer, mapping)
+    place = _place(" in ", outer, mapping, where)
+    if kind == "missing":
+        return f"missing key {key!r}{place}"
+    near = difflib.get_close_matches(str(key), [name for name in known if name != key], n=1)
+    return f"unknown key {key!r}{place}" + (f"; did you mean {near[0]!r}?" if near else "")
+
+
+def _rule(error: Mapping[str, Any]) -> str:
+    if error["type"] == "literal_error":
+        return f"one of {error['ctx']['expected']}"
+    if error["type"] in ("missing", "too_long"):
+        return f"a list of {error['ctx']['max_length'] if 'ctx' in error else error['loc'][-1] + 1}"
+    if error["type"] == "dataclass_type" and error["ctx"]["class_name"] == "Parameter":
+        return "a number or a table"
+    message = str(error["msg"])
+    return EXPECTED.get(error["type"], message[:1].lower() + message[1:])
+
+
+def _steps_in(steps: Sequence[str | int], mapping: Any) -> tuple[str | int, ...]:
+    """Return the steps that exist in the mapping; pydantic inserts names of union members."""
+    found: list[str | int] = []
+    for step in steps:
+        try:
+            mapping = mapping[step]
+        except (KeyError, IndexError, TypeError):
+            continue
+        found.append(step)
+    return tuple(found)
+
+
+def _at(steps: Sequence[str | int], mapping: Any) -> Any:
+    for step in steps:
+        mapping = mapping[step]
+    return mapping
+
+
+def _place(joint: str, steps: Sequence[str | int], mapping: Any, where: str) -> str:
+    """Return the location, innermost first: 'target of stack 2 ("flat-03") of session.toml'."""
+    places: list[str] = []
+    at = mapping
+    for step in steps:
+        at = at[step]
+        if isinstance(step, int) and places:
+            label = at.get("label") if isinstance(at, Mapping) else None
+            places[-1] += f" {step + 1}" + (f" ({json.dumps(label, ensure_ascii=False, default=str)})" if label else "")
+        else:
+            places.append(str(step))
+    words = places[::-1] + ([where] if where else [])
+    return joint + " of ".join(words) if words else ""
+
+
+def _display(value: Any) -> str:
+    text = json.dumps(value, ensure_ascii=False, default=str)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def with_descriptions(schema: dict[str, Any], types: dict[str, type]) -> dict[str, Any]:
+    """Return a schema with the descriptions of its tables and keys.
+
+    Parameters
+    ----------
+    schema
+        JSON Schema with `$defs`.
+    types
+        Dataclasses by the name that the schema gives them; the schema's own title among them.
+    """
+    return {
+        **_table(schema, types.get(schema["title"])),
+        "$defs": {name: _table(table, types.get(name)) for name, table in schema["$defs"].items()},
+    }
+
+
+def _table(table: dict[str, Any], type_: type | None) -> dict[str, Any]:
+    if type_ is None or "properties" not in table:
+        return table
+    words = parameters_of(type_)
+    keys = {name: _key(key, words.get(name)) for name, key in table["properties"].items()}
+    whole = {**table, "description": summary_of(type_), "properties": keys}
+    # A bare number in a file is an exact parameter.
+    return {"anyOf": [{"type": "number"}, whole]} if type_ is Parameter else whole
+
+
+def _key(key: dict[str, Any], words: str | None) -> dict[str, Any]:
+    """Return the schema of one key without null, which TOML does not have."""
+    kinds = [kind for kind in key.get("anyOf", []) if kind != {"type": "null"}]
+    kept = {name: part for name, part in key.items() if name not in ("anyOf", "title") and part is not None}
+    kept |= kinds[0] if len(kinds) == 1 else {"anyOf": kinds} if kinds else {}
+    return kept | ({"description": words} if words else {})
+
+
+def summary_of(type_: type) -> str:
+    """Return the first paragraph of a docstring as one line."""
+    return " ".join((inspect.getdoc(type_) or "").split("\n\n")[0].split())
+
+
+def parameters_of(type_: type) -> dict[str, str]:
+    """Return the numpydoc text of each parameter of a class and its bases, as one line each."""
+    words: dict[str, str] = {}
+    for base in reversed(type_.__mro__):
+        words.update(_parameters(inspect.cleandoc(base.__dict__.get("__doc__") or "")))
+    return words
+
+
+def _parameters(docstring: str) -> dict[str, str]:
+    _, _, section = docstring.partition("Parameters\n----------\n")
+    section = re.split(r"\n\S+\n-{3,}\n", section)[0]
+    words = {}
+    for names, text in re.findall(r"^(\w[\w, ]*)\n((?:[ \t]+\S.*\n?)+)", section, re.MULTILINE):
+        words.update({name.strip(): " ".join(text.split()) for name in names.split(",")})
+    return words
+
 
 T = TypeVar("T")
 
@@ -38,7 +205,7 @@ def from_toml(path: str | Path, type_: type[T]) -> T:
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:
-    """Read a TOML file into a mapping of plain values, for a caller that chooses the dataclass by what it holds.
+    """Read a TOML file into a mapping of plain values, for callers that choose the dataclass by its content.
 
     Raises
     ------
@@ -71,7 +238,7 @@ def from_mapping(mapping: Mapping[str, Any], type_: type[T], where: str = "") ->
     type_
         The dataclass.
     where
-        Where the mapping stood, for the sentence of an error: a file name.
+        Source of the mapping named in an error message: a file name.
 
     Raises
     ------
@@ -91,7 +258,7 @@ def from_mapping(mapping: Mapping[str, Any], type_: type[T], where: str = "") ->
 def _read(mapping: Mapping[str, Any], type_: type, where: str) -> Any:
     from pydantic import ValidationError
 
-    # Strict JSON takes a list for a tuple, which strict Python values do not; "780" is no number in either.
+    # Strict JSON accepts a list for a tuple, strict Python values do not; neither accepts "780" as a number.
     text = json.dumps([dict(mapping)], default=lambda date: {"date": str(date)})
     try:
         return _adapter(type_).validate_json(text)[0]
@@ -101,16 +268,16 @@ def _read(mapping: Mapping[str, Any], type_: type, where: str) -> Any:
 
 
 def to_toml(value: Any) -> str:
-    """Write a dataclass as TOML, as `from_toml` reads it; what is None or empty by default is left out."""
+    """Return a dataclass as TOML that `from_toml` reads; None and empty defaults are omitted."""
     import tomli_w
 
     return tomli_w.dumps(to_mapping(value))
 
 
 def to_mapping(value: Any) -> dict[str, Any]:
-    """Return a dataclass as the mapping of plain values that its file would hold."""
+    """Return a dataclass as the mapping of plain values of its file."""
     form = _forms().get(type(value))
-    return _plain(value if form is None else form.written(value))
+    return _plain(value if form is None else form.from_plan(value))
 
 
 def json_schema(type_: type) -> dict[str, Any]:
@@ -162,7 +329,7 @@ def _plain(value: Any) -> Any:
 
 
 def _plain_number(value: Any) -> Any:
-    """Return a number of NumPy as one of Python; one that is not finite could not be read back and is refused."""
+    """Return a NumPy number as a Python one; a non-finite one, which cannot be read back, is BadInput."""
     number = value.item() if hasattr(value, "item") else value
     if isinstance(number, float) and not math.isfinite(number):
         raise BadInput(f"a file holds finite numbers only, got {number}")

@@ -1,5 +1,6 @@
-"""A session: stacks of frames, the conditions they were taken under, and the sensor that took them."""
+"""Session: stacks of frames with their conditions, targets and sensor."""
 
+import hashlib
 import os
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -10,8 +11,8 @@ import numpy as np
 from labdata.capture import LostFrames
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
+from labdata.file_io import require_regular
 from labdata.frames import FrameStack
-from labdata.regular_file import require_regular
 from labdata.sensor import Sensor
 from labdata.solid_state import Register, SolidStateCamera
 from labdata.target import Target
@@ -20,14 +21,15 @@ if TYPE_CHECKING:
     from labdata.file_records import SessionFile, StackRecord
     from labdata.lazy_stack import View
 
+
 MANIFEST = "session.toml"
 Kind = Literal["dark", "flat", "edge", "bars", "point", "scene"]
 
 
 UNUSED = "does not use its target's"
-"""What the note says where a target states what belongs to another kind."""
+"""Text of the note on target fields of another kind."""
 
-# What the level without light hangs on.
+# Settings that determine the black level.
 DARK_SETTINGS = ("mcp_v", "camera_gain_db", "gate_ns", "exposure_s")
 
 
@@ -40,30 +42,30 @@ class StackEntry:
     label
         Name, unique in the session.
     kind
-        What it shows.
+        Kind of target.
     frames
-        Path of the frames relative to the session's folder: a file, an array of the session's store, or several
-        files that follow one another.
+        Path of the frames relative to the session folder: a file, an array of the session's store, or several
+        consecutive files.
     conditions
-        Conditions in force: what was read back where an instrument can be read, else what was asked.
+        Conditions in force: read-backs where an instrument can be read, else the set-points.
     asked
-        Conditions asked for; None where nothing was asked of an instrument.
+        Requested conditions; None where there were no set-points.
     target
         The target.
     finished
-        False where the taking of the stack was broken off; what was acknowledged is there.
+        False after an interrupted acquisition; acknowledged frames are kept.
     lost_frames
-        Number of the frames that the camera numbered and that are not in the record.
+        Number of frames that the camera numbered and that were not recorded.
     losses
-        Which ones they are and why, where that is known.
+        Their numbers and causes, where known.
     notes
         Remarks of the manifest.
     record_notes
-        What is damaged or missing in the record of the frames.
+        Damage and gaps in the record of the frames.
     bit_depth
         Bits of the digitiser; None if unknown.
     axis, plane
-        The axis of the files that counts frames, and the plane to read; see `labdata.importers.read_frames`.
+        Frame axis of the files and plane to read; see `labdata.importers.read_frames`.
     folder
         The session's folder.
     view
@@ -119,7 +121,7 @@ class StackEntry:
         broken_off = () if self.finished else (f"the stack was broken off after {len(stack)} frames",)
         return replace(
             stack,
-            # What the record of an array lost was counted when the session was opened.
+            # Frames lost in the record were counted when the session was opened.
             lost_frames=max(stack.lost_frames, self.lost_frames),
             full_scale_dn=self._full_scale_dn(stack),
             notes=tuple(dict.fromkeys((*stack.notes, *self.notes, *broken_off))),
@@ -138,7 +140,7 @@ class StackEntry:
 
 
 def _concatenate(parts: list[FrameStack], label: str) -> FrameStack:
-    """Return the stacks of several files as one, frame after frame."""
+    """Return the stacks of several files as one stack."""
     first = parts[0]
     if len(parts) == 1:
         return first
@@ -163,13 +165,13 @@ def _all_or_none(arrays: list[np.ndarray], parts: list[FrameStack]) -> np.ndarra
 
 
 def _agreeing(one: Conditions, other: Conditions) -> tuple[str, ...]:
-    """Return the settings that a dark hangs on and that two conditions have in common."""
+    """Return the dark-relevant settings in which two conditions agree."""
     return tuple(name for name in DARK_SETTINGS if getattr(one, name) == getattr(other, name))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Session:
-    """A session as its manifest describes it.
+    """A session as described by its manifest.
 
     Parameters
     ----------
@@ -180,14 +182,14 @@ class Session:
     stacks
         Its stacks in the order of the manifest.
     sensor
-        The description of the intensified camera that it names; None where it names none, or a camera without an
-        intensifier, whose frames are measured as those of any camera.
+        Description of the intensified camera named in the manifest; None without a name, or for a camera without
+        intensifier, which is measured like an unknown camera.
     register
-        Multiplying register of a camera without an intensifier that the session names; None where it has none.
+        Electron-multiplying register of a named camera without intensifier; None where it has none.
     bit_depth
         Bits of the digitiser; None if unknown.
     interlaced
-        Whether the two fields of a frame were exposed one after the other; None: as the sensor says, else not.
+        Whether the two fields of a frame were exposed one after the other; None: as in the sensor description.
     """
 
     folder: Path
@@ -200,23 +202,23 @@ class Session:
     notes: tuple[str, ...] = ()
 
     def of_kind(self, *kinds: Kind) -> tuple[StackEntry, ...]:
-        """Stacks of the given kinds."""
+        """Return the stacks of the given kinds."""
         return tuple(stack for stack in self.stacks if stack.kind in kinds)
 
     def stack(self, label: str) -> StackEntry:
-        """The stack with a label; an unknown label is a BadInput."""
+        """Return the stack with a label; an unknown label is a BadInput."""
         for entry in self.stacks:
             if entry.label == label:
                 return entry
         raise BadInput(f"a stack must be one of {[s.label for s in self.stacks]}, got {label!r}")
 
     def dark_like(self, conditions: Conditions) -> StackEntry | None:
-        """The dark whose settings agree with some conditions in most; None where there are no darks."""
+        """Return the dark whose settings agree best with some conditions; None without darks."""
         darks = self.of_kind("dark")
         return max(darks, key=lambda dark: len(_agreeing(dark.conditions, conditions))) if darks else None
 
     def black_dn(self, entry: StackEntry) -> float | None:
-        """Mean code of the dark under a stack's very settings, DN; None where there is none."""
+        """Return the mean of the dark with the settings of a stack, DN; None where there is none."""
         dark = self.dark_like(entry.conditions)
         if dark is None or len(_agreeing(dark.conditions, entry.conditions)) < len(DARK_SETTINGS):
             return None
@@ -224,7 +226,7 @@ class Session:
 
     @property
     def is_interlaced(self) -> bool:
-        """Whether frames hold two fields exposed one after the other."""
+        """Whether frames have two fields exposed one after the other."""
         if self.interlaced is not None:
             return self.interlaced
         return self.sensor is not None and self.sensor.video.interlaced
@@ -236,7 +238,7 @@ def open_session(path: str | Path) -> Session:
     Parameters
     ----------
     path
-        The folder, or its session.toml. Frames are read later, stack by stack.
+        The folder, or its session.toml. Frames are read on demand.
 
     Raises
     ------
@@ -254,7 +256,7 @@ def open_session(path: str | Path) -> Session:
 
 
 def session_of(folder: Path, form: "SessionFile") -> Session:
-    """Return the session that a manifest describes, checked as `open_session` checks it."""
+    """Return the session of a manifest, checked as by `open_session`."""
     from labdata.sensors import load_camera
 
     _check(form, folder)
@@ -262,7 +264,7 @@ def session_of(folder: Path, form: "SessionFile") -> Session:
     stacks = tuple(_entry(stack, form, folder) for stack in form.stack)
     for entry in stacks:
         for path in entry.paths:
-            if not os.path.isdir(path):  # where a name is no path at all, Path.is_dir would raise
+            if not os.path.isdir(path):  # Path.is_dir raises on invalid names
                 require_regular(path, f"the frames of stack {entry.label!r}")
     return Session(
         folder=folder,
@@ -277,9 +279,9 @@ def session_of(folder: Path, form: "SessionFile") -> Session:
 
 
 def _superfluous_targets(stacks: tuple[StackEntry, ...]) -> tuple[str, ...]:
-    """Say what targets state that nobody looks at: a kind mistaken, or a target copied from another stack."""
-    told = ((entry, " and ".join(entry.target.superfluous_names(entry.kind))) for entry in stacks)
-    return tuple(f"stack {entry.label!r} of kind {entry.kind!r} {UNUSED} {names}" for entry, names in told if names)
+    """Return notes on target fields that do not apply: a wrong kind, or a target of another stack."""
+    superfluous = ((entry, " and ".join(entry.target.superfluous_names(entry.kind))) for entry in stacks)
+    return tuple(f"stack {entry.label!r} of kind {entry.kind!r} {UNUSED} {them}" for entry, them in superfluous if them)
 
 
 def _check(form: "SessionFile", folder: Path) -> None:
@@ -311,7 +313,7 @@ def _entry(stack: "StackRecord", form: "SessionFile", folder: Path) -> StackEntr
         notes=stack.notes if stack.doubt is None else (*stack.notes, stack.doubt),
         record_notes=record_notes,
         bit_depth=form.bit_depth,
-        # Who writes a manifest says that its stacks are frames.
+        # The stacks of a manifest are frames by definition.
         axis=stack.axis or "frame",
         plane=stack.plane,
         folder=folder,
@@ -319,7 +321,7 @@ def _entry(stack: "StackRecord", form: "SessionFile", folder: Path) -> StackEntr
 
 
 def _record(stack: "StackRecord", folder: Path) -> tuple[int, tuple[str, ...]]:
-    """Return how many frames the journal of a stack's array lost, and what is to be said of it."""
+    """Return the number of frames lost by the journal of a stack's array, and its notes."""
     from labdata.store.journal import is_ours, read_journal
 
     if not isinstance(stack.frames, str) or not is_ours(folder / stack.frames):
@@ -329,3 +331,18 @@ def _record(stack: "StackRecord", folder: Path) -> tuple[int, tuple[str, ...]]:
     except BadInput as error:  # the other stacks can be read
         return 0, (str(error),)
     return journal.lost_frames, journal.notes
+
+
+def sha256_of(path: Path) -> str:
+    """Return the SHA-256 of a file's content, or of the names and digests of a folder's files.
+
+    Notes
+    -----
+    A folder's digest is that of the `sha256sum` output for its files, sorted by their names relative to the folder.
+    """
+    if not path.is_dir():
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    files = sorted((part.relative_to(path).as_posix(), part) for part in path.rglob("*") if part.is_file())
+    lines = "".join(f"{sha256_of(part)}  {name}\n" for name, part in files)
+    return hashlib.sha256(lines.encode()).hexdigest()

@@ -1,4 +1,4 @@
-"""The description of a camera without an intensifier: a plain CCD or one that multiplies electrons as it reads."""
+"""Description of a camera without an intensifier: CCD or electron-multiplying CCD."""
 
 from dataclasses import dataclass
 
@@ -6,19 +6,19 @@ import numpy as np
 
 from labdata.camera_description import (
     Description,
+    Parameter,
     must_be_a_count,
     must_be_an_efficiency_table,
     must_be_positive,
     must_not_be_negative,
 )
 from labdata.errors import BadInput
-from labdata.parameter import Parameter
 from labdata.sensor import Ccd, Optics, Video
 
 
 @dataclass(frozen=True, kw_only=True)
 class Silicon:
-    """Photoelectrons per photon on a pixel by wavelength, fill factor and surface losses included."""
+    """Quantum efficiency by wavelength, with fill factor and surface losses."""
 
     wavelength_nm: tuple[float, ...]
     quantum_efficiency: tuple[float, ...]  # absolute
@@ -29,7 +29,7 @@ class Silicon:
 
 @dataclass(frozen=True, kw_only=True)
 class Register:
-    """Serial register that multiplies electrons by impact; a plain CCD has a gain of exactly 1."""
+    """Electron-multiplying register; a plain CCD has a gain of exactly 1."""
 
     em_gain: Parameter  # at most; the session says what it was set to
     pulse_height_shape: Parameter  # of one electron at high gain; 1 is exponential
@@ -45,12 +45,12 @@ class Register:
 
     @property
     def multiplies(self) -> bool:
-        """Whether it has any gain: a plain CCD is described with a gain of 1."""
+        """Whether the register has gain."""
         return float(self.em_gain) > 1.0
 
 
 def excess_noise_factor(em_gain: float, stages: float = np.inf) -> float:
-    r"""Return F^2 of a register: the variance of its output over that of the same gain without chance.
+    r"""Return the excess noise factor F^2 of an electron-multiplying register.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def excess_noise_factor(em_gain: float, stages: float = np.inf) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class SolidStateCamera(Description):
-    """A camera whose chip sees the scene itself, progressive and digital.
+    """A progressive, digital camera without an intensifier.
 
     Parameters and sources are as in `labdata.sensor.Sensor`. `video.conversion_gain_dn_per_e` counts electrons at the
     output, after multiplication; `ccd.quantum_efficiency` is the highest of the silicon's table.

@@ -1,17 +1,17 @@
-"""The targets put before the camera."""
+"""Target in front of the camera."""
 
 import math
 from dataclasses import dataclass
 
 from labdata.errors import BadInput
 
-# What only one kind of target has.
+# Fields of a single kind of target.
 BELONGS_TO = {"bars": "bars", "frequency_cy_per_px": "bars", "pinhole_px": "point"}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Target:
-    """What stood before the camera; only the fields of the stack's kind are set.
+    """Target in front of the camera; only the fields of the stack's kind are set.
 
     Parameters
     ----------
@@ -48,5 +48,5 @@ class Target:
             raise BadInput(f"contrast must lie in (0, 1], got {self.contrast:g}")
 
     def superfluous_names(self, kind: str) -> tuple[str, ...]:
-        """Return the names of what is set and is no part of a target of this kind."""
+        """Return the names of fields that are set and do not belong to a target of this kind."""
         return tuple(name for name, of in BELONGS_TO.items() if of != kind and getattr(self, name) is not None)

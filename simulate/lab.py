@@ -20,9 +20,9 @@ from simulate.iiccd import tube_photometry
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.chain import Chain
 from simulate.iiccd.stage_image import StageImage
-from simulate.radiance.photometry import planck
+from simulate.radiance.bench_renderer import TargetView
 from simulate.radiance.scene import LabScene, load_bench
-from simulate.radiance.target_view import TargetView
+from simulate.radiance.spectrum import planck
 
 WAVELENGTH_NM = np.arange(450.0, 951.0, 50.0)
 TILE_ROWS = 128

@@ -12,8 +12,8 @@ from charact.cli.application import app
 from labdata.session import open_session
 
 ROOT = Path(__file__).resolve().parents[1]
-README, SIMULATOR = (ROOT / name for name in ("README.md", "docs/simulator.md"))
-COMMANDS = re.findall(r"^    charact (simulate docs/.*)$", README.read_text(), re.MULTILINE)
+README, TUTORIAL, SIMULATOR = (ROOT / name for name in ("README.md", "docs/tutorial.md", "docs/simulator.md"))
+COMMANDS = re.findall(r"^    charact (simulate docs/.*)$", TUTORIAL.read_text(), re.MULTILINE)
 
 
 @pytest.fixture

@@ -1,6 +1,6 @@
 """Frames a second of other simulators on one scene, in an environment of their own: prints JSON, one number a peer.
 
-Called with the path of a scene, mean photoelectrons per pixel (.npy). `make peers` sets the environment up.
+Called with the path of a scene, mean photoelectrons per pixel (.npy). `make .venv-peers/ready` sets the environment up.
 """
 
 import json

@@ -1,4 +1,5 @@
-"""Pictures by Mitsuba 3, in an environment of its own, asked for line by line; `make radiance-peers` sets it up.
+"""Pictures by Mitsuba 3, in an environment of its own, asked for line by line; `make study NAME=radiance-peers` sets
+it up.
 
 Called with a folder of scenes as `benchmarks.radiance.export` writes them. Each line of input is a JSON object with
 `scene`, `samples`, `seed` and `path`; the picture goes to that path (.npy), and a line with `seconds` and

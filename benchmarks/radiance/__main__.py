@@ -1,4 +1,5 @@
-"""`make radiance-peers`: five scenes by us and by Mitsuba in turns, two threads each; error over time, kept in docs.
+"""`make study NAME=radiance-peers`: five scenes by us and by Mitsuba in turns, two threads each; error over time,
+kept in docs.
 
 References are kept in study/radiance; the first run makes them, which takes most of its time.
 """
@@ -23,10 +24,9 @@ from benchmarks.radiance.errors import Reference, reference
 from benchmarks.radiance.export import export
 from benchmarks.radiance.path_tracer import PathTracer, Timed
 from benchmarks.radiance.scenes import Case, cases
-from simulate.radiance.transport.adaptive_sampling import SamplingSettings
-from simulate.radiance.transport.integrator_settings import IntegratorSettings
-from simulate.radiance.transport.renderer import render_scene
-from simulate.radiance.transport.workers import workers
+from simulate.radiance.integrator.adaptive_sampling import SamplingSettings
+from simulate.radiance.integrator.integrator_settings import IntegratorSettings, workers
+from simulate.radiance.integrator.renderer import render_scene
 
 KEPT = Path("study/radiance")
 RESULTS, CHART, PAGE = Path("docs/radiance/peers.json"), Path("docs/radiance/peers.png"), Path("docs/radiance.md")
@@ -59,16 +59,23 @@ def settings(scene: str) -> Iterator[Setting]:
         finely = ", finely" if fine else ""
         for share in FINE_ERRORS if fine else ERRORS:
             rays = SamplingSettings(
-                fewest=2, edge=4, most=1024, shared_most=2048, fine=fine, allowed=partial(_allowed, share)
+                min_rays=2,
+                edge=4,
+                max_rays=1024,
+                max_cache_rays=2048,
+                refine=fine,
+                error_limit=partial(_allowed, share),
             )
             yield Setting(f"{100.0 * share:g} %{finely}", f"errors{finely}", rays)
         for each, edge, shared in PLAIN:
-            rays = SamplingSettings(fewest=each, edge=edge, most=1024, shared=shared, fine=fine)
+            rays = SamplingSettings(min_rays=each, edge=edge, max_rays=1024, cache_rays=shared, refine=fine)
             yield Setting(f"{each}, {edge}, {shared} rays{finely}", f"plain{finely}", rays)
     if scene in AT_LENGTH:
         share, most, shared_most = AT_LENGTH[scene][0]
         allowed = partial(_allowed, share)
-        rays = SamplingSettings(fewest=2, edge=4, most=most, shared_most=shared_most, fine=True, allowed=allowed)
+        rays = SamplingSettings(
+            min_rays=2, edge=4, max_rays=most, max_cache_rays=shared_most, refine=True, error_limit=allowed
+        )
         yield Setting(f"{100.0 * share:g} %, finely, up to {shared_most} rays", "at length", rays)
 
 
@@ -84,10 +91,10 @@ def _allowed(share: float, signal: NDArray[np.floating]) -> NDArray[np.floating]
 def ours(case: Case, rays: SamplingSettings, seed: int) -> Timed:
     """Return our picture."""
     # As plans follow light: to the end, or so many bounces.
-    if case.bounces is None:
-        effort = IntegratorSettings(bounces=200, roulette_from=3)
+    if case.max_bounces is None:
+        effort = IntegratorSettings(max_bounces=200, roulette_depth=3)
     else:
-        effort = IntegratorSettings(bounces=case.bounces, roulette_from=1)
+        effort = IntegratorSettings(max_bounces=case.max_bounces, roulette_depth=1)
     start, used = time.perf_counter(), time.process_time()
     with workers(THREADS) as run:
         found = render_scene(case.stage, case.view, rays, effort, weight=np.ones(1), seed=seed, run=run)

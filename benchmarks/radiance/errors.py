@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from benchmarks.radiance.path_tracer import PathTracer
 from benchmarks.radiance.scenes import Case
-from simulate.radiance.ray_tracer import NOTHING
-from simulate.radiance.transport.subpixel_sources import add_small_sources
+from simulate.radiance.geometry.ray_tracer import NOTHING
+from simulate.radiance.integrator.subpixel_sources import add_small_sources
 
 # Samples of one part of a reference; seeds of references begin here.
 PART, FIRST_SEED = 512, 100
@@ -87,13 +87,13 @@ def _part(case: Case, tracer: PathTracer, seed: int) -> NDArray[np.floating]:
     """One of the independent pictures of a reference."""
     if case.name not in SEEN_FROM_LAMPS:
         return tracer.picture(case.name, PART, seed).image
-    assert case.bounces is not None
+    assert case.max_bounces is not None
     sky = tracer.picture(case.name, PART, seed, lights="sky").image
     direct = tracer.picture(case.name, PART, seed, lights="lamps", depth=2).image
     # Particles of the same seed go the same ways: what they bring at once falls out.
     all_ways, at_once = (
         tracer.picture(case.name, PARTICLES, seed, lights="lamps", by="ptracer", depth=depth).image
-        for depth in (case.bounces + 2, 2)
+        for depth in (case.max_bounces + 2, 2)
     )
     return sky + direct + all_ways - at_once
 

@@ -7,9 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.radiance.scenes import Case
-from simulate.radiance.lamps import Cosine, Isotropic, Lamp, SpotBeam
-from simulate.radiance.lamps.distribution import Distribution
-from simulate.radiance.outdoor.description.lamp_placement import LampPlacement
+from simulate.radiance.lamps.distribution import Cosine, Distribution, Isotropic, Lamp, SpotBeam
+from simulate.radiance.outdoor.scene import LampPlacement
 
 # Rows and columns of the sky's table: finer than ours, so that the path tracer's own interpolation adds nothing.
 SKY_SHAPE = (2048, 720)
@@ -25,7 +24,7 @@ def export(case: Case, folder: Path) -> None:
         "field_deg": float(2.0 * np.rad2deg(np.arctan(0.5 * view.shape[1] / view.focal_px[0]))),
         "position_m": [float(x) for x in view.position_m],
         "target_m": [float(x) for x in np.add(view.position_m, view.forward)],
-        "max_depth": -1 if case.bounces is None else case.bounces + 2,
+        "max_depth": -1 if case.max_bounces is None else case.max_bounces + 2,
         "meshes": _meshes(case, into),
         "lamps": [
             _lamp(post, lamp, float(light.spectrum[0]))

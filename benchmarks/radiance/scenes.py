@@ -8,21 +8,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.radiance.brdf.lambert import Lambert
-from simulate.radiance.materials.reflectance import grey
+from simulate.radiance.brdf.protocol import Lambert, grey
+from simulate.radiance.geometry.viewpoint import Viewpoint
+from simulate.radiance.integrator.environment_map import environment_map
+from simulate.radiance.integrator.light_sources import Lighting
+from simulate.radiance.integrator.shading_points import BsdfSet
+from simulate.radiance.integrator.spectral_scene import Air, SpectralScene
 from simulate.radiance.outdoor.built_scene import BuiltScene
-from simulate.radiance.outdoor.description.camera import SceneCamera
-from simulate.radiance.outdoor.description.lamp_placement import LampPlacement
-from simulate.radiance.outdoor.description.material import MaterialSpec
-from simulate.radiance.outdoor.description.objects import Object, Pose
-from simulate.radiance.outdoor.description.scene import OutdoorScene
-from simulate.radiance.outdoor.viewpoint import Viewpoint
+from simulate.radiance.outdoor.materials import MaterialSpec
+from simulate.radiance.outdoor.scene import LampPlacement, Object, OutdoorScene, Pose, SceneCamera
 from simulate.radiance.scene import load_scene
-from simulate.radiance.transport.air_path_table import Air
-from simulate.radiance.transport.environment_map import environment_map
-from simulate.radiance.transport.light_sources import Lighting
-from simulate.radiance.transport.shading_points import BsdfSet
-from simulate.radiance.transport.spectral_scene import SpectralScene
 
 # A third of the PULNiX frame each way, square pixels.
 SHAPE = (164, 256)
@@ -46,7 +41,7 @@ class Case:
         The scene on one band.
     view
         The camera.
-    bounces
+    max_bounces
         Reflections that are followed before the one that the eye sees; None: all.
     even_sky
         Radiance of a sky that is the same everywhere; None where it is not, or is dark.
@@ -56,7 +51,7 @@ class Case:
     site: BuiltScene
     stage: SpectralScene
     view: Viewpoint
-    bounces: int | None
+    max_bounces: int | None
     even_sky: float | None = None
 
     @property
@@ -68,16 +63,16 @@ class Case:
 def cases() -> tuple[Case, ...]:
     """Return all five."""
     return (
-        _case("yard", _yard(), field_deg=40.0, bounces=0, even_sky=5e-4),
-        _case("lab", _lab(), field_deg=32.0, bounces=3),
-        _case("hangar", _shipped("hangar"), field_deg=36.0, bounces=3),
-        _case("road", _shipped("road"), field_deg=30.0, bounces=3),
-        _case("room", _room(), field_deg=75.0, bounces=None),
+        _case("yard", _yard(), field_deg=40.0, max_bounces=0, even_sky=5e-4),
+        _case("lab", _lab(), field_deg=32.0, max_bounces=3),
+        _case("hangar", _shipped("hangar"), field_deg=36.0, max_bounces=3),
+        _case("road", _shipped("road"), field_deg=30.0, max_bounces=3),
+        _case("room", _room(), field_deg=75.0, max_bounces=None),
     )
 
 
 def _case(
-    name: str, scene: OutdoorScene, *, field_deg: float, bounces: int | None, even_sky: float | None = None
+    name: str, scene: OutdoorScene, *, field_deg: float, max_bounces: int | None, even_sky: float | None = None
 ) -> Case:
     site = BuiltScene(scene)
     stage = _grey(site.on(BANDS_NM))
@@ -93,7 +88,7 @@ def _case(
         shape=SHAPE,
         focal_px=(focal, focal),
     )
-    return Case(name=name, site=site, stage=stage, view=view, bounces=bounces, even_sky=even_sky)
+    return Case(name=name, site=site, stage=stage, view=view, max_bounces=max_bounces, even_sky=even_sky)
 
 
 def _grey(stage: SpectralScene) -> SpectralScene:

@@ -1,9 +1,9 @@
-"""Halo and blooming around a point source that is far too bright."""
+"""Halo and blooming of overexposed point sources and illuminated edges."""
 
 from dataclasses import replace
 
 from charact.bloom.defects import with_sound_pixels
-from charact.bloom.findings import add_findings
+from charact.bloom.extent_measurements import add_findings
 from charact.method import Context, choose
 from labdata.errors import BadInput
 from labdata.measurement import Result
@@ -11,7 +11,7 @@ from labdata.session import Session
 
 __all__ = ["measure"]
 
-# The one method for edges, see `charact.bloom.lit_edge_halo`.
+# Method for edges, see `charact.bloom.lit_edge_halo`.
 EXTENDED = "lit-edge"
 
 
@@ -27,7 +27,7 @@ def measure(session: Session, *, method: str = "auto", within_percent: float = 2
     within_percent
         Tolerance that the automatic choice must meet, percent.
     context
-        What the method is told besides.
+        Settings common to all methods.
 
     Raises
     ------
@@ -40,13 +40,13 @@ def measure(session: Session, *, method: str = "auto", within_percent: float = 2
     chosen = choose("bloom", method, within_percent=within_percent)
     if not session.of_kind("point"):
         raise BadInput(f"blooming needs stacks of kind point, got only {sorted({s.kind for s in session.stacks})}")
-    notes = (f"{bad} stuck, hot or hit pixels are left out or replaced by their neighbours' mean",) if bad else ()
+    notes = (f"{bad} stuck, hot or hit pixels are excluded or replaced by their neighbours' mean",) if bad else ()
     return _with_findings(chosen.function(session, context=context), notes)
 
 
 def _with_findings(result: Result, notes: tuple[str, ...] = ()) -> Result:
-    """Return a result whose flags come with their effects and remedies."""
+    """Add the effect and the remedy of each flag to a result."""
     forms = result.evidence.get("bloom-forms", {}).get("table", [])
-    effects = {"model-misfit": f"rings are off by {forms[0]['off_percent']:.2g} % of their light"} if forms else {}
+    effects = {"model-misfit": f"rings deviate by {forms[0]['off_percent']:.2g} % of their signal"} if forms else {}
     out = (add_findings(one.with_(notes=(*one.notes, *notes)), effects) for one in result.measurements)
     return replace(result, measurements=tuple(out))

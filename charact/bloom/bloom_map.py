@@ -1,69 +1,53 @@
-"""Which share of every pixel's signal is blooming: light that entered the camera somewhere else.
-
-Blooming is said once, by where light belongs: the light in a pixel that entered farther than `near_px` from it, plus
-charge that ran into it. Halo and veiling glare are all but wholly of that kind, the wings of the core as far as they
-reach beyond `near_px`, and what a clipped pixel holds beyond its own light is, too. The rest is the picture as sharp as
-the camera makes it, and blur within `near_px` is resolution, which the MTF tells. Who joins two pictures needs just
-this: how much of what a pixel shows speaks of the scene there, and not of the lamp beside it. It needs no dividing line
-between a core's wings and a halo, which no data draw.
-"""
+"""Bloom map: fraction of every pixel's signal that entered the camera elsewhere."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from charact.bloom.clipped_sources import ClippedSource, find_clipped_sources
-from charact.bloom.lattice import FrameGrid, profiles, radial
-from charact.bloom.posterior_psf import PosteriorPsf, nodes
+from charact.bloom.point_stack import full_scale_of
+from charact.bloom.posterior_psf import FrameGrid, PosteriorPsf, density_matrix, nodes, profiles, radial, spread_of
+from charact.method import Context
 from labdata.errors import BadInput
+from labdata.frames import FrameStack
+from labdata.measurement import Posterior, Result
+from labdata.session import Session, StackEntry
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# Light belongs to a pixel if it entered within this distance: about a pixel of a thermal scanner beside such a camera.
+# Light within this distance of its entry is not blooming: about a pixel of a thermal imager next to the camera.
 NEAR_PX = 3.0
-MOST_DRAWS = 30
-# Transfer below which a frame's own noise is not sharpened any more.
+# Transfer below which noise is not amplified.
 LEAST_TRANSFER = 0.03
-# Signal, in standard deviations of a pixel's noise, below which there is nothing to be a share of.
-LIT = 2.0
-# Distance of pixels whose differences tell the noise, px, and groups of like light.
-NOISE_LAG_PX, NOISE_GROUPS = 4, 8
-# Share of a pixel's signal that a source of unknown light may make up before the pixel is unknown, too; ring width, px.
-REACHED, RING_PX = 0.05, 2.0
-# By so much a halo's radius may be off, and so far from a patch its own blurred edge is out of the way, px.
+# Uncertainty of the halo radius, and blurred margin around a patch, px.
 SMALLER_PX, PATCH_MARGIN_PX = 0.5, 4.0
-# Just beside a patch the share turns on where its edge is, which clipped pixels hide to a pixel.
-PATCH_SD = 0.12
-# The least standard deviation of a fraction: light is counted pixel by pixel.
-LEAST_SD = 0.003
-# Share of the highest code over dark from which on a pixel counts as clipped.
-CLIPPED_SHARE = 0.985
 
 
 @dataclass(frozen=True, kw_only=True)
 class BloomMap:
-    """The share of every pixel's signal that is blooming.
+    """Fraction of every pixel's signal that is blooming.
 
     Parameters
     ----------
     fraction
-        Light that does not belong there over all light, mean over the draws, shape (row, col), 0 to 1; NaN where it is
-        unknown: near a clipped source whose light could not be told, and where there is hardly any light at all.
+        Blooming over total signal, mean over the draws, shape (row, col), 0 to 1; NaN where unknown: near a clipped
+        source of unknown signal, and without signal.
     sd
-        Its standard deviation: draws of the spread, and noise of the pixel, shape (row, col); NaN with it.
+        Standard deviation over draws of the PSF and pixel noise, shape (row, col); NaN likewise.
     blooming_dn
-        Light that does not belong there, DN over dark, mean over the draws, shape (row, col); NaN where unknown.
+        Blooming, DN above dark, mean over the draws, shape (row, col); NaN where unknown.
     clipped
-        Pixels at the highest code, shape (row, col): their light is a restored one.
+        Pixels at full scale, shape (row, col); their signal is reconstructed.
     near_border
-        Pixels that light from outside the frame may have reached unseen, shape (row, col).
+        Pixels within the range of sources outside the frame, shape (row, col).
     sources
         The clipped sources.
     near_px
-        Distance within which light belongs to a pixel, column pitches.
+        Distance within which light is not blooming, column pitches.
     noise_dn
         Standard deviation of every pixel's noise, DN, shape (row, col).
     """
@@ -79,7 +63,7 @@ class BloomMap:
 
     @property
     def unknown(self) -> Mask:
-        """Pixels of which nothing is said."""
+        """Pixels without a result."""
         return np.isnan(self.fraction)
 
 
@@ -92,32 +76,32 @@ def bloom_map(
     noise_dn: ArrayLike | None = None,
     near_px: float = NEAR_PX,
     pitch_ratio: float = 1.0,
-    most_draws: int = MOST_DRAWS,
+    most_draws: int = 30,
     rng: np.random.Generator,
 ) -> BloomMap:
-    """Return the share of every pixel's signal that is blooming.
+    """Return the fraction of every pixel's signal that is blooming.
 
     Parameters
     ----------
     signal
-        A frame, a mean of frames, or the expected picture of a scene, over dark, shape (row, col), DN.
+        Frame, mean frame or expected image of a scene, above dark, shape (row, col), DN.
     spread
-        Draws of the camera's spread.
+        Draws of the camera's PSF.
     clip_dn
-        Highest code over dark, DN; None: nothing is clipped.
+        Full scale above dark, DN; None: nothing is clipped.
     clipped
-        Pixels at the highest code, shape (row, col); None: those near `clip_dn`. A mean of frames in which some are
-        clipped needs it.
+        Pixels at full scale, shape (row, col); None: those near `clip_dn`. Required for a mean of partly clipped
+        frames.
     noise_dn
-        Standard deviation of a pixel's noise, DN, one number or of every pixel; None: found from the frame.
+        Standard deviation of a pixel's noise, DN, one number or per pixel; None: estimated from the frame.
     near_px
-        Light belongs to a pixel if it entered within this distance, column pitches.
+        Distance within which light is not blooming, column pitches.
     pitch_ratio
         Row pitch over column pitch.
     most_draws
-        So many draws of the spread are worked through at most.
+        Maximum number of PSF draws.
     rng
-        Generator of the error that noise leaves in the light of clipped sources.
+        Generator of the noise in the signal of clipped sources.
 
     Raises
     ------
@@ -126,16 +110,15 @@ def bloom_map(
 
     Notes
     -----
-    With P the transfer of the spread and N that of its part within `near_px`, a frame S = P L of light L shows N L =
-    (N/P) S of light that belongs; N/P is taken as 1 where P is so small that S holds nothing but noise. Of clipped
-    sources L itself is found first, see `charact.bloom.clipped_sources`. What lies outside the frame is taken to be as its
-    median.
+    With P the transfer of the PSF and N that of its part within `near_px`, a frame S = P L of light L contains N L =
+    (N/P) S that is not blooming; N/P is 1 where P is so small that S is noise. The light of clipped sources is
+    estimated first, see `charact.bloom.clipped_sources`. The surroundings of the frame have its median signal.
     """
     _check(signal, near_px=near_px, pitch_ratio=pitch_ratio, clip_dn=clip_dn)
-    image, spread = np.asarray(signal, np.float32), spread.thinned(most_draws)
+    image, spread = np.asarray(signal, np.float32), spread.subsample(most_draws)
     noise = pixel_noise(image) if noise_dn is None else np.broadcast_to(np.asarray(noise_dn, np.float32), image.shape)
     if clipped is None:
-        clipped = np.zeros(image.shape, bool) if clip_dn is None else image >= CLIPPED_SHARE * clip_dn
+        clipped = np.zeros(image.shape, bool) if clip_dn is None else image >= 0.985 * clip_dn
     halo_px = 0.5 * float(spread.halo_diameter_px.max())
     lattice = FrameGrid(shape=(image.shape[0], image.shape[1]), room_px=int(halo_px + 20), pitch_ratio=pitch_ratio)
     sources = ()
@@ -147,14 +130,17 @@ def bloom_map(
         count, mean, square, bloom = count + 1, mean + share, square + share * share, bloom + far
     mean, bloom = mean / count, bloom / count
     of_noise = np.where(clipped, 0.0, mean * noise / np.maximum(image, noise))
-    variance = np.maximum(square / count - mean**2, 0.0) + of_noise**2 + LEAST_SD**2
-    unknown = image < LIT * noise
+    # Signal is counted pixel by pixel, so that no fraction is known better than 0.003.
+    variance = np.maximum(square / count - mean**2, 0.0) + of_noise**2 + 0.003**2
+    # Without signal there is no fraction: at least two standard deviations of a pixel's noise.
+    unknown = image < 2.0 * noise
     for source in sources:
-        if source.known and source.shape == "patch":
+        if source.has_known_signal and source.shape == "patch":
             rows, cols = np.divmod(source.region, lattice.shape[1])
-            variance += PATCH_SD**2 * (_within(rows, cols, PATCH_MARGIN_PX, lattice) & ~clipped)
-        if not source.known:
-            unknown |= _contaminated_pixels(source, image, spread.centre(), lattice, halo_px)
+            # Next to a patch the fraction depends on its edge, which clipping hides to within a pixel.
+            variance += 0.12**2 * (_within(rows, cols, PATCH_MARGIN_PX, lattice) & ~clipped)
+        if not source.has_known_signal:
+            unknown |= _pixels_of_unknown_source(source, image, spread.centre(), lattice, halo_px)
     return BloomMap(
         fraction=np.where(unknown, np.nan, mean).astype(np.float32),
         sd=np.where(unknown, np.nan, np.sqrt(variance)).astype(np.float32),
@@ -177,37 +163,42 @@ def _check(signal: NDArray, *, clip_dn: float | None, **positive: float) -> None
 
 
 def pixel_noise(image: NDArray) -> NDArray[np.float32]:
-    """Standard deviation of every pixel's noise, DN, shape (row, col): its variance grows in proportion to the light.
+    """Estimate every pixel's noise, DN, shape (row, col); its variance is linear in the signal.
 
-    Found from second differences along rows, of pixels so far apart that blur does not tie their noise, in groups of
-    like light.
+    Noise comes from second differences along rows, of pixels separated by more than the blur, in groups of similar
+    signal.
     """
-    lag = NOISE_LAG_PX
+    lag = 4
     low, middle, high = image[:, : -2 * lag], image[:, lag:-lag], image[:, 2 * lag :]
     light = (low + middle + high).ravel() / 3.0
     second = np.abs(low - 2.0 * middle + high).ravel()
     order = np.argsort(light)
-    groups = [group for group in np.array_split(order, NOISE_GROUPS) if len(group)]
+    groups = [group for group in np.array_split(order, 8) if len(group)]
     mean = np.array([max(0.0, float(light[group].mean())) for group in groups])
     variance = np.array([(1.4826 * float(np.median(second[group]))) ** 2 / 6.0 for group in groups])
-    # Bright groups hold edges besides noise: the law goes through the darkest group, and rises as the median slope.
+    # Bright groups include edges: the law passes through the darkest group and has the median slope.
     rise = (variance - variance[0]) / np.maximum(mean - mean[0], 1e-3)
     slope = max(0.0, float(np.median(rise[1:])))
     return np.sqrt(np.maximum(variance[0] + slope * np.maximum(image - mean[0], 0.0), 1e-6)).astype(np.float32)
 
 
 def _draws(
-    image: NDArray, clipped: Mask, clip_dn: float | None, sources: tuple[ClippedSource, ...], spread: PosteriorPsf, lattice: FrameGrid,
+    image: NDArray,
+    clipped: Mask,
+    clip_dn: float | None,
+    sources: tuple[ClippedSource, ...],
+    spread: PosteriorPsf,
+    lattice: FrameGrid,
     near_px: float,
-) -> Iterator[tuple[NDArray, NDArray]]:  # fmt: skip
-    """Light that does not belong, and all light, of every pixel, draw by draw."""
+) -> Iterator[tuple[NDArray, NDArray]]:
+    """Blooming and total signal of every pixel, draw by draw."""
     background, glare = float(np.median(image)), np.asarray(spread.glare_fraction)
     tables = _Tables(
         whole=spread.transfer(lattice.frequency),
         near=spread.transfer(nodes()[0]) @ _near_transform(lattice.frequency, near_px),
         profile=(profiles(spread) * lattice.pitch_ratio).astype(np.float32),
     )
-    known = [source for source in sources if source.known]
+    known = [source for source in sources if source.has_known_signal]
     prints = [_footprint(source, lattice) for source in known]
     for draw in range(len(spread)):
         hidden, hidden_near = np.zeros_like(image), np.zeros_like(image)
@@ -223,7 +214,7 @@ def _draws(
                      float(rest.sum()) + background * image.size, light, image.size)  # fmt: skip
         whole, near = tables.whole[draw], tables.near[draw]
         ratio = (near * whole + LEAST_TRANSFER**2) / (whole**2 + LEAST_TRANSFER**2)
-        belongs = lattice.filtered(lattice.forward_transform(rest), ratio) + np.float32(ratio[0] * (background - veil))
+        belongs = lattice.filter(lattice.forward_transform(rest), ratio) + np.float32(ratio[0] * (background - veil))
         total = image
         if clipped.any():
             total = np.where(clipped, np.maximum(hidden + np.float32(background), np.float32(clip_dn or 0.0)), image)
@@ -232,7 +223,7 @@ def _draws(
 
 @dataclass(frozen=True, kw_only=True)
 class _Tables:
-    """Of every draw: transfer of all light and of that which stays near, against frequency; density over distance."""
+    """Per draw: transfer functions of the whole PSF and of its part near the centre, and PSF by distance."""
 
     whole: Array
     near: Array
@@ -240,13 +231,13 @@ class _Tables:
 
 
 def _veil(glare: float, area: float, rest: float, hidden: float, pixels: int) -> float:
-    """Glare in every pixel, DN, of a frame with so much light outside and inside of clipped sources."""
+    """Veiling glare per pixel, DN, for given signals outside and inside of clipped sources."""
     outside = rest / (1.0 - glare + glare * min(1.0, pixels / area))
     return glare * (outside + hidden) / area
 
 
 def _footprint(source: ClippedSource, lattice: FrameGrid) -> tuple[slice, slice, NDArray[np.float32] | None]:
-    """Where a source's light lands, and the distances from it there; None for a patch, which lands anywhere."""
+    """Pixels lit by a source, and their distances from it; None for a patch, which covers the frame."""
     if source.shape != "point":
         return slice(None), slice(None), None
     rows, cols = lattice.around(source.row, source.col)
@@ -261,51 +252,52 @@ def _of_source(
     lattice: FrameGrid,
     near_px: float,
 ) -> tuple[NDArray, NDArray]:
-    """What one unit of a source's light leaves in the frame, all of it and what belongs where it is."""
+    """Image of a unit source: in total, and the part that belongs to its pixels."""
     if radius is None:
-        return lattice.patch(source.lit, tables.whole[draw]), lattice.patch(source.lit, tables.near[draw])
+        return lattice.patch(source.illuminated_pixels, tables.whole[draw]), lattice.patch(
+            source.illuminated_pixels, tables.near[draw]
+        )
     found = radial(radius, tables.profile[draw])
     return found, found * (radius <= near_px)
 
 
 def _near_transform(frequency: Array, near_px: float) -> Array:
-    """Takes a transfer on `nodes` to the transform of its spread's part within a distance, shape (node, frequency)."""
+    """Matrix from a transfer function on `nodes` to that of the PSF within a distance, shape (node, frequency)."""
     from scipy.special import j0
 
     steps = 48
     radius = (np.arange(steps) + 0.5) * near_px / steps
-    node, weight = nodes()
-    to_density = (2.0 * np.pi * weight * node)[:, None] * j0(2.0 * np.pi * np.outer(node, radius))
     ring = 2.0 * np.pi * radius * near_px / steps
-    return to_density @ (ring[:, None] * j0(2.0 * np.pi * np.outer(radius, frequency)))
+    return density_matrix(radius) @ (ring[:, None] * j0(2.0 * np.pi * np.outer(radius, frequency)))
 
 
-def _contaminated_pixels(
+def _pixels_of_unknown_source(
     source: ClippedSource, image: NDArray, one: PosteriorPsf, lattice: FrameGrid, halo_px: float
 ) -> Mask:
-    """Pixels of which a source of unknown light may make up more than `REACHED`: no ring holds less than its light."""
+    """Pixels in which a source of unknown signal may exceed `REACHED` of the total."""
     rows, cols = np.divmod(source.region, lattice.shape[1])
     near, away = _within(rows, cols, halo_px, lattice), lattice.distance(source.row, source.col)
     veil = float(np.asarray(one.glare_fraction)[0]) / (one.glare_area_px or float(image.size))
     if source.shape == "point":
         profile = profiles(one)[0] * lattice.pitch_ratio
-        # A halo a little smaller than thought would let more light pass for the same signal.
+        # A smaller halo would contain more light for the same signal.
         share, least = radial(away, profile), radial(away + SMALLER_PX, profile)
         clear = ~_within(rows, cols, SMALLER_PX + 1.0, lattice)
     else:
-        share = least = lattice.patch(source.lit, one.transfer(lattice.frequency)[0])
+        share = least = lattice.patch(source.illuminated_pixels, one.transfer(lattice.frequency)[0])
         clear = ~_within(rows, cols, PATCH_MARGIN_PX, lattice)
     share, least = np.maximum(share, 0.0) + veil, np.maximum(least, 0.0) + veil
-    ring = (away / RING_PX).astype(int).ravel()
+    ring = (away / 2.0).astype(int).ravel()
     count = np.bincount(ring)
     signal, of_unit = (np.bincount(ring, of.ravel()) / np.maximum(count, 1) for of in (image, least))
-    told = np.bincount(ring, ~clear.ravel()) == 0
-    most = (signal[told] / np.maximum(of_unit[told], 1e-12)).min(initial=np.inf)
-    return near | (most * share > REACHED * np.maximum(image, 1e-6))
+    complete = np.bincount(ring, ~clear.ravel()) == 0
+    most = (signal[complete] / np.maximum(of_unit[complete], 1e-12)).min(initial=np.inf)
+    # Unknown where the source may exceed 5 % of the pixel's signal.
+    return near | (most * share > 0.05 * np.maximum(image, 1e-6))
 
 
 def _within(rows: NDArray, cols: NDArray, reach: float, lattice: FrameGrid) -> Mask:
-    """Pixels within a distance of any of some pixels."""
+    """Pixels within a distance of given pixels."""
     from scipy import ndimage
 
     away = np.ones(lattice.shape, bool)
@@ -315,8 +307,119 @@ def _within(rows: NDArray, cols: NDArray, reach: float, lattice: FrameGrid) -> M
 
 
 def _near_border(lattice: FrameGrid, halo_px: float) -> Mask:
-    """Pixels nearer to the border than the halo is wide."""
+    """Pixels closer to the border than the halo radius."""
     out = np.ones(lattice.shape, bool)
     down, across = int(np.ceil(halo_px / lattice.pitch_ratio)), int(np.ceil(halo_px))
     out[down : lattice.shape[0] - down, across : lattice.shape[1] - across] = False
     return out
+
+
+def spread_from(result: Result, *, area_px: float, pitch_ratio: float = 1.0, rng: np.random.Generator) -> PosteriorPsf:
+    """Return the point spread functions described by the measurements of a point series.
+
+    Parameters
+    ----------
+    result
+        Result of `charact.bloom.measure`.
+    area_px
+        Pixels of a frame, the area of the veiling glare.
+    pitch_ratio
+        Row pitch over column pitch.
+    rng
+        Generator of the glare's draws.
+
+    Raises
+    ------
+    BadInput
+        If the result has no posterior of core and halo.
+    """
+    posterior = _posterior(result)
+    found = [m for m in result.find("veiling_glare") if m.value is not None and m.interval68 is not None]
+    glare = np.zeros(len(posterior.draws))
+    if found and found[0].value is not None and found[0].interval68 is not None:
+        low, high = found[0].interval68
+        glare = 0.01 * np.clip(rng.normal(found[0].value, 0.5 * (high - low), len(glare)), 0.0, 99.0)
+    return spread_of(posterior, pitch_ratio=pitch_ratio, glare_fraction=glare, glare_area_px=area_px)
+
+
+def _posterior(result: Result) -> Posterior:
+    """The posterior of core and halo."""
+    for one in result.find("halo_fraction") + result.find("halo_diameter"):
+        if one.posterior is not None and "halo_fraction" in one.posterior.names:
+            return one.posterior
+    reasons = [str(m.reason) for m in result.find("halo_diameter") if m.reason]
+    raise BadInput(f"a bloom map needs the halo of a point series: {'; '.join(reasons) or 'none was measured'}")
+
+
+def map_of(session: Session, result: Result, *, label: str | None = None, context: Context) -> tuple[BloomMap, NDArray]:
+    """Return the bloom map of a stack's mean frame, and that frame above dark, shape (row, col), DN.
+
+    Parameters
+    ----------
+    session
+        Session with the stack, a point series and preferably darks.
+    result
+        Result of `charact.bloom.measure` on it.
+    label
+        Stack; None: the scene, else the brightest point source.
+    context
+        Seed, full scale and pitches.
+
+    Raises
+    ------
+    BadInput
+        If there is no such stack, or no halo was measured.
+    """
+    entry = _entry(session, label)
+    stack = entry.read()
+    full = full_scale_of(stack, context)
+    dark = _dark_dn(session, entry, stack)
+    rng = np.random.default_rng(context.seed)
+    signal = stack.data.mean(axis=0, dtype=np.float64) - dark
+    spread = spread_from(result, area_px=float(signal.size), pitch_ratio=context.pitch_ratio, rng=rng)
+    # Above 2 % of clipped frames the mean of a pixel underestimates its signal.
+    clipped = (stack.data >= full).mean(axis=0) > 0.02
+    found = bloom_map(signal, spread, clip_dn=full - dark, clipped=clipped, pitch_ratio=context.pitch_ratio, rng=rng)
+    return found, signal
+
+
+def _entry(session: Session, label: str | None) -> StackEntry:
+    """The requested stack, or the default one."""
+    if label is not None:
+        found = [entry for entry in session.stacks if entry.label == label]
+        if not found:
+            names = ", ".join(entry.label for entry in session.stacks)
+            raise BadInput(f"the stack of a map must be one of {names}, got {label!r}")
+        return found[0]
+    scenes = session.of_kind("scene")
+    found = scenes or session.of_kind("point")
+    if not found:
+        raise BadInput("a bloom map needs a stack of kind scene or point")
+    return max(found, key=lambda entry: (entry.conditions.illuminance_lux or 0.0) * (entry.conditions.gate_ns or 1.0))
+
+
+def _dark_dn(session: Session, entry: StackEntry, stack: FrameStack) -> float:
+    """Black level: that of matching darks, as recorded, else the first percentile of the frame, DN."""
+    dark = session.dark_like(entry.conditions)
+    if dark is not None:
+        return dark.read().mean_dn
+    if stack.black_level_dn is not None:
+        return float(stack.black_level_dn)
+    return float(np.percentile(stack.data, 1.0))
+
+
+def evidence_of(found: BloomMap, signal: NDArray) -> dict[str, Any]:
+    """Figure data of a map for `charact.report.bloom_images.bloom_map`."""
+    return {
+        "figure": "bloom-map",
+        "signal_dn": signal,
+        "fraction": found.fraction,
+        "sd": found.sd,
+        "clipped": found.clipped,
+        "near_px": found.near_px,
+        "sources": [
+            {"row": s.row, "col": s.col, "shape": s.shape, "known": s.has_known_signal, "reason": s.reason,
+             "light_dn_px": float(np.median(s.light_dn_px))}
+            for s in found.sources
+        ],
+    }  # fmt: skip

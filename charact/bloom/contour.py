@@ -1,47 +1,22 @@
-"""Where the light around a source falls through a level: a smooth contour fitted to the pixels next to it.
-
-The mean frame frays where the light falls slowly, and pixels are coarse where it falls fast. So the logarithm of what
-the signal is above its surroundings is fitted near the contour by a polynomial of the distance with the first two
-harmonics of the direction, the data being the signal as the highest code cuts it; the contour and its area follow
-without counting pixels.
-"""
+"""Contour of a source's signal at a threshold, fitted to the adjacent pixels."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.bloom.pixel_noise import PixelNoise, mean_with_clipping
-from charact.bloom.polar import Polar
+from charact.bloom.source_view import PixelNoise, Polar, mean_with_clipping
 
 Array = NDArray[np.float64]
 
-# Half width of the annulus that is fitted, px, and by how much its signal's logarithm may depart from the level's.
-HALF_WIDTH_PX = 2.0
-LOG_SPAN = 1.2
-# Within this distance pixels are taken however steep the slope.
-NEAREST_PX = 0.75
-# The same at first for a level next to the highest code: rings are cut on one side and say less well where it lies.
-NEAREST_CUT_PX, CUT_SHARE = 1.5, 0.85
-# How far out the surroundings are looked for, px, and the share of their level that the fit stands on.
-SURROUNDINGS_PX = 4.0
-SURROUNDINGS_SHARE = 0.97
-# Radius up to which a contour is so short that its noise is that of an area, px.
-SMALL_PX = 2.0
-# Share of the second harmonic that the ones left out may come to.
-HIGHER = 0.05
-ROUNDS = 4
-# Pixels inside the contour, not cut by the highest code, from which on a bend of the logarithm may be fitted.
-BENDS = 10
-NEWTON_STEPS = 5
-# Share by which no polynomial is exact.
-INEXACT = 0.05
+# Signal over full scale above which rings are affected by clipping.
+CUT_SHARE = 0.85
 DIRECTIONS = np.linspace(-np.pi, np.pi, 72, endpoint=False)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Contour:
-    """A closed contour around a source.
+    """Closed contour around a source.
 
     Parameters
     ----------
@@ -68,39 +43,50 @@ class Contour:
         return polar.radius <= np.interp(angle, DIRECTIONS, self.radius, period=2 * np.pi)
 
     def shift(self) -> tuple[float, float]:
-        """How far its middle lies from where it was looked for, rows and columns, column pitches."""
+        """Offset of the centre of the contour from the assumed one, rows and columns, column pitches."""
         down, along = (2.0 * float((self.radius * wave(DIRECTIONS)).mean()) for wave in (np.sin, np.cos))
         return down, along
 
 
-def fit_contour(signal: Array, polar: Polar, profile: tuple[Array, Array], level: float, radius: float, noise: PixelNoise,
-                top: float, sectors: NDArray[np.bool_], *, width: float = 1.0) -> Contour | None:  # fmt: skip
-    """Fit the contour of a level near a radius; None where the pixels there do not fall through it.
+def fit_contour(
+    signal: Array,
+    polar: Polar,
+    profile: tuple[Array, Array],
+    level: float,
+    radius: float,
+    noise: PixelNoise,
+    top: float,
+    sectors: NDArray[np.bool_],
+    *,
+    width: float = 1.0,
+) -> Contour | None:
+    """Fit the contour at a threshold near a radius; None where the pixels there do not cross it.
 
     Parameters
     ----------
     signal
-        Mean frame over dark, shape (row, col), DN.
+        Mean frame above dark, shape (row, col), DN.
     profile
-        Radius and mean signal of rings, by which pixels near the level are chosen.
+        Radius and mean signal of rings, which select the pixels near the threshold.
     level
-        Level over dark, DN.
+        Threshold above dark, DN.
     radius
-        Where to look first, column pitches.
+        Start radius, column pitches.
     top
-        Highest code over dark, DN.
+        Full scale above dark, DN.
     sectors
-        Sectors in which the contour is looked for.
+        Sectors used.
     width
-        Share of the usual annulus that is fitted.
+        Fraction of the usual annulus that is fitted.
     """
     base = _surroundings(profile, level, radius)
-    nearest = NEAREST_CUT_PX if width >= 1.0 and level > CUT_SHARE * top else NEAREST_PX
+    # Close to full scale the rings are clipped on one side and locate the threshold less well.
+    nearest = 1.5 if width >= 1.0 and level > CUT_SHARE * top else 0.75
     pixels = _near(polar, profile, (level, base), radius, sectors, (width, nearest))
     value, x, y = signal[pixels], polar.dx[pixels] / radius, polar.dy[pixels] / radius
     start = np.interp(polar.radius[pixels], *profile)
     clear = start < top - 2.0 * float(noise.sd(top)) / np.sqrt(noise.frames)
-    bends = (clear & (x**2 + y**2 < 1.0)).sum() > BENDS
+    bends = (clear & (x**2 + y**2 < 1.0)).sum() > 10
     terms = _terms(radius, len(value), bends=bends, round_only=not sectors.all())
     basis = _basis(x, y, terms)
     if len(value) < basis.shape[1] + 1:
@@ -108,75 +94,76 @@ def fit_contour(signal: Array, polar: Polar, profile: tuple[Array, Array], level
     beta, above = np.zeros(basis.shape[1]), level - base
     linear = np.log(np.clip(start - base, 0.05 * above, 20.0 * above) / above)
     if clear.sum() > 2 * basis.shape[1]:
-        # What is cut is drawn on from what is not, lest the cut be taken for a plateau.
+        # Clipped pixels are extrapolated from the others, since clipping resembles a plateau.
         lever = np.exp(linear[clear])[:, None]
         linear = basis @ np.linalg.lstsq(lever * basis[clear], lever[:, 0] * linear[clear], rcond=None)[0]
     weight, own, working, normal = np.ones(len(value)), np.ones(len(value)), linear, np.eye(len(beta))
-    for _ in range(ROUNDS):
+    for _ in range(4):
         mean = above * np.exp(np.clip(linear, -4.0, 4.0))
         expected, share = mean_with_clipping(base + mean, noise, top)
         lever = share * mean
         variance = noise.sd(base + mean) ** 2 / noise.frames
-        weight = lever**2 / (variance + (INEXACT * mean) ** 2)
+        weight = lever**2 / (variance + (0.05 * mean) ** 2)
         working = linear + (value - expected) * lever / np.maximum(lever**2, 1e-3 * above**2)
         weighted, own = basis * weight[:, None], weight**2 * variance / np.maximum(lever**2, 1e-3 * above**2)
         normal = np.asarray(np.linalg.pinv(weighted.T @ basis, hermitian=True), np.float64)
         beta = normal @ (weighted.T @ working)
         linear = basis @ beta
     scores = basis * (weight * (working - linear))[:, None]
-    # Noise tied over an area is tied along a line by the root of it; the pixels' scatter says the same otherwise.
+    # Noise correlated over an area is correlated along a line by its square root; scatter gives a second estimate.
     noisy = np.sqrt(noise.tied) * normal @ (basis * own[:, None]).T @ basis @ normal
-    told = noise.tied * normal if radius <= SMALL_PX else noisy
-    covariance = 0.5 * (normal @ _scatter(scores, noise.tied) @ normal + told)
+    # Up to a radius of 2 px the contour is so short that its noise is that of an area.
+    analytic = noise.tied * normal if radius <= 2.0 else noisy
+    covariance = 0.5 * (normal @ _scatter(scores, noise.tied) @ normal + analytic)
     return _solve_contour(beta, covariance, radius, terms)
 
 
 def _surroundings(profile: tuple[Array, Array], level: float, radius: float) -> float:
-    """Level that the light falls towards just outside, DN over dark: that of a halo or of the background."""
-    outside = (profile[0] > radius) & (profile[0] < radius + SURROUNDINGS_PX)
-    return float(np.clip(SURROUNDINGS_SHARE * profile[1][outside].min(initial=level), 0.0, 0.8 * level))
+    """Signal just outside the contour, DN above dark: halo or background."""
+    outside = (profile[0] > radius) & (profile[0] < radius + 4.0)
+    return float(np.clip(0.97 * profile[1][outside].min(initial=level), 0.0, 0.8 * level))
 
 
 def _near(polar: Polar, profile: tuple[Array, Array], levels: tuple[float, float], radius: float,
           sectors: NDArray[np.bool_], widths: tuple[float, float]) -> NDArray[np.bool_]:  # fmt: skip
-    """Pixels whose ring is near the radius and whose signal is near the level."""
+    """Pixels with a ring near the radius and a signal near the threshold."""
     (level, base), (width, nearest) = levels, widths
     apart = np.abs(polar.radius - radius)
-    pixels = (apart < max(width * HALF_WIDTH_PX, width * 0.08 * radius, nearest)) & sectors[polar.sector]
+    pixels = (apart < max(width * 2.0, width * 0.08 * radius, nearest)) & sectors[polar.sector]
     above = np.interp(polar.radius[pixels], *profile) - base
     logs = np.log(np.maximum(above, 1e-3 * level) / (level - base))
-    pixels[pixels] = (np.abs(logs) < width * LOG_SPAN) | (apart[pixels] < nearest)
+    pixels[pixels] = (np.abs(logs) < width * 1.2) | (apart[pixels] < nearest)
     return pixels
 
 
 def _terms(radius: float, pixels: int, *, bends: bool, round_only: bool) -> tuple[str, ...]:
-    """Which terms the pixels next to a contour of this radius can tell: a small one is round, a part of one as well."""
+    """Select the terms that the pixels near a contour of this radius can determine."""
     if radius <= 2.0 or pixels < 20:
         return FEW if pixels >= 8 else FEW[:2]
-    return FEW + (BENT if bends else ()) + (() if round_only else OVAL)
+    return FEW + (("tt",) if bends else ()) + (() if round_only else ("xx-yy", "2xy"))
 
 
-FEW, BENT, OVAL = ("1", "t", "x", "y"), ("tt",), ("xx-yy", "2xy")
+FEW = ("1", "t", "x", "y")
 
 
 def _basis(x: Array, y: Array, terms: tuple[str, ...]) -> Array:
-    """Terms of the squared distance t over the radius's less 1, and of the direction; shape (.., term)."""
+    """Terms in the relative squared distance, (r/r0)^2 - 1, and in the direction, shape (.., term)."""
     t = x**2 + y**2 - 1.0
     known = {"1": np.ones_like(x), "t": t, "x": x, "y": y, "tt": t**2, "xx-yy": x**2 - y**2, "2xy": 2 * x * y}
     return np.stack([known[term] for term in terms], axis=-1)
 
 
 def _scatter(scores: Array, tied: float) -> Array:
-    """Scatter of the sum of scores, from pixels whose noise is tied."""
+    """Covariance of the sum of scores of pixels with correlated noise."""
     spare = max(len(scores) - min(scores.shape[1], len(scores) - 1), 1)
     return scores.T @ scores * tied * len(scores) / spare
 
 
 def _solve_contour(beta: Array, covariance: Array, radius: float, terms: tuple[str, ...]) -> Contour | None:
-    """Follow the fitted signal to the level in every direction, with the errors that follow from its coefficients'."""
+    """Solve for the contour radius in every direction, and propagate the covariance of the coefficients."""
     t = np.zeros(len(DIRECTIONS))
     bend = float(beta[terms.index("tt")]) if "tt" in terms else 0.0
-    for _ in range(NEWTON_STEPS):
+    for _ in range(5):
         rows, fall = _along(t, terms), beta[1] + 2.0 * t * bend
         if not np.all(fall < -1e-3):
             return None
@@ -189,10 +176,11 @@ def _solve_contour(beta: Array, covariance: Array, radius: float, terms: tuple[s
     toward = [np.pi * shifts.mean(axis=0), *((shifts * wave[:, None]).mean(axis=0) for wave in waves)]
     sds = [float(np.sqrt(max(one @ covariance @ one, 0.0))) for one in toward]
     oval = (float((squared * waves[0]).mean()), float((squared * waves[1]).mean()))
+    # Neglected higher harmonics may reach 5 % of the second.
     return Contour(
         radius=np.sqrt(squared),
         area=np.pi * mean,
-        area_sd=float(np.hypot(sds[0], HIGHER * np.hypot(*oval) * np.pi * mean)),
+        area_sd=float(np.hypot(sds[0], 0.05 * np.hypot(*oval) * np.pi * mean)),
         slope=float(-2.0 * np.mean(fall) / radius),
         oval=oval,
         oval_sd=float(np.hypot(sds[1], sds[2]) / np.sqrt(2.0)),
@@ -200,6 +188,6 @@ def _solve_contour(beta: Array, covariance: Array, radius: float, terms: tuple[s
 
 
 def _along(t: Array, terms: tuple[str, ...]) -> Array:
-    """Terms in every direction at the squared distances t, shape (direction, term)."""
+    """Terms in every direction at squared distances t, shape (direction, term)."""
     reach = np.sqrt(np.maximum(1.0 + t, 0.05))
     return _basis(reach * np.cos(DIRECTIONS), reach * np.sin(DIRECTIONS), terms)

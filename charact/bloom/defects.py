@@ -1,13 +1,11 @@
-"""Stuck, hot and blinking pixels and particle hits in a point series, replaced by their neighbours.
-
-No optics lights one pixel and leaves its neighbours dark, and darks show no source: what does is the detector's.
-"""
+"""Defective pixels and particle hits in a point series, replaced by their neighbours' mean."""
 
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from charact import robust
 from charact.bloom.thresholds import (
     DARK_DEFECT_SD,
     DEFECT_SD,
@@ -25,27 +23,27 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, kw_only=True)
 class SoundEntry(StackEntry):
-    """A stack whose misbehaving pixels are read as the mean of their neighbours.
+    """Stack that is read with its defective pixels replaced.
 
     Parameters
     ----------
     entry
-        The stack as recorded.
+        Stack as recorded.
     bad
-        Its misbehaving pixels, shape (row, col).
+        Its defective pixels, shape (row, col).
     """
 
     entry: StackEntry
     bad: Mask
 
     def read(self, plane: str | None = None) -> FrameStack:
-        """Return the frames, misbehaving pixels replaced."""
+        """Return the frames with defective pixels replaced."""
         stack = self.entry.read() if plane is None else self.entry.read(plane)
         return replace(stack, data=replace_bad_pixels(np.asarray(stack.data), self.bad))
 
 
 def with_sound_pixels(session: Session) -> tuple[Session, int]:
-    """Return a session whose darks and point stacks read without misbehaving pixels, and the number of those pixels.
+    """Return a session whose darks and point stacks are read without defective pixels, and the number of those pixels.
 
     Parameters
     ----------
@@ -73,7 +71,7 @@ def bad_pixels(entry: StackEntry, shape: tuple[int, ...]) -> Mask:
 
 
 def _hot(session: Session) -> Mask:
-    """Pixels that stand out of a dark and of the faintest point stack: pulses of a tube stand out of one of both."""
+    """Pixels that stand out of a dark and of the faintest point stack; pulses stand out of one of them only."""
     points = sorted(session.of_kind("point"), key=lambda entry: entry.conditions.illuminance_lux or 0.0)
     darks = session.of_kind("dark")
     if not points or not darks:
@@ -93,34 +91,34 @@ def lone_pixels(image: Array) -> Mask:
 
     Notes
     -----
-    A Gaussian of 0.35 px, sharper than any lens behind a pixel, still gives those beside its brightest one or two
-    30 % of their light.
+    A Gaussian of 0.35 px, sharper than any lens, still gives the one or two pixels next to its brightest one 30 % of
+    the signal.
     """
     excess, sd = _excess(image)
     out = np.zeros(image.shape, bool)
     padded = np.pad(excess, 1)
     for row, col in np.argwhere(np.abs(excess) > max(DEFECT_SD * sd, LEAST_DEFECT_DN)):
         own = abs(excess[row, col])
-        beside = np.sort(np.abs(np.delete(padded[row : row + 3, col : col + 3], 4)))
+        adjacent = np.sort(np.abs(np.delete(padded[row : row + 3, col : col + 3], 4)))
         # Two defects may touch.
-        lit = beside[:-1].sum()
+        lit = adjacent[:-1].sum()
         near = excess[max(0, row - 3) : row + 4, max(0, col - 3) : col + 4]
         local = 1.4826 * float(np.median(np.abs(near)))
         out[row, col] = own > DEFECT_SD * local and lit < LIT_NEIGHBOURS * own + NEIGHBOUR_SD * local
-    # Single pixels all over a frame are the noise of the light: pulses that nothing blurs.
+    # Single bright pixels all over a frame are unblurred pulses, photon noise.
     return out if out.mean() < MOST_DEFECTS else np.zeros(image.shape, bool)
 
 
 def _excess(image: Array) -> tuple[Array, float]:
-    """Difference of each pixel from the median about it, and its robust standard deviation, DN."""
+    """Difference of each pixel from its local median, and its robust standard deviation, DN."""
     import cv2
 
     excess = image - cv2.medianBlur(image.astype(np.float32), 5).astype(np.float64)
-    return excess, 1.4826 * float(np.median(np.abs(excess - np.median(excess))))
+    return excess, robust.robust_sd(excess)
 
 
 def replace_bad_pixels(data: NDArray, bad: Mask) -> NDArray:
-    """Return frames whose bad pixels hold the mean of their sound neighbours, shape (frame, row, col)."""
+    """Replace bad pixels by the mean of their sound neighbours, shape (frame, row, col)."""
     if not bad.any():
         return data
     out = data.copy()

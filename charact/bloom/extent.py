@@ -1,9 +1,4 @@
-"""How far light reaches: the area around a source at or above a level, of the picture behind the noise.
-
-A point source is round but for what pulls it: charge that spills along columns, another source. Rings tell where the
-light first falls through the level and how surely, a contour fitted there how large the area is, and sectors that are
-pulled are counted pixel by pixel.
-"""
+"""Bloom extent: area around a source at or above a signal threshold, noise removed."""
 
 from dataclasses import dataclass, replace
 from statistics import NormalDist
@@ -12,61 +7,41 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.bloom.contour import CUT_SHARE, Contour, fit_contour
-from charact.bloom.pixel_noise import mean_with_clipping
-from charact.bloom.polar import SECTORS
-from charact.bloom.source_view import SourceView
+from charact.bloom.source_view import SECTORS, SourceView, mean_with_clipping
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 DRAWS = 200
-# Width of the 95 % range of crossings, px and share of the radius, inside which one contour is fitted.
+# A single contour is fitted if the 95 % range of crossings is narrower than this, px and fraction of the radius.
 ONE_CONTOUR = (3.0, 0.1)
-# A sector is pulled where so many pixels at the level (one near the centre, where sectors are narrow) lie so far beyond
-# the rings' crossing, px and shares of it.
-PULLED_PIXELS, NARROW_PX = 3, 4.0
-PULLED_PX, PULLED_NEAR, PULLED_FAR = 2.0, 0.4, 0.1
-# How far from the source's column the columns are that its charge brightens, px.
-COLUMNS_PX = 6.0
-# Share of a ring that must lie inside the frame.
-LEAST_WHOLE = 0.3
-# What the fit of a smooth contour may be off by, px.
-FIT_PX = 0.004
-# The same where the highest code hides the inner side, px.
-FIT_CUT_PX = 0.0225
-# Share of the step between two annuli by which the choice of one may be off.
-STEPS_OFF = 0.25
-# Standard error of the radius below which a share of the annulus serves, in which a polynomial is closer to the truth.
-PRECISE_PX, NARROW = 0.04, 0.5
-# Error of a sharp edge between pixels, px.
-EDGE_PX = 0.5
-# What hangs together with the source has a pixel nearer than this.
+# Radius below which sectors are narrow, so that one pixel is significant, px.
+NARROW_PX = 4.0
+# The component of the source has a pixel closer than this, px.
 NEAR_PX = 2.5
-# Noise over the level up to which pixels are counted without smoothing.
-SHARP = 0.12
 NORMAL = np.asarray([NormalDist().inv_cdf((n + 0.5) / DRAWS) for n in range(DRAWS)])
 
 
 @dataclass(frozen=True, kw_only=True)
 class Extent:
-    """The region around a source at or above a level.
+    """Region around a source at or above a threshold.
 
     Parameters
     ----------
     level_dn
-        The level, DN.
+        Threshold, DN.
     area
         Square column pitches.
     draws
-        Diameters of the circle of equal area as the noise allows them, column pitches, shape (draw,).
+        Equal-area diameters, column pitches, shape (draw,).
     region
         Its pixels, shape (row, col).
     contour
-        The contour of its round part; None where noise leaves it open.
+        Contour of its round part; None where noise prevents a fit.
     touches_border
-        Whether it runs into the border of the frame.
+        Whether it extends to the border of the frame.
     pulled
-        Whether some sectors reach farther than a round source does.
+        Whether some sectors extend beyond a round source.
     """
 
     level_dn: float
@@ -79,37 +54,38 @@ class Extent:
 
     @property
     def diameter_px(self) -> float:
-        """Diameter of the circle of equal area, column pitches."""
+        """Equal-area diameter, column pitches."""
         return float(2.0 * np.sqrt(self.area / np.pi))
 
     @property
     def has_contour(self) -> bool:
-        """Whether the noise leaves one contour."""
+        """Whether the noise permits a single contour."""
         return self.contour is not None
 
 
 def extent_at(view: SourceView, level_dn: float, *, level_sd: float = 0.0, seed: int = 0) -> Extent | None:
-    """Return the region around the source at or above a level; None where the source does not reach it.
+    """Return the region around the source at or above a threshold; None where the source stays below it.
 
     Parameters
     ----------
     view
-        Mean frame as seen from the source.
+        Mean frame around the source.
     level_dn, level_sd
-        The level and its standard error, DN.
+        Threshold and its standard error, DN.
     seed
         Seed of the draws.
 
     Notes
     -----
-    Rings are averages over hundreds of pixels: a level within their noise (halo plateaus) leaves several places where
-    the light may first fall through it, and the draws say so.
+    Rings are averages over hundreds of pixels. A threshold within their noise (halo plateaus) has several possible
+    crossings, which the draws cover.
     """
     level = level_dn - view.dark_dn
     visible = float(mean_with_clipping(np.array([level]), view.noise, view.top)[0][0])
     near = float(view.signal[view.polar.radius < 1.5].max(initial=-np.inf))
     radius, profile = view.profile
-    usable = int(np.argmin(np.append(view.rings.whole, 0.0) > LEAST_WHOLE))
+    # A ring counts if 30 % of it lie inside the frame.
+    usable = int(np.argmin(np.append(view.rings.whole, 0.0) > 0.3))
     if near < visible or visible <= 0:
         return None
     first = _crossings(radius[:usable], profile[None, :usable], visible)[0]
@@ -123,7 +99,7 @@ def extent_at(view: SourceView, level_dn: float, *, level_sd: float = 0.0, seed:
     shift = level_sd * rng.standard_normal(DRAWS)
     crossings = _crossings(radius[:usable], means, visible + shift[:, None])
     middle = float(np.median(crossings))
-    # Draws that never fall through the level cross it at infinity, which no interpolation bears.
+    # Draws without a crossing are infinite, which interpolation does not support.
     low, high = np.quantile(crossings, [0.025, 0.975], method="nearest")
     contour = None
     if high - low < max(ONE_CONTOUR[0], ONE_CONTOUR[1] * middle):
@@ -138,7 +114,7 @@ def extent_at(view: SourceView, level_dn: float, *, level_sd: float = 0.0, seed:
 
 
 def contour_at(view: SourceView, level: float) -> tuple[Contour, bool] | None:
-    """Return the contour of a level over dark, DN, and whether no sector is pulled; None where there is none."""
+    """Return the contour at a threshold above dark, DN, and whether it covers all sectors; None without a contour."""
     visible = float(mean_with_clipping(np.array([level]), view.noise, view.top)[0][0])
     first = _crossings(view.profile[0], view.profile[1][None], visible)[0]
     if np.isinf(first):
@@ -151,7 +127,7 @@ def contour_at(view: SourceView, level: float) -> tuple[Contour, bool] | None:
 
 
 def _crossings(radius: Array, means: Array, level: Array | float) -> Array:
-    """Radius where each profile first falls below a level, shape (draw,); inf where it never does."""
+    """Radius where each profile first falls below a threshold, shape (draw,); inf where it never does."""
     level = np.broadcast_to(np.asarray(level, float).reshape(-1, 1), (len(means), 1))
     below = means < level
     never = ~below.any(axis=1)
@@ -164,7 +140,7 @@ def _crossings(radius: Array, means: Array, level: Array | float) -> Array:
 
 
 def _component(view: SourceView, above: Mask) -> Mask:
-    """The part of a mask that hangs together with the source."""
+    """The connected part of a mask that contains the source."""
     from scipy import ndimage
 
     labels = np.asarray(ndimage.label(above)[0])  # pyright: ignore[reportIndexIssue]
@@ -173,23 +149,23 @@ def _component(view: SourceView, above: Mask) -> Mask:
 
 
 def _find_pulled_sectors(view: SourceView, visible: float, first: float) -> Mask:
-    """Sectors in which the region reaches clearly farther than rings say, shape (sector,)."""
+    """Find the sectors in which the region extends clearly beyond its rings, shape (sector,)."""
     if np.isinf(first):
         return np.zeros(SECTORS, bool)
     sure = visible + 2.0 * float(view.noise.sd(visible)) / np.sqrt(view.noise.frames)
     picture = view.smooth if first > NARROW_PX else view.signal
     region = _component(view, picture >= min(sure, 0.5 * (visible + view.top)))
-    margin = max(min(PULLED_PX, PULLED_NEAR * first), PULLED_FAR * first, 1.0)
+    margin = max(min(2.0, 0.4 * first), 0.1 * first, 1.0)
     pixels = np.bincount(view.polar.sector[region & (view.polar.radius > first + margin)], minlength=SECTORS)
-    pulled = (pixels >= (PULLED_PIXELS if first > NARROW_PX else 1)) | _along_columns(view, visible, first + margin)
-    # What pulls a sector spills into those beside it.
+    pulled = (pixels >= (3 if first > NARROW_PX else 1)) | _along_columns(view, visible, first + margin)
+    # A streak extends into the adjacent sectors.
     return pulled | (np.roll(pulled, 1) & (pixels > 0)) | (np.roll(pulled, -1) & (pixels > 0))
 
 
 def _along_columns(view: SourceView, visible: float, beyond: float) -> Mask:
-    """Sectors through which columns near the source stay at a level for most of their length, shape (sector,)."""
+    """Sectors with columns near the source that are mostly above the threshold, shape (sector,)."""
     out = np.zeros(SECTORS, bool)
-    for col in np.flatnonzero(np.abs(view.polar.dx[0]) < COLUMNS_PX):
+    for col in np.flatnonzero(np.abs(view.polar.dx[0]) < 6.0):
         for side in (-1.0, 1.0):
             rows = (side * view.polar.dy[:, col] > 0) & (view.polar.radius[:, col] > beyond)
             if rows.any() and np.median(view.signal[rows, col]) >= visible:
@@ -198,7 +174,7 @@ def _along_columns(view: SourceView, visible: float, beyond: float) -> Mask:
 
 
 def _refine_contour(view: SourceView, level: float, radius: float, sectors: Mask) -> Contour | None:
-    """The contour fitted where the rings fall through the level, then where it was found."""
+    """Fit the contour at the rings' crossing, then again at the radius of the fit."""
     found, width = None, 1.0
     for _ in range(4):
         fitted = fit_contour(
@@ -207,13 +183,14 @@ def _refine_contour(view: SourceView, level: float, radius: float, sectors: Mask
         if fitted is None:
             return found
         again = float(np.sqrt(fitted.area / np.pi))
-        narrow = width == 1.0 and fitted.area_sd / (2.0 * np.pi * again) < PRECISE_PX
+        # If the radius is known to 0.04 px, half the annulus suffices and suits a polynomial better.
+        narrow = width == 1.0 and fitted.area_sd / (2.0 * np.pi * again) < 0.04
         if width < 1.0 and found is not None:
-            # What the choice of the annulus moves is an error as well.
-            apart = STEPS_OFF * abs(fitted.area - found.area)
+            # A quarter of the difference between the two annuli is a systematic uncertainty.
+            apart = 0.25 * abs(fitted.area - found.area)
             fitted = replace(fitted, area_sd=float(np.hypot(fitted.area_sd, apart)))
         settled = abs(again - radius) < 0.05 and not narrow
-        found, radius, width = fitted, again, NARROW if narrow else width
+        found, radius, width = fitted, again, 0.5 if narrow else width
         if settled or (width < 1.0 and not narrow):
             break
     return found
@@ -222,7 +199,7 @@ def _refine_contour(view: SourceView, level: float, radius: float, sectors: Mask
 def _extent_from_contour(
     view: SourceView, level_dn: float, visible: float, contour: Contour, sectors: Mask, level_sd: float
 ) -> Extent:
-    """The contour's area, with pixels counted instead where sectors are pulled."""
+    """Area inside the contour, with pixels counted in the sectors that extend beyond it."""
     inside = contour.inside(view.polar)
     area, variance, region = contour.area, contour.area_sd**2, inside
     if not sectors.all():
@@ -232,10 +209,11 @@ def _extent_from_contour(
         area += float(extra.sum()) * view.polar.row_pitch
         noise = float(view.noise.sd(visible)) / np.sqrt(view.noise.frames)
         open_ = (extra > 0) & (np.abs(view.signal - visible) < noise)
-        variance += view.polar.row_pitch**2 * (0.25 * open_.sum() + (EDGE_PX * (extra > 0).sum() ** 0.5) ** 2)
+        variance += view.polar.row_pitch**2 * (0.25 * open_.sum() + (0.5 * (extra > 0).sum() ** 0.5) ** 2)
         region = inside | (extra > 0.5)
     radius = float(np.sqrt(area / np.pi))
-    off = FIT_CUT_PX if level_dn - view.dark_dn > CUT_SHARE * view.top else FIT_PX
+    # Model error of a contour, px; larger where clipping hides the inner side.
+    off = 0.0225 if level_dn - view.dark_dn > CUT_SHARE * view.top else 0.004
     sd = np.hypot(np.sqrt(variance), 2.0 * np.pi * radius * off)
     moved = 2.0 * np.pi * radius * level_sd / max(level_dn - view.dark_dn, 1e-6) / max(contour.slope, 1e-3)
     areas = area + float(np.hypot(sd, moved)) * NORMAL
@@ -251,7 +229,7 @@ def _extent_from_contour(
 
 
 def _extent_from_crossings(view: SourceView, level_dn: float, crossings: Array) -> Extent:
-    """A level within the noise of a plateau: the rings' crossings are all that is known."""
+    """Extent at a threshold within the noise of a plateau, from the crossings of the rings alone."""
     finite = np.minimum(crossings, float(view.rings.radius[-1]))
     radius = float(np.median(finite))
     return Extent(
@@ -266,10 +244,10 @@ def _extent_from_crossings(view: SourceView, level_dn: float, crossings: Array) 
 
 
 def _extent_from_pixels(view: SourceView, level_dn: float, visible: float) -> Extent | None:
-    """A region that is not round at all, or as large as the frame: its pixels."""
+    """Extent of a region that is not round, or as large as the frame, by counting pixels."""
     noise = float(view.noise.sd(visible)) / np.sqrt(view.noise.frames)
-    # Smoothing saves faint contours from fraying, and would wear away sharp narrow streaks.
-    picture = view.signal if noise < SHARP * visible else view.smooth
+    # Smoothing preserves faint contours, but would blur sharp narrow streaks.
+    picture = view.signal if noise < 0.12 * visible else view.smooth
     parts = _component(view, picture >= visible)
     if not parts.any():
         return None

@@ -1,52 +1,103 @@
-"""Extents of every stack as measurements: bloom diameters, ellipticity, saturated area, streak length."""
+"""Measurements of every stack: bloom diameters, axis ratio, saturated area, streak; flags with their findings."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from charact.bloom.column_artefacts import streak_measurements
 from charact.bloom.extent import Extent
 from charact.bloom.point_stack import DETECTED, PointStack
-from charact.bloom.polar import SECTORS
-from charact.bloom.shape import ellipticity
-from charact.bloom.streak import streak_measurements
+from charact.bloom.series_consistency import check_consistency
+from charact.bloom.smear import smear_measurement
+from charact.bloom.source_view import SECTORS
 from charact.method import Context
-from labdata.measurement import Measurement, Provenance, make_measurement, make_refusal, measurement_from_draws
+from labdata.flags import Finding
+from labdata.measurement import (
+    Interval,
+    Measurement,
+    Provenance,
+    Result,
+    make_measurement,
+    make_refusal,
+    measurement_from_draws,
+)
 from labdata.sensor import Sensor
+from labdata.session import Session
 
-# Standard deviation of the number of pixels inside a circle thrown at random over them, over the root of its radius.
-COUNTING = 0.84
-# Width of a 95 % interval, px and share of the diameter, from which on the noise all but hides where light ends.
-VAGUE_PX, VAGUE = 3.0, 0.3
-NO_DARKS = "the level without light is unknown, between 0 DN and the frame's median: a dark stack narrows the interval"
-# Codes from dark to the highest below which steps hide where light ends.
-LEAST_CODES = 20
+
+def ellipticity(extent: Extent, *, row_pitch: float) -> tuple[float, Interval, Interval] | None:
+    """Return minor over major axis of a region with its 68 and 95 % intervals; None where it is too small.
+
+    Parameters
+    ----------
+    extent
+        The region.
+    row_pitch
+        Row pitch over column pitch.
+
+    Notes
+    -----
+    A contour gives the axes without pixels: those of an ellipse whose squared radius has the second harmonic 1 + e cos
+    2(phi - phi_0) have the ratio (1 - e/2)/(1 + e/2). Noise biases e upwards, so its mean square is subtracted. Regions
+    with a streak or another source have the axes of the ellipse of equal second moments.
+    """
+    if extent.region.sum() < 12:
+        return None
+    if extent.contour is not None and not extent.pulled:
+        oval = float(np.hypot(*extent.contour.oval))
+        sd = float(np.hypot(1.3 * extent.contour.oval_sd, 0.004))
+        centre = float(np.sqrt(max(oval**2 - sd**2, 0.0)))
+        return _around(centre, sd)
+    from skimage import measure
+
+    found = measure.regionprops(extent.region.astype(np.uint8), spacing=(row_pitch, 1.0))[0]
+    major = float(found.axis_major_length)
+    value = float(found.axis_minor_length) / major if major > 0 else 1.0
+    # Uncertainty of one row of pixels at either end.
+    sd = (0.5 + value * 0.5) / max(major, 1.0)
+    low, high = ((value - k * sd, min(value + k * sd, 1.0)) for k in (0.994, 1.96))
+    return value, low, high
+
+
+def _around(oval: float, sd: float) -> tuple[float, Interval, Interval]:
+    """Axis ratio for a second harmonic, and the intervals due to its uncertainty; never above 1."""
+
+    def ratio(e: float) -> float:
+        return (1.0 - 0.5 * max(e, 0.0)) / (1.0 + 0.5 * max(e, 0.0))
+
+    low, high = ((ratio(oval + k * sd), ratio(oval - k * sd)) for k in (0.994, 1.96))
+    return ratio(oval), low, high
+
+
+NO_DARKS = "the black level is unknown, between 0 DN and the frame's median: a dark stack narrows the interval"
 LEVELS = {
     "bloom_diameter": "half of full scale",
-    "bloom_diameter_background": "twice the background over dark",
-    "bloom_diameter_clip": "the highest code",
+    "bloom_diameter_background": "twice the background above dark",
+    "bloom_diameter_clip": "full scale",
 }
 
 
 def bloom_measurements(spots: tuple[PointStack, ...], *, square: bool, sensor: Sensor | None = None,
                        **fields: Any) -> list[Measurement]:  # fmt: skip
-    """Return the extents of every stack, refused where the source does not reach their level.
+    """Return the extents of every stack, refused where the source stays below the threshold.
 
     Parameters
     ----------
     spots
-        The stacks.
+        Stacks.
     square
-        Whether pixels are taken as square because nobody knows better.
+        Whether pixels are assumed square since the pitches are unknown.
     sensor
-        The camera, where known: areas are told at its cathode and in the field of view as well.
+        Sensor description, if known: areas are also given at the photocathode and in the field of view.
     """
-    notes = ("the row pitch is unknown: pixels are taken as square",) if square else ()
+    notes = ("the row pitch is unknown: pixels are assumed square",) if square else ()
     notes += () if all(spot.dark_known for spot in spots) else (NO_DARKS,)
-    # Where blooms have run into one, only fainter levels show that there are two sources.
-    beside = tuple(place for spot in spots for place in spot.others)
+    # Where blooms have merged, only fainter stacks show that there are two sources.
+    sources = tuple(place for spot in spots for place in spot.others)
     out: list[Measurement] = []
-    for spot in (replace(spot, others=beside) for spot in spots):
+    for spot in (replace(spot, others=sources) for spot in spots):
         common = {"stack": spot.label, "notes": notes, **fields}
         found = {"bloom_diameter": spot.half, "bloom_diameter_background": spot.background,
                  "bloom_diameter_clip": spot.clip}  # fmt: skip
@@ -57,38 +108,38 @@ def bloom_measurements(spots: tuple[PointStack, ...], *, square: bool, sensor: S
 
 
 def flags_of(spot: PointStack, extent: Extent) -> tuple[str, ...]:
-    """What is to be distrusted of an extent."""
+    """Return the quality flags of a bloom extent."""
     flags = quantisation_flags(spot)
     flags += ("window-too-small",) if extent.touches_border else ()
-    wide = float(np.diff(np.quantile(extent.draws, [0.025, 0.975]))[0]) > max(VAGUE_PX, VAGUE * extent.diameter_px)
+    wide = float(np.diff(np.quantile(extent.draws, [0.025, 0.975]))[0]) > max(3.0, 0.3 * extent.diameter_px)
     flags += ("low-signal",) if wide or not (extent.has_contour or extent.pulled) else ()
     rows, cols = extent.region.shape
     within = [(round(one.row), round(one.col)) for one in spot.others]
     inside = [extent.region[row, col] for row, col in within if row < rows and col < cols]
     flags += ("several-targets",) if any(inside) else ()
-    # A background below the dark level is none: one of both was taken otherwise.
+    # A background below the dark level indicates different conditions.
     below = spot.dark_known and spot.light.level_dn < -5.0 * max(spot.light.sd_dn, 0.05)
     return flags + (("unlike-conditions",) if below else ())
 
 
 def quantisation_flags(spot: PointStack) -> tuple[str, ...]:
-    """Whether rounding to so few codes moves where light falls through a level, and eats what is faint."""
-    return ("quantised",) if spot.full_scale_dn - spot.dark_dn < LEAST_CODES else ()
+    """Flag stacks whose few grey values shift threshold crossings and hide faint signal."""
+    return ("quantised",) if spot.full_scale_dn - spot.dark_dn < 20 else ()
 
 
 def _reason(spot: PointStack, name: str) -> str:
-    """Why a stack has no region at a level."""
+    """Refusal reason of a stack without a region at a threshold."""
     if spot.significance < DETECTED:
-        return f"no point source: the brightest spot stands {spot.significance:.1f} standard deviations out of 8 needed"
+        return f"no point source: the brightest spot has {spot.significance:.1f} standard deviations, at least 8 needed"
     level = {"bloom_diameter": spot.half_dn, "bloom_diameter_clip": spot.full_scale_dn}.get(name)
     if level is not None:
         return f"the source stays below {LEVELS[name]}, {level:.4g} DN"
     if not spot.dark_known:
-        return "the dark level is unknown, and so is the background over it: a dark frame tells it"
+        return "the dark level and the background above it are unknown: a dark frame is needed"
     if not spot.light.even:
-        return "the light still falls at the border of the frame: the background behind the source is not seen"
-    if not spot.light.lit:
-        return f"there is no background to take twice: {spot.light.level_dn:.2g} DN over dark"
+        return "the signal still falls at the border of the frame: the background is not visible"
+    if not spot.light.is_illuminated:
+        return f"no measurable background: {spot.light.level_dn:.2g} DN above dark"
     return f"the source stays below {LEVELS[name]}, {spot.dark_dn + 2 * spot.light.level_dn:.4g} DN"
 
 
@@ -96,32 +147,33 @@ def _diameter(name: str, spot: PointStack, extent: Extent | None, **common: Any)
     if extent is None:
         return make_refusal(name, "px", _reason(spot, name), **common)
     if extent.region.all():
-        return make_refusal(name, "px", f"the whole frame is at or above {LEVELS[name]}", **common)
+        return make_refusal(name, "px", f"the complete frame is at or above {LEVELS[name]}", **common)
     return _measurement_from_draws(name, "px", extent.diameter_px, extent.draws, flags=flags_of(spot, extent), **common)
 
 
 def _measurement_from_draws(name: str, unit: str, value: float, draws: Any, **common: Any) -> Measurement:
-    """A value with the quantiles of its draws, which may lean to one side of it but never leave it out."""
+    """Measurement with the quantiles of its draws; the intervals include the value."""
     drawn = measurement_from_draws(name, unit, draws, **common)
     low68, high68 = drawn.interval68 or (value, value)
     low95, high95 = drawn.interval95 or (value, value)
-    return make_measurement(name, unit, value, (min(low68, value), max(high68, value)), (min(low95, value), max(high95, value)),
-                    **common)  # fmt: skip
+    return make_measurement(
+        name, unit, value, (min(low68, value), max(high68, value)), (min(low95, value), max(high95, value)), **common
+    )
 
 
 def _ellipticity(spot: PointStack, **common: Any) -> Measurement:
     if spot.half is None:
         return make_refusal("bloom_ellipticity", "1", _reason(spot, "bloom_diameter"), **common)
     if not spot.half.has_contour and not spot.half.pulled:
-        return make_refusal("bloom_ellipticity", "1", "the noise leaves open where the region ends", **common)
+        return make_refusal("bloom_ellipticity", "1", "the noise prevents a contour of the region", **common)
     found = ellipticity(spot.half, row_pitch=spot.row_pitch)
     if found is None:
-        return make_refusal("bloom_ellipticity", "1", "a region of so few pixels has no shape", **common)
+        return make_refusal("bloom_ellipticity", "1", "the region has fewer than 12 pixels", **common)
     return make_measurement("bloom_ellipticity", "1", *found, flags=flags_of(spot, spot.half), **common)
 
 
 def _areas_at_full_scale(spot: PointStack, sensor: Sensor | None, **common: Any) -> list[Measurement]:
-    """Area of the pixels at the highest code, in pixels, and at the cathode and in the field of view where known."""
+    """Area at full scale in pixels and, if known, at the photocathode and in the field of view."""
     units = {"px": 1.0}
     if sensor is not None:
         side_mm = float(sensor.ccd.pitch_x_um) * 1e-3 * float(sensor.taper.demagnification)
@@ -131,12 +183,17 @@ def _areas_at_full_scale(spot: PointStack, sensor: Sensor | None, **common: Any)
         return [make_refusal("saturated_area", "px", _reason(spot, "bloom_diameter_clip"), **common)]
     value, draws = spot.clip.area / spot.row_pitch, np.pi / 4.0 * spot.clip.draws**2 / spot.row_pitch
     if spot.clip.pulled:
-        # Streaks fill whole pixels: those are counted.
+        # Streaks fill whole pixels, which are counted.
         value, draws = float(spot.clip.region.sum()), draws - np.median(draws) + spot.clip.region.sum()
-    whole = COUNTING * (value / np.pi) ** 0.25 * np.random.default_rng(SECTORS).standard_normal(len(draws))
+    # Standard deviation of the number of pixels inside a randomly placed circle, over the root of its radius.
+    whole = 0.84 * (value / np.pi) ** 0.25 * np.random.default_rng(SECTORS).standard_normal(len(draws))
     flags = flags_of(spot, spot.clip)
-    return [_measurement_from_draws("saturated_area", unit, value * one, np.maximum(draws + whole, 0.0) * one, flags=flags, **common)
-            for unit, one in units.items()]  # fmt: skip
+    return [
+        _measurement_from_draws(
+            "saturated_area", unit, value * one, np.maximum(draws + whole, 0.0) * one, flags=flags, **common
+        )
+        for unit, one in units.items()
+    ]
 
 
 def provenance(context, **settings: Any) -> Provenance:
@@ -148,8 +205,8 @@ def provenance(context, **settings: Any) -> Provenance:
 
 
 def overload_of_stacks(spots: tuple[PointStack, ...]) -> list[float | None]:
-    """How many times each source is brighter than one whose peak just meets full scale; None where light is unknown."""
-    light = [_light(spot) for spot in spots]
+    """Overload of each source: its signal over the signal that reaches full scale; None where unknown."""
+    light = [spot.exposure_lux_ns for spot in spots]
     clear = [
         (value, spot)
         for value, spot in zip(light, spots, strict=True)
@@ -163,14 +220,8 @@ def overload_of_stacks(spots: tuple[PointStack, ...]) -> list[float | None]:
     return [None if one is None else one / value * share for one in light]
 
 
-def _light(spot: PointStack) -> float | None:
-    if spot.conditions.illuminance_lux is None:
-        return None
-    return spot.conditions.illuminance_lux * (spot.conditions.gate_ns or 1.0)
-
-
 def series_evidence(spots: tuple[PointStack, ...], halos: dict[str, float] | None = None) -> dict[str, Any]:
-    """Bloom diameter, streak and each level's own halo against the light, for the report."""
+    """Bloom diameter, streak and halo diameter by overload, for the report."""
     overload = overload_of_stacks(spots)
     known = all(value is not None for value in overload)
     return {
@@ -187,3 +238,88 @@ def series_evidence(spots: tuple[PointStack, ...], halos: dict[str, float] | Non
         "dark_dn": [spot.dark_dn for spot in spots],
         "full_scale_dn": [spot.full_scale_dn for spot in spots],
     }
+
+
+def add_common_measurements(
+    session: Session,
+    spots: tuple[PointStack, ...],
+    of_series: list[Measurement],
+    evidence: dict[str, Any],
+    *,
+    context: Context,
+    **fields: Any,
+) -> Result:
+    """Add extents, streaks, background depressions and consistency flags to the measurements of a series.
+
+    Parameters
+    ----------
+    session, spots
+        Session and its point stacks.
+    of_series, evidence
+        Measurements of the method, common or with their stack's label, and figure data.
+    context
+        Settings of the method.
+    fields
+        Method and provenance.
+    """
+    steady = check_consistency(session, spots, context, **fields)
+    smear, of_smear = smear_measurement(spots, context, **fields)
+    extents = bloom_measurements(spots, square=context.sensor is None, sensor=context.sensor, **fields)
+    said = [*of_series, smear, *extents]
+    flagged = [_add_flags(one, steady.flags.get(one.stack or "", steady.halo_flags)) for one in said]
+    own = evidence.get("halo-constancy")
+    halos = dict(zip(own["label"], own["halo_diameter_px"], strict=True)) if own else {}
+    drawn = {"bloom-series": series_evidence(spots, halos)} | evidence | of_smear | steady.evidence
+    return Result(measurements=(*flagged, *steady.measurements), evidence=drawn)
+
+
+def _add_flags(measurement: Measurement, flags: tuple[str, ...]) -> Measurement:
+    return measurement if measurement.status == "refused" else measurement.with_(flags=flags)
+
+
+# Remedy of each flag of this package.
+REMEDIES = {
+    "model-misfit": "a frame with a single round source, and a stack between those that differ",
+    "prior-bound": "a stack with an unclipped core",
+    "window-too-small": "a larger frame, or the source closer to its centre",
+    "several-targets": "one source in the frame, or --roi around one of them",
+    "quantised": "a higher camera gain or more bits, so that noise exceeds 1 DN",
+    "low-signal": "more frames, or more light",
+    "unlike-conditions": "darks and point stacks taken at the same gain, gate and exposure",
+    "agc": "automatic gain and brightness control switched off",
+    "drift": "a stationary source and a stable lamp, or fewer frames per stack",
+    "lag": "a pause after switch-off, and stacks of a constant source",
+    "dark-mismatch": "dark frames taken with the point stacks, at the same gain, gate and exposure",
+    "clipped": "a stack whose streak stays below full scale",
+    "extrapolated": "a second stack with smear",
+    "nonlinear": "stated illuminance proportional to the lamp's",
+    "gradient": "a mask without leaks, or a frame of the mask with its pinhole closed",
+    "not-converged": "another --seed, or more frames",
+}
+
+
+def add_findings(measurement: Measurement, effects: Mapping[str, str] | None = None) -> Measurement:
+    """Add effect and remedy of each flag to a measurement.
+
+    Parameters
+    ----------
+    measurement
+        Measurement of this package; a refused one is returned unchanged.
+    effects
+        Effect size by flag, where measured; otherwise the interval gives the scale.
+    """
+    if measurement.status == "refused" or measurement.value is None:
+        return measurement
+    found = [
+        Finding(flag=flag, effect=(effects or {}).get(flag, _beyond_interval(measurement)), remedy=REMEDIES[flag])
+        for flag in measurement.flags
+    ]
+    return measurement.with_(findings=found)
+
+
+def _beyond_interval(measurement: Measurement) -> str:
+    """Effect of a flag without a measured size."""
+    low, high = measurement.interval95 or (measurement.value, measurement.value)
+    assert low is not None and high is not None
+    unit = "" if measurement.unit == "1" else f" {measurement.unit}"
+    return f"{measurement.quantity} may be wrong by more than its half interval of {0.5 * (high - low):.3g}{unit}"

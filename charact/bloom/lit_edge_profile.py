@@ -1,4 +1,4 @@
-"""The edge of a lit area: where it runs, and the brightness across it as the mean of strips along it."""
+"""Illuminated edge: its line, and the mean signal of strips parallel to it."""
 
 from dataclasses import dataclass
 
@@ -7,21 +7,17 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# Farthest strip on the dark side and on the lit one, px.
-DARK_PX, LIT_PX = 90, 70
-# Rows along the edge that must agree on a straight line, and by how much they may be off it, px.
-LEAST_ROWS, OFF_LINE_PX = 24, 1.0
-# Share of an edge left out at an end that lies in the frame: the halo there has less than half a plane to come from.
-ENDS = 0.25
-# Parts of the edge whose scatter gives the standard error of a strip, and strips apart that share noise.
+# Farthest strip on the dark side, px.
+DARK_PX = 90
+# Minimum number of rows along a straight edge.
+LEAST_ROWS = 24
+# Parts of the edge whose scatter gives standard errors, and maximum distance of correlated strips.
 PARTS, LAGS = 12, 6
-# Share of full scale over dark from which on a strip counts as cut, and share of the highest code for a single pixel.
-LINEAR_SHARE, PIXEL_SHARE = 0.75, 0.95
 
 
 @dataclass(frozen=True, kw_only=True)
 class LitEdgeLine:
-    """A straight edge: column `at` + `slope` * row of the frame, or of the transposed frame for an edge along a row.
+    """Straight edge: column `at` + `slope` * row of the frame, or of the transposed frame for an edge along a row.
 
     Parameters
     ----------
@@ -32,13 +28,13 @@ class LitEdgeLine:
     at, slope
         Column at row 0, and columns per row.
     first, last
-        First and last row, ends left out where they lie in the frame.
+        First and last row, without ends that lie in the frame.
     room_px
-        Distance of the border behind the dark side, column pitches.
+        Distance of the border on the dark side, column pitches.
     ends_px
-        How much of the edge is left out at the nearer end that lies in the frame, column pitches; inf: none does.
+        Omitted length at the nearer end inside the frame, column pitches; inf without one.
     width_px
-        Distance of the opposite edge, column pitches; inf where it is not in the frame.
+        Distance of the opposite edge, column pitches; inf where it is outside the frame.
     """
 
     upright: bool
@@ -62,12 +58,12 @@ class LitEdgeLine:
 
 @dataclass(frozen=True, kw_only=True)
 class Strips:
-    """Brightness across an edge.
+    """Mean signal by distance from an edge.
 
     Parameters
     ----------
     label
-        Its stack.
+        Label of the stack.
     distance_px
         Mean distance of each strip from the line, positive on the dark side, column pitches, shape (strip,).
     mean_dn, sd_dn
@@ -75,11 +71,11 @@ class Strips:
     correlation
         Correlation of strips 1, 2, ... apart, shape (lag,).
     used
-        Strips that are not cut by the highest code, shape (strip,).
+        Strips that are not clipped, shape (strip,).
     cut
-        Whether the lit side reaches the highest code.
+        Whether the illuminated side reaches full scale.
     least_light_dn
-        Light that the lit side has at least, DN over dark: the highest code where it is cut, else nothing.
+        Minimum signal of the illuminated side, DN above dark: full scale where it is clipped, else 0.
     """
 
     label: str
@@ -102,14 +98,14 @@ class Strips:
 
 
 def edge_line(image: NDArray, level_dn: float, pitch_ratio: float) -> LitEdgeLine | str:
-    """Return the straight edge of the lit area that has most room beside it, or why there is none.
+    """Return the straight edge of the illuminated area with most dark room, or a refusal reason.
 
     Parameters
     ----------
     image
         Mean frame, shape (row, col), DN.
     level_dn
-        Level that the edge crosses, DN.
+        Threshold of the edge, DN.
     pitch_ratio
         Row pitch over column pitch.
     """
@@ -117,7 +113,7 @@ def edge_line(image: NDArray, level_dn: float, pitch_ratio: float) -> LitEdgeLin
 
     labels = np.asarray(ndimage.label(image >= level_dn)[0])  # pyright: ignore[reportIndexIssue]
     if not labels.any():
-        return "nothing in the frame is lit"
+        return "no area of the frame is illuminated"
     lit = labels == np.bincount(labels[labels > 0]).argmax()
     found = [
         _side(frame, mask, level_dn, upright=upright, side=side, pitch_ratio=pitch_ratio)
@@ -126,26 +122,27 @@ def edge_line(image: NDArray, level_dn: float, pitch_ratio: float) -> LitEdgeLin
     ]
     straight = [line for line in found if line is not None]
     if not straight:
-        return f"the lit area has no straight edge of {LEAST_ROWS} px or more"
+        return f"the illuminated area has no straight edge of {LEAST_ROWS} px or more"
     return max(straight, key=lambda line: min(line.room_px, line.ends_px, 1.0 * (line.last - line.first)))
 
 
 def _side(image: NDArray, lit: NDArray[np.bool_], level: float, *, upright: bool, side: int, pitch_ratio: float
           ) -> LitEdgeLine | None:  # fmt: skip
-    """The edge on one side of a lit area, whose rows cross the level there."""
+    """The edge on one side of an illuminated area."""
     crossing, opposite = _crossings(image, lit, level, side), _crossings(image, lit, level, -side)
     rows = np.flatnonzero(np.isfinite(crossing))
     if len(rows) < LEAST_ROWS:
         return None
     slope, at = _line(rows.astype(float), crossing[rows])
-    good = rows[np.abs(crossing[rows] - at - slope * rows) < OFF_LINE_PX]
+    good = rows[np.abs(crossing[rows] - at - slope * rows) < 1.0]
     if len(good) < max(LEAST_ROWS, 0.6 * len(rows)):
         return None
     slope, at = np.polyfit(good.astype(float), crossing[good], 1)
     across, along = (1.0, pitch_ratio) if upright else (pitch_ratio, 1.0)
     height, width = image.shape
     inside = [good[0] > 2, good[-1] < height - 3]
-    left_out = int(ENDS * (good[-1] - good[0]))
+    # Near an end inside the frame, the halo receives less than half a plane: a quarter is omitted.
+    left_out = int(0.25 * (good[-1] - good[0]))
     first, last = good[0] + inside[0] * left_out, good[-1] - inside[1] * left_out
     places = at + slope * np.array([first, last])
     room = float((width - 1 - places.max()) if side > 0 else places.min())
@@ -165,7 +162,7 @@ def _side(image: NDArray, lit: NDArray[np.bool_], level: float, *, upright: bool
 
 
 def _crossings(image: NDArray, lit: NDArray[np.bool_], level: float, side: int) -> Array:
-    """Column at which each row leaves the lit area on one side, NaN where it does not inside the frame."""
+    """Column at which each row leaves the illuminated area on one side; NaN where it does not."""
     values, mask = (image, lit) if side > 0 else (image[:, ::-1], lit[:, ::-1])
     width = values.shape[1]
     last = width - 1 - np.argmax(mask[:, ::-1], axis=1)
@@ -178,7 +175,7 @@ def _crossings(image: NDArray, lit: NDArray[np.bool_], level: float, side: int) 
 
 
 def _line(x: Array, y: Array) -> tuple[float, float]:
-    """Slope and intercept from medians: of all pairs half the data apart."""
+    """Slope and intercept by medians of pairs half the data apart."""
     half = len(x) // 2
     slope = float(np.median((y[half:] - y[: len(y) - half]) / (x[half:] - x[: len(x) - half])))
     return slope, float(np.median(y - slope * x))
@@ -189,11 +186,11 @@ def strips_of(
 ) -> Strips:
     """Average a frame over strips one column pitch wide along an edge.
 
-    Standard errors come from the scatter of parts of the edge, so that noise shared by neighbours is in them.
+    Standard errors come from the scatter of parts of the edge, which includes correlated noise.
     """
     distance = line.distance((image.shape[0], image.shape[1]), pitch_ratio)
     along = np.indices(image.shape)[0 if line.upright else 1]
-    lit = min(LIT_PX, 0.5 * line.width_px)
+    lit = min(70, 0.5 * line.width_px)
     inside = (along >= line.first) & (along <= line.last) & (distance > -lit) & (distance < min(DARK_PX, line.room_px))
     strip = np.floor(distance[inside]).astype(int)
     strip, first = strip - strip.min(), int(strip.min())
@@ -214,17 +211,24 @@ def strips_of(
     variance = (rest**2).sum(axis=1) / (PARTS - 1) / PARTS
     top = np.zeros(count)
     np.maximum.at(top, strip, value)
-    over = (mean > dark_dn + LINEAR_SHARE * (full_dn - dark_dn)) | (top[span] > PIXEL_SHARE * full_dn)
+    over = (mean > dark_dn + 0.75 * (full_dn - dark_dn)) | (top[span] > 0.95 * full_dn)
     used = np.ones(len(mean), bool)
     if over.any():
         used[: int(np.flatnonzero(over)[-1]) + 1] = False
-    return Strips(label=label, distance_px=where, mean_dn=mean, sd_dn=np.maximum(np.sqrt(_geometric_mean(variance)), 1e-3),
-                  correlation=_correlation(rest, where), used=used, cut=bool(over.any()),
-                  least_light_dn=full_dn - dark_dn if over.any() else 0.0)  # fmt: skip
+    return Strips(
+        label=label,
+        distance_px=where,
+        mean_dn=mean,
+        sd_dn=np.maximum(np.sqrt(_geometric_mean(variance)), 1e-3),
+        correlation=_correlation(rest, where),
+        used=used,
+        cut=bool(over.any()),
+        least_light_dn=full_dn - dark_dn if over.any() else 0.0,
+    )
 
 
 def _geometric_mean(variance: Array) -> Array:
-    """Geometric mean over five strips, for parts are few."""
+    """Geometric mean over five strips, since the parts are few."""
     padded = np.pad(np.log(np.maximum(variance, 1e-8)), 2, mode="edge")
     return np.exp(np.convolve(padded, np.full(5, 0.2), mode="valid") + 0.08)
 

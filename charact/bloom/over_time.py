@@ -1,60 +1,52 @@
-"""One stack of a point source frame by frame: background, place and light of the source, and noise at each level."""
+"""Frame-by-frame analysis of a point stack: background, source position and signal, noise, drift and switch-off."""
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from charact import robust
 from charact.bloom.point_stack import PointStack
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
+from labdata.measurement import Measurement, make_refusal, measurement_from_draws
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# Pixels along a side of the tiles whose means make up the background, the share of the frame farthest from the source
-# that they cover, and columns beside it where streak and smear lie, px.
-TILE_PX, FAR_SHARE, COLUMNS_PX = 6, 0.4, 16
-# Standard deviations of tiles beyond which one holds something else.
-TILE_APART = 4.0
-# Share of full scale from which on a pixel may be cut, and up to which it follows the light.
-CUT_SHARE, LINEAR_SHARE = 0.95, 0.6
-# Pixels about the source in which its middle is sought beyond the contour of half its height: far, for it may move;
-# and standard deviations of a pixel by which what counts stands out of the background.
-ABOUT_PX, ABOVE = 24, 5.0
-# Levels over background at which the noise in time is read, DN, distance from the source within which it is not, px,
-# and parts of the circle whose scatter tells its error.
-LEVELS_DN = (3.0, 6.0, 12.0, 24.0, 48.0)
-STEEP_PX, SECTORS, SECTOR_PX = 8.0, 12, 6
-# Share of a ring's pixels that may be cut, and by which its light may change from one ring to the next.
-CUT_PIXELS, STEEP_SHARE = 0.02, 0.3
+# Side of the tiles whose means form the background, px.
+TILE_PX = 6
+# Fraction of full scale above which a pixel may be clipped.
+CUT_SHARE = 0.95
+SECTORS = 12
 
 
 @dataclass(frozen=True, kw_only=True)
 class FrameSeries:
-    """What the frames of one stack show one after the other.
+    """Frame-by-frame statistics of one stack.
 
     Parameters
     ----------
     label, conditions
         As in the session.
     dark_dn, dark_known
-        Level without light, DN, and whether it was measured or recorded.
+        Black level, DN, and whether it was measured or recorded.
     time_s
         Time of each frame, shape (frame,), s; empty if unknown.
     background_dn, background_sd_dn
-        Level far from the source over dark, and its standard error, DN.
+        Mean far from the source above dark, and its standard error, DN.
     background_by_frame_dn
         The same of each frame, shape (frame,), DN.
     centre_px
-        Row and column of the middle of the bright region of each frame, shape (frame, 2), px; NaN without a source.
+        Row and column of the centre of the bright region of each frame, shape (frame, 2), px; NaN without a source.
     light_by_frame, light_noise
-        Light of the unsaturated pixels of each frame over that of all, shape (frame,), and the share that the noise of
-        pixels without light makes; NaN without a source.
+        Signal of the unsaturated pixels of each frame over the mean, shape (frame,), and the standard deviation due to
+        pixel noise; NaN without a source.
     noise_level_dn, noise_variance, noise_variance_sd
-        Levels over dark at which noise was read, its variance in time and the standard error of that, shape (level,),
-        DN and DN^2.
+        Signals above dark at which noise was measured, its temporal variance and standard error, shape (level,), DN and
+        DN^2.
     """
 
     label: str
@@ -74,12 +66,12 @@ class FrameSeries:
 
 
 def frame_series(spot: PointStack, stack: FrameStack, row_pitch: float) -> FrameSeries:
-    """Follow one stack from frame to frame.
+    """Analyse one stack frame by frame.
 
     Parameters
     ----------
     spot
-        Where its source is, and its levels.
+        Position and thresholds of the source.
     stack
         Its frames.
     row_pitch
@@ -121,31 +113,32 @@ def _tiles(image: NDArray) -> Array:
 
 
 def _far_tiles(mean: Array, radius: Array, along: Array) -> Mask:
-    """Tiles far from the source and its columns that hold nothing but background."""
+    """Tiles far from the source and its columns that contain only background."""
     far, level = _tiles(radius), _tiles(mean)
-    beside = _tiles(along) > COLUMNS_PX
-    take = beside & (far >= np.quantile(far[beside] if beside.any() else far, 1.0 - FAR_SHARE))
+    off_column = _tiles(along) > 16
+    take = off_column & (far >= np.quantile(far[off_column] if off_column.any() else far, 1.0 - 0.4))
     take = take if take.any() else far >= np.median(far)
     middle = np.median(level[take])
-    spread = 1.4826 * np.median(np.abs(level[take] - middle))
-    return take & (np.abs(level - middle) <= TILE_APART * max(spread, 1e-3))
+    spread = robust.robust_sd(level[take])
+    return take & (np.abs(level - middle) <= 4.0 * max(spread, 1e-3))
 
 
 def _centres(data: NDArray, mean: Array, noise_dn: float, spot: PointStack) -> Array:
-    """Middle of what is brighter than half the peak, or half of full scale, in each frame."""
+    """Centre of the pixels brighter than half the peak, or than half of full scale, in each frame."""
     row, col = round(spot.row), round(spot.col)
     span = spot.full_scale_dn - spot.dark_dn
     near = mean[max(0, row - 2) : row + 3, max(0, col - 2) : col + 3]
     floor = float(np.median(mean))
-    threshold = max(min(0.5 * (floor + float(near.max())), spot.dark_dn + 0.5 * span), floor + ABOVE * noise_dn)
-    half = int(np.ceil(0.5 * spot.bloom_px)) + ABOUT_PX
+    threshold = max(min(0.5 * (floor + float(near.max())), spot.dark_dn + 0.5 * span), floor + 5.0 * noise_dn)
+    # A moving source may be far from the mean contour.
+    half = int(np.ceil(0.5 * spot.bloom_px)) + 24
     near = _middles(data, threshold, 0.2 * span, (row - half, col - half), (row + half + 1, col + half + 1))
-    # Where frames show nothing near, the source has gone out, or elsewhere.
+    # A source that no frame shows near its position is switched off or elsewhere.
     return near if np.isfinite(near).all() else _middles(data, threshold, 0.2 * span, (0, 0), mean.shape)
 
 
 def _middles(data: NDArray, threshold: float, most: float, begin: tuple[int, int], end: tuple[int, ...]) -> Array:
-    """Middle of what lies above a threshold inside a window of each frame, NaN where nothing does."""
+    """Centre of the signal above a threshold inside a window of each frame; NaN where there is none."""
     first, left = max(0, begin[0]), max(0, begin[1])
     cut = data[:, first : end[0], left : end[1]].astype(np.float64)
     weight = np.clip(cut - threshold, 0.0, most)
@@ -158,18 +151,18 @@ def _middles(data: NDArray, threshold: float, most: float, begin: tuple[int, int
 def _light(
     data: NDArray, mean: Array, radius: Array, background: Array, tiles: Mask, spot: PointStack
 ) -> tuple[Array, float]:
-    """Light of pixels that are neither cut in any frame nor faint, over its mean, and the noise of dark ones in it."""
+    """Signal of the source's unclipped, bright pixels by frame, relative to the mean frame, and its noise."""
     floor = float(background.mean()) + spot.dark_dn
     over = mean - floor
     cut = (data >= spot.dark_dn + CUT_SHARE * (spot.full_scale_dn - spot.dark_dn)).any(axis=0)
     near = radius < max(12.0, spot.bloom_px)
-    quiet = 1.4826 * float(np.median(np.abs(over[~near] - np.median(over[~near])))) if (~near).any() else 1.0
+    quiet = robust.robust_sd(over[~near]) if (~near).any() else 1.0
     lit = near & ~cut & (over > max(5.0 * quiet, 1.0))
     if lit.sum() < 4:
         return np.full(len(data), np.nan), float("nan")
     weight = over[lit] / (over[lit] ** 2).sum()
     light = (data[:, lit] - (background + spot.dark_dn)[:, None]) @ weight
-    # The noise of whole tiles in time holds what neighbours share.
+    # The temporal noise of tiles includes correlation between pixels.
     tile = float(_tiles(data)[:, tiles].var(axis=0, ddof=1).mean()) if len(data) > 1 else quiet**2
     return light, TILE_PX * float(np.sqrt(tile * (weight**2).sum()))
 
@@ -177,26 +170,26 @@ def _light(
 def _noise(
     data: NDArray, mean: Array, variance: Array, radius: Array, angle: Array, tiles: Mask, spot: PointStack
 ) -> dict[str, Array]:
-    """Level, variance in time and its error of the background and of rings of about equal level."""
+    """Signal, temporal variance and its standard error of the background and of groups of rings."""
     ring = radius.astype(int)
     count = np.maximum(np.bincount(ring.ravel()), 1)
-    # Rings are chosen by the mean of all their pixels: choosing pixels by their own would prefer odd ones.
+    # Rings are selected by their mean, since selection by the pixel's own value would be biased.
     by_ring = np.bincount(ring.ravel(), mean.ravel()) / count - spot.dark_dn
     level = by_ring[ring]
     small = _tiles(variance)[tiles]
     found = [(float(_tiles(mean)[tiles].mean()) - spot.dark_dn, float(small.mean()),
               float(small.std(ddof=1)) / np.sqrt(small.size))]  # fmt: skip
     cut = data.max(axis=0) >= spot.dark_dn + CUT_SHARE * (spot.full_scale_dn - spot.dark_dn)
-    # Where the highest code has cut some pixels, the others are those that happened to be dim.
-    cut = (np.bincount(ring.ravel(), cut.ravel()) > CUT_PIXELS * count)[ring] | cut
-    # Blur spreads a pulse's variance less far than its light: beside a steep edge there is more light than noise.
-    steep = np.abs(np.gradient(by_ring)) > STEEP_SHARE * (by_ring - found[0][0])
+    # Where some pixels are clipped, the unclipped ones are a biased sample.
+    cut = (np.bincount(ring.ravel(), cut.ravel()) > 0.02 * count)[ring] | cut
+    # Blur spreads variance less far than signal, so that variance is too small near a steep edge.
+    steep = np.abs(np.gradient(by_ring)) > 0.3 * (by_ring - found[0][0])
     cut |= steep[ring]
     sector = ((angle / (2.0 * np.pi) + 0.5) * SECTORS).astype(int) % SECTORS
-    for low, high in pairwise(LEVELS_DN):
-        take = (level - found[0][0] >= low) & (level - found[0][0] < high) & (radius > STEEP_PX) & ~cut
+    for low, high in pairwise((3.0, 6.0, 12.0, 24.0, 48.0)):
+        take = (level - found[0][0] >= low) & (level - found[0][0] < high) & (radius > 8.0) & ~cut
         held = np.bincount(sector[take], minlength=SECTORS)
-        full = held >= SECTOR_PX
+        full = held >= 6
         if full.sum() < SECTORS // 2:
             continue
         by_sector = np.bincount(sector[take], variance[take], minlength=SECTORS)[full] / held[full]
@@ -204,3 +197,105 @@ def _noise(
         found.append((float(mean[take].mean()) - spot.dark_dn, float(variance[take].mean()), error))
     light, spread, error = np.array(found).T
     return {"noise_level_dn": light, "noise_variance": spread, "noise_variance_sd": error}
+
+
+LEAST_TRAVEL_PX, LEAST_CHANGE = 0.3, 0.05
+
+
+def travel_px(watched: FrameSeries) -> float:
+    """Motion of the source from the first frame to the last, px; 0 where not significant."""
+    row, col = watched.centre_px.T
+    return float(np.hypot(_trend(row, LEAST_TRAVEL_PX), _trend(col, LEAST_TRAVEL_PX)))
+
+
+def relative_drift(watched: FrameSeries) -> float:
+    """Relative drift of source signal or background through the stack; 0 where not significant."""
+    background = watched.background_by_frame_dn
+    level = abs(float(background.mean()))
+    dim = _trend(background, LEAST_CHANGE * max(level, 1.0)) / max(level, 1.0)
+    return max(dim, _trend(watched.light_by_frame, LEAST_CHANGE))
+
+
+def _trend(values: Array, least: float) -> float:
+    """Change of a straight-line fit over successive values; 0 if not significant or below the limit."""
+    from scipy.stats import t
+
+    count = len(values)
+    if count < 3 or not np.isfinite(values).all():
+        return 0.0
+    place = np.arange(count) - 0.5 * (count - 1)
+    slope = float(place @ values / (place @ place))
+    rest = values - values.mean() - slope * place
+    error = np.sqrt(max(float(rest @ rest), 1e-12) / (count - 2) / (place @ place))
+    run = abs(slope) * (count - 1)
+    seen = 2.0 * float(t.sf(abs(slope) / error, count - 2)) < 1e-4
+    return run if seen and run > least else 0.0
+
+
+# Fractions of the signal at which recovery is measured, by quantity.
+SHARES = {"recovery_time_10": 0.1, "recovery_time_1": 0.01}
+LEAST_ON, LEAST_OUT = 2, 2
+
+
+def frames_before_switch_off(watched: FrameSeries) -> int | None:
+    """Return the number of frames before the source is switched off; None where it is not."""
+    light = watched.light_by_frame
+    if len(light) < LEAST_ON + LEAST_OUT or not np.isfinite(light).all() or light.max() <= 0:
+        return None
+    on = light > 0.6 * light.max()
+    count = int(np.argmin(on)) if not on.all() else len(on)
+    if count < LEAST_ON or count > len(on) - LEAST_OUT or on[count:].any() or light[-1] > 0.5 * light[:count].mean():
+        return None
+    # Frames at the start of the decay are excluded.
+    early = light[: max(LEAST_ON, count // 2)]
+    least = early.mean() - 4.0 * max(float(early.std(ddof=1)), 0.005 * float(early.mean()))
+    while count > LEAST_ON and light[count - 1] < least:
+        count -= 1
+    return count
+
+
+def recoveries(watched: tuple[FrameSeries, ...], seed: int, **fields: Any) -> list[Measurement]:
+    """Return the times until 10 % and 1 % of the source signal remain, for each stack with a switch-off.
+
+    Notes
+    -----
+    Switch-off happens between two frames, which the interval includes. Between frames the decay is exponential. Pixels
+    saturated by the source are excluded.
+    """
+    found = [(one, count) for one in watched if (count := frames_before_switch_off(one)) is not None]
+    if not found:
+        reason = "no stack shows a switch-off: the source must be on in at least two frames and off in all later ones"
+        return [make_refusal(name, "s", reason, **fields) for name in SHARES]
+    return [_time(one, count, name, seed, **fields) for one, count in found for name in SHARES]
+
+
+def _time(watched: FrameSeries, count: int, name: str, seed: int, **fields: Any) -> Measurement:
+    common = {"stack": watched.label, **fields}
+    if len(watched.time_s) == 0:
+        return make_refusal(name, "s", "the times of the frames are unknown", **common)
+    share, lit = SHARES[name], float(watched.light_by_frame[:count].mean())
+    noise = watched.light_noise / lit
+    if noise > 0.35 * share:
+        reason = f"noise is {100 * noise:.2g} % of the source's light: {100 * share:g} % is below it"
+        return make_refusal(name, "s", reason, **common)
+    left = watched.light_by_frame[count:] / lit
+    if left[-1] > share - 2.0 * noise:
+        reason = f"at the end of the stack {100 * max(left[-1], 0.0):.2g} % of the light is left"
+        return make_refusal(name, "s", reason, **common)
+    rng = np.random.default_rng(seed)
+    draws = np.array([_crossing(watched.time_s, left, count, share, noise, rng) for _ in range(2000)])
+    return measurement_from_draws(name, "s", draws[np.isfinite(draws)], **common)
+
+
+def _crossing(time_s: Array, left: Array, count: int, share: float, noise: float, rng: np.random.Generator) -> float:
+    """One draw of the time from switch-off to a fraction of the signal."""
+    out = float(rng.uniform(time_s[count - 1], time_s[count]))
+    times = np.concatenate([[out], time_s[count:]])
+    light = np.concatenate([[1.0], left + noise * rng.standard_normal(len(left))])
+    below = np.flatnonzero(light < share)
+    if not len(below):
+        return float("nan")
+    last = int(below[0])
+    high, low = np.log(light[last - 1]), np.log(max(light[last], 0.1 * share))
+    part = (high - np.log(share)) / (high - low)
+    return float(times[last - 1] + part * (times[last] - times[last - 1]) - out)

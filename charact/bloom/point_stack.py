@@ -1,14 +1,13 @@
-"""Where the point source is, how bright it stands against its surroundings, and how far it blooms."""
+"""Position, detection and bloom extents of the point source in a stack."""
 
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.bloom.background import Background, background_of
-from charact.bloom.extent import Extent, extent_at
-from charact.bloom.source_position import NEAR_PX, SourcePosition, brightest, is_bright_at, middle, others
-from charact.bloom.source_view import view_of
+from charact import robust
+from charact.bloom.extent import Extent, contour_at, extent_at
+from charact.bloom.source_view import Background, SourceView, background_of, view_of
 from charact.method import Context
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
@@ -16,15 +15,165 @@ from labdata.session import Session, StackEntry
 
 Array = NDArray[np.float64]
 
-# Standard errors by which the smoothed source must stand above its surroundings.
+# Width of the smoothing that detects a source, px; the local surroundings are three times as wide.
+SMOOTHING_PX = 1.5
+# Subsampling for medians.
+THIN = 2
+# Maximum distance of a contour's centre from the detected position, px.
+FARTHEST_PX = 10.0
+# Positions closer than this are the same, px.
+NEAR_PX = 1.5
+# Minimum distance of another source, px.
+APART_PX = 6
+DIRECTIONS = 16
+
+
+@dataclass(frozen=True, kw_only=True)
+class SourcePosition:
+    """Position of a point source in a frame, px.
+
+    Parameters
+    ----------
+    row, col
+        Centre, px.
+    significance
+        Height above the surroundings in standard deviations.
+    cut
+        Whether its peak is at full scale, so that its identity is uncertain.
+    settled
+        Whether it is the centre of a contour over all sectors.
+    """
+
+    row: float
+    col: float
+    significance: float
+    cut: bool = False
+    settled: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contrast:
+    """Smoothed mean frame, its difference from the local surroundings, and the spread of that difference, DN."""
+
+    smooth: Array
+    difference: Array
+    spread: float
+
+
+def contrast_of(image: Array) -> Contrast:
+    """Compute the contrast in which small sources stand out."""
+    from scipy import ndimage
+
+    smooth = np.asarray(ndimage.gaussian_filter(image, SMOOTHING_PX))
+    difference = smooth - np.asarray(ndimage.gaussian_filter(image, 3.0 * SMOOTHING_PX))
+    some = difference[::THIN, ::THIN]
+    spread = robust.robust_sd(some)
+    # Quantisation may leave a background without noise.
+    return Contrast(smooth=smooth, difference=difference, spread=max(spread, 0.05))
+
+
+def brightest(image: Array, region: tuple[int, int, int, int] | None) -> SourcePosition:
+    """Return the position with the highest contrast, moved to the centre of its connected bright region."""
+    from scipy import ndimage
+
+    found = contrast_of(image)
+    window = np.zeros(image.shape, bool)
+    if region is None:
+        window[:] = True
+    else:
+        row, col, height, width = region
+        window[row : row + height, col : col + width] = True
+    top = np.unravel_index(int(np.argmax(np.where(window, found.difference, -np.inf))), image.shape)
+    significance = float(found.difference[top] / found.spread)
+    floor = float(np.median(image[::THIN, ::THIN]))
+    above = found.smooth > floor + 0.5 * (found.smooth[top] - floor)
+    labels = np.asarray(ndimage.label(above)[0])  # pyright: ignore[reportIndexIssue]
+    rows, cols = np.nonzero(labels == labels[top]) if labels[top] else (np.array([top[0]]), np.array([top[1]]))
+    # Medians: a streak has few pixels compared with the spot, and is symmetric about it.
+    return SourcePosition(row=float(np.median(rows)), col=float(np.median(cols)), significance=significance)
+
+
+def middle(view: SourceView, row: float, col: float) -> tuple[float, float, bool] | None:
+    """Return the centre of the contour at half height, and whether no sector is excluded; None without a contour.
+
+    None where there is no contour.
+
+    Sectors distorted by a streak or another source are excluded; clipped pixels lie inside the contour.
+    """
+    profile = view.profile[1]
+    floor = float(np.median(profile))
+    level = floor + 0.5 * (min(float(profile[:2].max()), view.top) - floor)
+    found = contour_at(view, level) if level > 0 else None
+    if found is None:
+        return None
+    contour, whole = found
+    down, along = contour.shift()
+    if np.hypot(down, along) > FARTHEST_PX:
+        return None
+    return row + down / view.polar.row_pitch, col + along, whole
+
+
+def is_bright_at(image: Array, own: SourcePosition, other: SourcePosition) -> bool:
+    """Whether another position is within a pixel or two, or as bright as the source detected here."""
+    if np.hypot(own.row - other.row, own.col - other.col) < NEAR_PX or own.significance < 16.0:
+        return True
+    floor = float(np.median(image[::THIN, ::THIN]))
+    here, there = (_patch(image, place) - floor for place in (own, other))
+    return there > 0.7 * here
+
+
+def _patch(image: Array, place: SourcePosition) -> float:
+    """Mean of the 3 x 3 pixels at a position."""
+    row, col = round(place.row), round(place.col)
+    return float(image[max(0, row - 1) : row + 2, max(0, col - 1) : col + 2].mean())
+
+
+def others(image: Array, place: SourcePosition, span_dn: float, row_pitch: float) -> tuple[SourcePosition, ...]:
+    """Return further sources in a frame, brightest first; they fall off in every direction, unlike streaks.
+
+    Parameters
+    ----------
+    image
+        Mean frame, shape (row, col), DN.
+    place
+        The known source.
+    span_dn
+        Full scale above dark, DN.
+    row_pitch
+        Row pitch over column pitch.
+    """
+    from skimage.feature import peak_local_max
+
+    found = contrast_of(image)
+    least = max(0.04 * span_dn, 16.0 * found.spread)
+    peaks = peak_local_max(found.difference, min_distance=APART_PX, threshold_abs=least, exclude_border=False)
+    own = np.hypot((peaks[:, 0] - place.row) * row_pitch, peaks[:, 1] - place.col)
+    held = [
+        SourcePosition(row=float(row), col=float(col), significance=float(found.difference[row, col] / found.spread))
+        for (row, col), apart in zip(peaks, own, strict=True)
+        if apart > APART_PX
+        and _falls_off(found.smooth, int(row), int(col), float(found.difference[row, col]), row_pitch)
+    ]
+    return tuple(sorted(held, key=lambda one: -one.significance))
+
+
+def _falls_off(smooth: Array, row: int, col: int, height: float, row_pitch: float) -> bool:
+    """Whether the signal around a peak is lower in every direction."""
+    angle = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    reach = 4.0 + SMOOTHING_PX
+    rows = np.rint(row + reach * np.sin(angle) / row_pitch).astype(int)
+    cols = np.rint(col + reach * np.cos(angle)).astype(int)
+    inside = (rows >= 0) & (rows < smooth.shape[0]) & (cols >= 0) & (cols < smooth.shape[1])
+    return bool(np.all(smooth[row, col] - smooth[rows[inside], cols[inside]] > 0.4 * height))
+
+
+# Standard errors by which the smoothed source must exceed its surroundings.
 DETECTED = 8.0
-# Share of full scale from which on noise is cut by the highest code.
+# Fraction of full scale above which noise is clipped.
 LINEAR_SHARE = 0.75
-# Share of full scale from which on a peak is taken for cut.
+# Fraction of full scale above which a peak counts as clipped.
 CUT_SHARE = 0.9
-# A middle that moves by less than this has been found, px.
-MOVED_PX, MOST_MOVES = 0.4, 5
-# The codes of a level are whole: from half a step below on, the highest one is shown.
+# Grey values are rounded: full scale is shown from half a step below.
 HALF_STEP_DN = 0.5
 
 
@@ -41,20 +190,20 @@ class PointStack:
     frames
         Number of frames.
     dark_dn, full_scale_dn
-        Level without light and highest code.
+        Black level and full scale.
     dark_known
-        Whether the level without light was measured or recorded.
+        Whether the black level was measured or recorded.
     row, col
         Centre, px.
     significance
-        Height of the smoothed source above its surroundings in their standard deviations.
+        Height of the smoothed source above its surroundings in standard deviations.
     frame_streak_px
         Streak length of single frames, shape (frame,), px.
     row_pitch
         Row pitch over column pitch.
     half, background, clip
-        The region at or above half of full scale, twice the background over dark, and the highest code; None where
-        the source does not reach the level (or there is no background to take twice).
+        Region at or above half of full scale, twice the background above dark, and full scale; None where the source
+        stays below the threshold or the background is not measurable.
     light
         The background.
     others
@@ -81,12 +230,12 @@ class PointStack:
 
     @property
     def half_dn(self) -> float:
-        """Half of full scale over dark, DN."""
+        """Half of full scale above dark, DN."""
         return self.dark_dn + 0.5 * (self.full_scale_dn - self.dark_dn)
 
     @property
     def bloom_px(self) -> float:
-        """Bloom diameter at half of full scale, column pitches; 0 where the source stays below."""
+        """Bloom diameter at half of full scale, column pitches; 0 where the source stays below it."""
         return 0.0 if self.half is None else self.half.diameter_px
 
     @property
@@ -96,13 +245,19 @@ class PointStack:
         return float((self.image[:, col] >= self.half_dn).sum())
 
     @property
+    def exposure_lux_ns(self) -> float | None:
+        """Illuminance times gate, lx ns (times 1 without a gate); None if the illuminance is unknown."""
+        lux = self.conditions.illuminance_lux
+        return None if lux is None else lux * (self.conditions.gate_ns or 1.0)
+
+    @property
     def touches_border(self) -> bool:
-        """Whether the bloom runs into the frame's border."""
+        """Whether the bloom extends to the border of the frame."""
         return self.half is not None and self.half.touches_border
 
 
 def read_point_stacks(session: Session, *, context: Context) -> tuple[PointStack, ...]:
-    """Read every point stack, one at a time, twice: the stacks agree on where the source is before it is measured."""
+    """Read all point stacks one at a time, in two passes: locate the sources, then measure them."""
     levels = {dark.label: dark.read().mean_dn for dark in session.of_kind("dark")}
 
     def dark_of(entry: StackEntry) -> float | None:
@@ -124,13 +279,13 @@ def read_point_stacks(session: Session, *, context: Context) -> tuple[PointStack
 
 
 def _place(entry: StackEntry, dark: float | None, context: Context) -> SourcePosition:
-    """Find the source of one stack."""
+    """Locate the source of one stack."""
     stack = entry.read()
     return place_of(stack, entry.target.region, _level(stack, dark), full_scale_of(stack, context), context)
 
 
 def place_of(stack: FrameStack, region, dark_dn: float, full_scale_dn: float, context: Context) -> SourcePosition:
-    """Find the source of a stack, and the middle of its contour where it has one."""
+    """Locate the source of a stack, at the centre of its contour where it has one."""
     found = brightest(stack.data.mean(axis=0, dtype=np.float64), region)
     if found.significance < DETECTED:
         return found
@@ -138,29 +293,29 @@ def place_of(stack: FrameStack, region, dark_dn: float, full_scale_dn: float, co
     view = view_of(stack.data, dark_dn, full_scale_dn, row, col, context.pitch_ratio)
     cut = float(view.signal[view.polar.radius < 1.5].max(initial=0.0)) > CUT_SHARE * view.top
     settled = False
-    for _ in range(MOST_MOVES):
+    for _ in range(5):
         better = middle(view, row, col)
         if better is None or not _inside(better[0], better[1], view.signal.shape):
             break
         moved = float(np.hypot(better[0] - row, better[1] - col))
         row, col, settled = better
-        if moved < MOVED_PX:
+        if moved < 0.4:
             break
         view = view_of(stack.data, dark_dn, full_scale_dn, row, col, context.pitch_ratio)
     return SourcePosition(row=row, col=col, significance=found.significance, cut=cut, settled=settled)
 
 
 def _inside(row: float, col: float, shape: tuple[int, ...]) -> bool:
-    """Whether a place lies in the frame: the contour of a bloom that runs out of it may have its middle elsewhere."""
+    """Whether a position lies inside the frame; the contour of a cropped bloom may be centred outside."""
     return -0.5 <= row < shape[0] - 0.5 and -0.5 <= col < shape[1] - 0.5
 
 
 def common_position(own: SourcePosition, places: list[SourcePosition], image: Array) -> SourcePosition:
-    """The place that the stacks share, unless this one's light is elsewhere.
+    """Return the position common to the stacks, unless this stack's source is elsewhere.
 
-    The clearest stack knows it best, for there the source is neither faint nor a blob. Where two blobs have run into
-    one, the shared place still lies inside; where the source has moved, it does not. Places come in the order of the
-    light: two sources at the highest code look alike, and the faintest stack shows best which is the brighter one.
+    The clearest stack locates the source best: it is neither faint nor saturated. Where two spots have merged, the
+    common position still lies inside; where the source has moved, it does not. Positions are ordered by illuminance:
+    two sources at full scale look alike, and the faintest stack identifies the brighter one.
     """
     clear = [place for place in places if place.significance > 2 * DETECTED]
     whole = [place for place in clear if not place.cut]
@@ -173,53 +328,54 @@ def common_position(own: SourcePosition, places: list[SourcePosition], image: Ar
 
 
 def full_scale_of(stack: FrameStack, context: Context) -> float:
-    """Highest code: as told, as recorded, else the highest value seen."""
-    told = context.full_scale_dn if context.full_scale_dn is not None else stack.full_scale_dn
-    return told if told is not None else float(stack.data.max())
+    """Return full scale: as configured, as recorded, else the largest value in the stack, DN."""
+    stated = context.full_scale_dn if context.full_scale_dn is not None else stack.full_scale_dn
+    return stated if stated is not None else float(stack.data.max())
 
 
 def _dark_or_black_level(stack: FrameStack, dark: float | None) -> float | None:
+    """Return the dark level as measured, else as recorded; None if unknown."""
     return dark if dark is not None else stack.black_level_dn
 
 
 def _level(stack: FrameStack, dark: float | None) -> float:
-    """Level without light: measured, recorded, or else what most pixels show."""
+    """Return the black level: measured, recorded, else the median of the mean frame, DN."""
     recorded = _dark_or_black_level(stack, dark)
     return float(np.median(stack.data.mean(axis=0, dtype=np.float64))) if recorded is None else recorded
 
 
 def spot_of(entry: StackEntry, stack: FrameStack, dark: float | None, place: SourcePosition, context: Context,
             behind: list[tuple[Conditions, Background]]) -> PointStack:  # fmt: skip
-    """Statistics of one stack.
+    """Measure position, extents and background of one stack.
 
     Parameters
     ----------
     entry, stack
         The stack and its frames.
     dark
-        Level without light from dark frames, DN.
+        Black level from dark frames, DN.
     place
-        Where the source is.
+        Position of the source.
     behind
-        Conditions and backgrounds of the stacks read before, the faintest first: the background of a level is that of
-        the faintest taken alike, for a bright source lights the whole frame.
+        Conditions and backgrounds of the previous stacks, the faintest first. The background of the faintest stack with
+        the same conditions is used, since a bright source illuminates the whole frame.
     """
     full, level = full_scale_of(stack, context), _level(stack, dark)
     view = view_of(stack.data, level, full, place.row, place.col, context.pitch_ratio)
     own = background_of(view)
-    alike = [light for conditions, light in behind if _alike(conditions, entry.conditions) and light.even]
+    alike = [light for conditions, light in behind if has_same_settings(conditions, entry.conditions) and light.even]
     light = alike[0] if alike else own
     half = level + 0.5 * (full - level)
     found: dict[str, Extent | None] = {"half": None, "background": None, "clip": None}
     if place.significance >= DETECTED:
         found["half"] = extent_at(view, half, seed=context.seed)
         if _dark_or_black_level(stack, dark) is None and found["half"] is not None:
-            # Where nothing tells the level without light it lies between 0 and what most pixels show.
+            # An unknown black level lies between 0 and the median of the frame.
             lowest = extent_at(view, 0.5 * full, seed=context.seed)
             draws = found["half"].draws if lowest is None else np.concatenate([found["half"].draws, lowest.draws])
             found["half"] = replace(found["half"], draws=draws)
         found["clip"] = extent_at(view, full - HALF_STEP_DN, seed=context.seed)
-        if light.lit and light.even:
+        if light.is_illuminated and light.even:
             found["background"] = extent_at(
                 view, level + 2.0 * light.level_dn, level_sd=2.0 * light.sd_dn, seed=context.seed
             )
@@ -247,7 +403,7 @@ def spot_of(entry: StackEntry, stack: FrameStack, dark: float | None, place: Sou
     )
 
 
-def _alike(one: Conditions, other: Conditions) -> bool:
-    """Whether two stacks were taken at the same gain and gate."""
+def has_same_settings(one: Conditions, other: Conditions) -> bool:
+    """Whether two stacks were taken at the same gain, gate and exposure."""
     names = ("mcp_v", "camera_gain_db", "gate_ns", "exposure_s", "gain_control", "em_gain")
     return all(getattr(one, name) == getattr(other, name) for name in names)

@@ -1,45 +1,148 @@
-"""Whether the stacks of a point series belong together, and the frames of each: gain, dark, place and light at rest.
-
-What a bright source does to the rest of the picture and to later frames is measured here; where it spoils the numbers
-of a stack, or of the halo that all stacks share, flags say so.
-"""
+"""Consistency of a point series: gain, dark level, source position and signal across stacks and frames."""
 
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from charact.bloom.background_depression import (
-    dark_level_error,
-    depressions,
-    faintest,
-    has_background_fallen,
-    is_dark_inconsistent,
+from charact.bloom.over_time import (
+    FrameSeries,
+    frame_series,
+    frames_before_switch_off,
+    recoveries,
+    relative_drift,
+    travel_px,
 )
-from charact.bloom.over_time import FrameSeries, frame_series
-from charact.bloom.point_stack import DETECTED, PointStack
-from charact.bloom.recovery import frames_before_switch_off, recoveries
-from charact.bloom.stationarity import relative_drift, travel_px
+from charact.bloom.point_stack import DETECTED, PointStack, has_same_settings
 from charact.method import Context
-from labdata.measurement import Measurement
+from labdata.measurement import Measurement, make_refusal, measurement_from_sd
 from labdata.session import Session
 
-# Least side of a frame that holds a source and a background beside it, px.
-LEAST_SIDE_PX = 24
+Array = NDArray[np.float64]
+
+# Standard errors at which a fall of the background, or a dark mismatch, is significant.
+SEEN = 4.0
+BOUND = "glare of the source raises the background: the gain fell by at least this value"
+DECIBEL = 20.0 / np.log(10.0)
+
+
+def faintest(watched: tuple[FrameSeries, ...], stack: FrameSeries) -> FrameSeries:
+    """The stack of least illuminance at the same settings."""
+    return min(
+        (one for one in watched if has_same_settings(one.conditions, stack.conditions)),
+        key=lambda one: one.conditions.illuminance_lux or 0.0,
+    )
+
+
+def has_background_fallen(reference: FrameSeries, stack: FrameSeries) -> bool:
+    """Whether a stack's background lies below the reference's; independent of the dark level."""
+    fall = reference.background_dn + reference.dark_dn - stack.background_dn - stack.dark_dn
+    return fall > SEEN * np.hypot(reference.background_sd_dn, stack.background_sd_dn)
+
+
+def depressions(
+    watched: tuple[FrameSeries, ...], flags: dict[str, tuple[str, ...]], **fields: Any
+) -> list[Measurement]:
+    """Return the fall of each stack's background below that of the faintest stack at the same settings, dB.
+
+    Notes
+    -----
+    20 log10(B0 / B). Automatic gain lowers the background of a bright frame, glare of the source raises it: the value
+    is a lower limit of the gain change. A background that rises is glare alone, and the value is refused.
+    """
+    out: list[Measurement] = []
+    for one in watched:
+        reference = faintest(watched, one)
+        common: dict[str, Any] = {"stack": one.label, **fields}
+        if one is reference:
+            continue
+        reason = _reason(reference, one)
+        if reason is not None:
+            out.append(make_refusal("background_depression", "dB", reason, **common))
+            continue
+        value = DECIBEL * float(np.log(reference.background_dn / one.background_dn))
+        parts = [each.background_sd_dn / each.background_dn for each in (reference, one)]
+        sd = DECIBEL * float(np.hypot(parts[0], parts[1]))
+        # This quantity measures the fall itself, which is no reason to flag it.
+        own_flags = tuple(flag for flag in flags.get(one.label, ()) if flag != "agc")
+        own_flags += () if one.dark_known else ("no-darks",)
+        common["notes"] = (*common.get("notes", ()), BOUND)
+        out.append(measurement_from_sd("background_depression", "dB", value, sd, flags=own_flags, **common))
+    return out
+
+
+def _reason(reference: FrameSeries, stack: FrameSeries) -> str | None:
+    for one in (reference, stack):
+        if one.background_dn < max(10.0 * one.background_sd_dn, 0.2):
+            return f"the background of {one.label} is {one.background_dn:.3g} DN above dark: too faint to detect a fall"
+    if has_background_fallen(stack, reference):
+        return "the background is brighter than that of the faintest stack: it contains the source's own light"
+    return None
+
+
+def dark_level_error(stacks: tuple[FrameSeries, ...], dark_variance: float | None) -> tuple[float, float] | None:
+    """Return the black level above the dark frames' mean and its standard error, DN; None if not measurable.
+
+    Parameters
+    ----------
+    stacks
+        Stacks with this dark and a stationary source.
+    dark_variance
+        Temporal variance of the dark frames, DN^2.
+
+    Notes
+    -----
+    Temporal variance grows with the signal from that of the dark frames. The signal at which the line through
+    background and halo reaches the dark variance is the black level, independent of the dark frames' mean.
+    """
+    if dark_variance is None or dark_variance < 0.24:
+        return None
+    found = [one for one in (_without_light(stack, dark_variance) for stack in stacks) if one is not None]
+    if not found:
+        return None
+    level, sd = np.array(found).T
+    weight = 1.0 / sd**2
+    mean = float(weight @ level / weight.sum())
+    scatter = float(np.sqrt(weight @ (level - mean) ** 2 / max(len(level) - 1, 1)))
+    return mean, float(max(scatter, 1.0) / np.sqrt(weight.sum()))
+
+
+def _without_light(stack: FrameSeries, dark_variance: float) -> tuple[float, float] | None:
+    """Signal above dark at which a stack's variance equals that of the dark frames, and its standard error."""
+    if len(stack.noise_level_dn) < 2:
+        return None
+    level, variance = stack.noise_level_dn, stack.noise_variance - dark_variance
+    sd = np.hypot(stack.noise_variance_sd, 0.03 * stack.noise_variance)
+    design = np.stack([level, np.ones_like(level)], axis=1) / sd[:, None]
+    covariance = np.linalg.inv(design.T @ design)
+    slope, offset = covariance @ design.T @ (variance / sd)
+    if not slope > 5.0 * np.sqrt(covariance[0, 0]):
+        return None
+    gradient = np.array([offset / slope**2, -1.0 / slope])
+    return float(-offset / slope), float(np.sqrt(gradient @ covariance @ gradient))
+
+
+def is_dark_inconsistent(misfit: tuple[float, float] | None, background_dn: float) -> bool:
+    """Whether a dark is wrong by more than its error, and by enough to move a contour."""
+    if misfit is None:
+        return False
+    off, sd = misfit
+    return abs(off) > max(SEEN * sd, 0.3, 0.1 * abs(background_dn))
 
 
 @dataclass(frozen=True, kw_only=True)
 class SeriesConsistency:
-    """What does not stay as it is in a series.
+    """Inconsistencies of a series.
 
     Parameters
     ----------
     flags
-        Flags of each stack's measurements, by label; empty where nothing changes.
+        Flags of each stack's measurements, by label; empty without an inconsistency.
     measurements
         Background depression of every stack but the faintest, and recovery times.
     evidence
-        What the report draws.
+        Figure data.
     """
 
     flags: dict[str, tuple[str, ...]]
@@ -48,21 +151,21 @@ class SeriesConsistency:
 
     @property
     def halo_flags(self) -> tuple[str, ...]:
-        """Flags of what all stacks share."""
+        """Flags of the quantities common to all stacks."""
         return tuple(sorted({flag for flags in self.flags.values() for flag in flags}))
 
 
 def check_consistency(
     session: Session, spots: tuple[PointStack, ...], context: Context, **fields: Any
 ) -> SeriesConsistency:
-    """Follow a series from stack to stack and from frame to frame.
+    """Check a series from stack to stack and from frame to frame.
 
     Parameters
     ----------
     session
-        Where the frames of the spots are, each stack read once more, and the dark ones.
+        Session with the frames of the point stacks, each read once more, and the darks.
     spots
-        Its point sources.
+        Point stacks.
     context
         Seed and pitches.
     fields
@@ -71,18 +174,18 @@ def check_consistency(
     Notes
     -----
     Flags: `agc` where the background falls below that of the faintest stack at the same settings; `drift` where the
-    source moves, or light or background run off; `lag` where the source goes out and what follows is its afterglow;
-    `dark-mismatch` where noise says that the level without light is not that of the dark frames, or the background is
-    below it. Afterglow of a source at rest changes no mean and is not flagged.
+    source moves, or its signal or the background drifts; `lag` where the source is switched off and decays;
+    `dark-mismatch` where noise contradicts the dark level, or the background lies below it. Decay of a constant source
+    changes no mean and is not flagged.
     """
     ratio = context.pitch_ratio
-    shown = [spot for spot in spots if spot.significance >= DETECTED and min(spot.image.shape) >= LEAST_SIDE_PX]
+    shown = [spot for spot in spots if spot.significance >= DETECTED and min(spot.image.shape) >= 24]
     watched = tuple(frame_series(spot, session.stack(spot.label).read(), ratio) for spot in shown)
     flags: dict[str, tuple[str, ...]] = {spot.label: () for spot in spots}
     flags |= {one.label: _in_time(one) for one in watched}
-    for label, told in _between(watched, flags, _dark_variance(session)).items():
-        flags[label] += told
-    # A source that leaves its place has not gone out.
+    for label, own_flags in _between(watched, flags, _dark_variance(session)).items():
+        flags[label] += own_flags
+    # A source that moves away has not been switched off.
     still = tuple(one for one in watched if "lag" in flags[one.label])
     out = [*depressions(watched, flags, **fields), *recoveries(still, context.seed, **fields)]
     return SeriesConsistency(
@@ -91,7 +194,7 @@ def check_consistency(
 
 
 def _in_time(watched: FrameSeries) -> tuple[str, ...]:
-    """Flags of one stack's frames."""
+    """Flags of one stack from its own frames."""
     if travel_px(watched) > 0:
         return ("drift",)
     if frames_before_switch_off(watched) is not None:
@@ -102,13 +205,13 @@ def _in_time(watched: FrameSeries) -> tuple[str, ...]:
 def _between(
     watched: tuple[FrameSeries, ...], flags: dict[str, tuple[str, ...]], dark_variance: float | None
 ) -> dict[str, tuple[str, ...]]:
-    """Flags of each stack that the others tell."""
+    """Flags of each stack by comparison with the others."""
     out: dict[str, tuple[str, ...]] = {}
-    # A source that moves in one stack may do so, less clearly, in others, and what moves varies as noise does.
-    rest = not any("drift" in told for told in flags.values())
+    # Motion in one stack may occur less clearly in others, and varies like noise.
+    rest = not any("drift" in own_flags for own_flags in flags.values())
     for one in watched:
         fallen = has_background_fallen(faintest(watched, one), one)
-        # Stacks of one dark level share its fault.
+        # Stacks with the same dark level have the same error.
         same = tuple(other for other in watched if other.dark_dn == one.dark_dn and not flags[other.label])
         misfit = dark_level_error(same, dark_variance) if one.dark_known and rest else None
         below = one.dark_known and one.background_dn < -max(4.0 * one.background_sd_dn, 0.3)
@@ -118,7 +221,7 @@ def _between(
 
 
 def _dark_variance(session: Session) -> float | None:
-    """Variance in time of the dark frames, DN^2; None where there are not two."""
+    """Temporal variance of the dark frames, DN^2; None with fewer than two frames."""
     variances = [
         float(stack.data.var(axis=0, ddof=1, dtype=np.float64).mean())
         for entry in session.of_kind("dark")
@@ -143,4 +246,5 @@ def _evidence(watched: tuple[FrameSeries, ...], flags: dict[str, tuple[str, ...]
 
 
 def _finite_or_none(values: np.ndarray) -> list[float | None]:
+    """Return values as floats, None where not finite."""
     return [float(value) if np.isfinite(value) else None for value in values]

@@ -1,4 +1,4 @@
-"""Halo, core and glare from one forward model of all levels of a point series, cut codes counted as what they are."""
+"""Forward model of a point series: halo, core and glare from all stacks, clipping included in the model."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -6,15 +6,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.bloom.common_measurements import add_common_measurements
-from charact.bloom.extent_measurements import provenance, quantisation_flags
-from charact.bloom.halo_edge_step import STEP_SEEN, first_radius
+from charact.bloom.extent_measurements import add_common_measurements, provenance, quantisation_flags
+from charact.bloom.halo_edge_step import STEP_SEEN, first_radius, profile_of, reach_of
 from charact.bloom.point_stack import DETECTED, PointStack, read_point_stacks
-from charact.bloom.profile import profile_of, reach_of
 from charact.bloom.series.extent_comparison import MISFIT, compare_extents
-from charact.bloom.series.figure_data import forms_evidence, profile_evidence
-from charact.bloom.series.halo_checks import MISFIT_SHARE, halo_refusal_reason, is_uneven, own_diameters
-from charact.bloom.series.model_selection import FittedHaloModel, candidates
+from charact.bloom.series.levenberg_marquardt import optimise
+from charact.bloom.series.likelihood import RingSeries, select_levels
+from charact.bloom.series.model_selection import (
+    MISFIT_SHARE,
+    FittedHaloModel,
+    candidates,
+    halo_refusal_reason,
+    is_uneven,
+    own_diameters,
+)
 from charact.bloom.series.ring_series import build_ring_series
 from charact.bloom.series.series_measurements import (
     OF_THE_HALO,
@@ -34,48 +39,141 @@ from labdata.session import Session
 
 Array = NDArray[np.float64]
 
+
+def profile_evidence(
+    best: FittedHaloModel, posterior: Posterior, own: tuple[Array, Array, Array] | None
+) -> dict[str, Any]:
+    """Ring means of all stacks with the selected model, normalised residuals, and each stack's own halo."""
+    series, point = best.problem.series, best.peak.point[None]
+    model = best.problem.rings(point)[..., 0]
+    solved = best.problem.solve_amplitudes(point)
+    sd = np.sqrt(np.diagonal(series.covariance(best.problem.misfit), axis1=1, axis2=2))
+    data: dict[str, Any] = {
+        "figure": "point-profile",
+        "label": list(series.labels),
+        "radius_px": [series.radius_px.tolist()] * len(series.labels),
+        "mean_dn": series.data.tolist(),
+        "sd_dn": sd.tolist(),
+        "used": (~series.cut).tolist(),
+        "model_dn": model.tolist(),
+        "residual_sd": ((series.data - model) / sd).tolist(),
+        "full_scale_dn": series.full_dn,
+        "light_dn_px2": solved.amplitudes[:, 0, 0].tolist(),
+        "background_dn": solved.amplitudes[:, 1, 0].tolist(),
+        "form": best.name,
+        "model_share": best.problem.misfit.share,
+        "core_share": best.problem.misfit.core,
+        "chi2": float(solved.chi2.sum()),
+        "freedom": int(series.data.size - 2 * len(series.data) - len(best.peak.point)),
+        "halo_diameter_px": None,
+    }
+    if own is None:
+        return {"point-profile": data}
+    data |= {
+        "halo_diameter_px": float(np.median(posterior["halo_diameter"])),
+        "elastic_share": float(np.median(posterior["elastic_share"])),
+        "halo_share": [float(np.median(posterior["halo_fraction"]))] * len(series.labels),
+    }
+    return {"point-profile": data, "halo-constancy": _constancy(series, posterior, own)}
+
+
+def _constancy(series: RingSeries, posterior: Posterior, own: tuple[Array, Array, Array]) -> dict[str, Any]:
+    """Halo diameter of each stack and of all, as figure data."""
+    seen = np.isfinite(own[0])
+    diameter, sd = own[0][seen], np.maximum(own[1][seen], 1e-6)
+    joint = float(np.median(posterior["halo_diameter"]))
+    return {
+        "figure": "halo-constancy",
+        "label": [label for label, one in zip(series.labels, seen, strict=True) if one],
+        "halo_diameter_px": diameter.tolist(),
+        "interval95_px": np.stack([diameter - 1.96 * sd, diameter + 1.96 * sd], axis=1).tolist(),
+        "significance": own[2][seen].tolist(),
+        "joint_px": joint,
+        "joint_elastic_share": float(np.median(posterior["elastic_share"])),
+        "chi2_of_constancy": float((((diameter - joint) / sd) ** 2).sum()),
+        "freedom": max(0, len(diameter) - 1),
+    }
+
+
+def forms_evidence(forms: list[FittedHaloModel], *, quick: bool) -> dict[str, Any]:
+    """Information criterion of every fitted model, and its cross-validation."""
+    foretold = [None] * len(forms) if quick else [cross_validate(one) for one in forms[:3]] + [None] * len(forms)
+    least = forms[0].bic
+    rows = [
+        {
+            "form": one.name,
+            "parameters": len(one.form.names),
+            "log_likelihood": one.log_likelihood,
+            "bic_over_best": one.bic - least,
+            "off_percent": 100.0 * one.problem.misfit.share,
+            "core_off_percent": 100.0 * one.problem.misfit.core,
+            "foretold_chi2_per_ring": value,
+        }
+        for one, value in zip(forms, foretold, strict=False)
+    ]
+    return {"bloom-forms": {"table": rows}}
+
+
+def cross_validate(candidate: FittedHaloModel) -> float | None:
+    """Reduced chi squared of stacks that a model was not fitted to; None with one stack.
+
+    Every second stack is excluded in turn: core and halo come from one half, each stack's amplitudes from itself.
+    """
+    series = candidate.problem.series
+    count = len(series.labels)
+    if count < 2:
+        return None
+    total = 0.0
+    for fold in (0, 1):
+        seen = np.arange(count) % 2 == fold
+        peak = optimise(replace(candidate.problem, series=select_levels(series, seen)), candidate.peak.point)
+        total += float(
+            replace(candidate.problem, series=select_levels(series, ~seen))
+            .solve_amplitudes(peak.point[None])
+            .chi2.sum()
+        )
+    return total / series.data.size
+
+
 METHOD = "series-forward"
 EXTENTS = ("bloom_diameter", "bloom_diameter_background", "bloom_diameter_clip")
-# Share of the farthest ring beyond which a halo is not seen whole.
-WHOLE = 0.92
-# Draws by importance of the first density, and how many must be effective; fewer where time is short.
-FIRST_DRAWS, ENOUGH, ENOUGH_QUICKLY = 2000, 1000.0, 100.0
-# Chance of levels' own diameters scattering as they do below which geometry does not hold.
-CONSTANT = 1e-4
 
 
 @register(
     "bloom",
     METHOD,
     quantities=("halo_diameter", "halo_fraction", "bloom_diameter", "streak_length"),
-    scope="A round source whose halo has an edge that rises above the noise in one level at least; at any saturation.",
+    scope="A round source with a halo edge above the noise in at least one stack, at any saturation.",
 )
 def series_forward(session: Session, *, context: Context) -> Result:
-    """Measure halo, encircled light, glare, bloom diameters and streaks of a point series.
+    """Measure halo, encircled energy, glare, bloom diameters and streaks of a point series.
 
     Parameters
     ----------
     session
         Session with stacks of kind "point".
     context
-        Seed and settings; the sensor, where known, gives pitches and the core's prior.
+        Seed and settings; the sensor description, if known, gives pitches and the core's prior.
 
     Notes
     -----
-    Cores (Gaussian, a tube's, Gaussian with a Moffat wing) and halos (none, a disc of bounced electrons, Gaussian) are
-    fitted to ring means of all levels together; the Bayesian information criterion chooses. Each level's light and
-    background are its own. A halo is told only where the disc is clearly the best and its edge is tied to one place.
+    Cores (Gaussian, image tube, Gaussian with a Moffat wing) and halos (none, a disc of backscattered electrons,
+    Gaussian) are fitted to the ring means of all stacks together and selected by the Bayesian information criterion.
+    Each stack has its own source signal and background. A halo is reported only if the disc is clearly the best model
+    with a well-determined edge.
     """
     spots = read_point_stacks(session, context=context)
     fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
-    told = _analyse_series(session, spots, context, fields)
-    result = add_common_measurements(session, spots, told.measurements, told.evidence, context=context, **fields)
-    return result if told.best is None else _compare_extents(result, told.best, told.group)
+    analysis = _analyse_series(session, spots, context, fields)
+    result = add_common_measurements(
+        session, spots, analysis.measurements, analysis.evidence, context=context, **fields
+    )
+    return result if analysis.best is None else _compare_extents(result, analysis.best, analysis.group)
 
 
 @dataclass(frozen=True, kw_only=True)
 class _SeriesResult:
-    """What a series says of all its stacks together, and by which form of which stacks."""
+    """Measurements common to all stacks, with the selected model and its stacks."""
 
     measurements: list[Measurement]
     evidence: dict[str, Any]
@@ -84,31 +182,29 @@ class _SeriesResult:
 
 
 def _compare_extents(result: Result, best: FittedHaloModel, group: tuple[PointStack, ...]) -> Result:
-    """Hold extents against the fitted light; where that fits no ring, none that it shows is sure."""
+    """Compare measured extents with the fitted signal; flag them where the fit is poor."""
     if best.problem.misfit.share <= MISFIT_SHARE and not is_uneven(best.problem.series):
         return replace(result, measurements=compare_extents(best, group, result.measurements))
     labels = {one.label for one in group}
-    told = (
+    flagged = (
         one.with_(flags=MISFIT) if one.quantity in EXTENTS and one.stack in labels else one
         for one in result.measurements
     )
-    return replace(result, measurements=tuple(told))
+    return replace(result, measurements=tuple(flagged))
 
 
 def _analyse_series(
     session: Session, spots: tuple[PointStack, ...], context: Context, fields: dict[str, Any]
 ) -> _SeriesResult:
-    """What the series says, and what the report draws of it."""
+    """Measurements and figure data of a series."""
     clear = tuple(spot for spot in spots if spot.significance > DETECTED)
     if not clear:
-        return _SeriesResult(
-            measurements=_refuse_halo("no point source stands out of its surroundings", fields), evidence={}
-        )
+        return _SeriesResult(measurements=_refuse_halo("no point source is detected", fields), evidence={})
     found = build_ring_series(session, clear, context=context)
     if isinstance(found, str):
         return _SeriesResult(measurements=_refuse_halo(found, fields), evidence={})
     series, group = found
-    context.progress("forms of the source's light", 0.9)
+    context.progress("blur models of the source", 0.9)
     has_tube = context.sensor is not None or any(one.conditions.mcp_v is not None for one in group)
     radius, seen = first_radius([profile_of(spot, reach_of(spot), context=context) for spot in group])
     forms = candidates(series, pitch_ratio=context.pitch_ratio, sensor=context.sensor, has_tube=has_tube,
@@ -139,8 +235,8 @@ def _refuse_halo(reason: str, fields: dict[str, Any]) -> list[Measurement]:
 
 
 def _posterior(best: FittedHaloModel, context: Context) -> Posterior:
-    """Draws of the best form's parameters."""
-    asked: dict[str, Any] = {
+    """Posterior draws of the selected model's parameters."""
+    arguments: dict[str, Any] = {
         "names": best.form.names,
         "units": best.form.units,
         "start": best.peak.point,
@@ -149,15 +245,15 @@ def _posterior(best: FittedHaloModel, context: Context) -> Posterior:
         "bounds": best.form.bounds,
     }
     if context.quick:
-        gaussian = laplace(best.problem.log_probability, **asked)
+        gaussian = laplace(best.problem.log_probability, **arguments)
         if not _is_cut(best, gaussian):
             return gaussian
-    enough = ENOUGH_QUICKLY if context.quick else ENOUGH
-    return importance_sample(best.problem.log_probability, enough=enough, first_draws=FIRST_DRAWS, **asked)
+    enough = 100.0 if context.quick else 1000.0
+    return importance_sample(best.problem.log_probability, enough=enough, first_draws=2000, **arguments)
 
 
 def _is_cut(best: FittedHaloModel, gaussian: Posterior) -> bool:
-    """Whether bounds cut a Gaussian so that its peak is not the middle of its diameters: its width says little then."""
+    """Whether bounds truncate the Gaussian approximation so that its width is unreliable."""
     if best.form.halo != "disc":
         return False
     diameter = gaussian["halo_diameter"]
@@ -166,7 +262,7 @@ def _is_cut(best: FittedHaloModel, gaussian: Posterior) -> bool:
 
 
 def _flags(best: FittedHaloModel, posterior: Posterior, own: tuple[Array, Array, Array] | None) -> tuple[str, ...]:
-    """What speaks against the numbers; bounds of nuisance parameters harm nothing."""
+    """Flags of the series; bounds of nuisance parameters are ignored."""
     from scipy.stats import chi2
 
     flags = tuple(flag for flag in posterior.flags if flag != "prior-bound")
@@ -176,16 +272,16 @@ def _flags(best: FittedHaloModel, posterior: Posterior, own: tuple[Array, Array,
     if own is None:
         return flags
     diameter = float(np.median(posterior["halo_diameter"]))
-    if diameter / 2.0 > WHOLE * series.radius_px[-1]:
+    if diameter / 2.0 > 0.92 * series.radius_px[-1]:
         flags += ("window-too-small",)
     apart, freedom = levels_apart(own)
-    return flags + (("model-misfit",) if freedom and chi2.sf(apart, freedom) < CONSTANT else ())
+    return flags + (("model-misfit",) if freedom and chi2.sf(apart, freedom) < 1e-4 else ())
 
 
 def _notes(context: Context, group: tuple[PointStack, ...], spots: tuple[PointStack, ...]) -> tuple[str, ...]:
-    notes = ("the row pitch is unknown: pixels are taken as square",) if context.sensor is None else ()
+    notes = ("the row pitch is unknown: pixels are assumed square",) if context.sensor is None else ()
     if np.isfinite(nearest_px(group)):
-        notes += (f"pixels nearer to another source, {nearest_px(group):.0f} px away or more, are left out",)
+        notes += (f"pixels nearer to another source, {nearest_px(group):.0f} px away or more, are excluded",)
     if len(group) < len(spots):
-        notes += (f"{len(group)} of {len(spots)} stacks show a source in one place, the others are left out",)
+        notes += (f"{len(group)} of {len(spots)} stacks show a source at one position, the others are excluded",)
     return notes

@@ -1,24 +1,18 @@
-"""What one frame of a point source says by itself, without darks, without its light and without other levels.
-
-Extents are there in any frame; a halo's edge only where the rings step; all that compares levels is refused, each with
-the sentence that says what would give it.
-"""
+"""Bloom quantities of a single frame of a point source, without darks and other source levels."""
 
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from charact.bloom.defects import with_sound_pixels
-from charact.bloom.encircled_energy import REACH_PX, SHARES, ring_energy_radii
-from charact.bloom.extent_measurements import bloom_measurements, provenance, series_evidence
-from charact.bloom.findings import add_findings
-from charact.bloom.halo_edge_step import STEP_SEEN, edge_radius
-from charact.bloom.point_stack import DETECTED, PointStack, read_point_stacks, spot_of
-from charact.bloom.profile import profile_of, reach_of
-from charact.bloom.source_position import SourcePosition
-from charact.bloom.source_view import view_of
+from charact.bloom.extent import DRAWS
+from charact.bloom.extent_measurements import add_findings, bloom_measurements, provenance, series_evidence
+from charact.bloom.halo_edge_step import STEP_SEEN, edge_radius, profile_of, reach_of
+from charact.bloom.point_stack import DETECTED, PointStack, SourcePosition, read_point_stacks, spot_of
+from charact.bloom.source_view import SECTORS, Background, SourceView, view_of
 from charact.method import Context
 from charact.method.stopwatch import with_timing
 from labdata.conditions import Conditions
@@ -26,28 +20,104 @@ from labdata.frames import FrameStack
 from labdata.measurement import Measurement, Result, make_refusal, measurement_from_draws, measurement_from_sd
 from labdata.session import Session, StackEntry
 
+Array = NDArray[np.float64]
+
+SHARES = (0.5, 0.9)
+# Outermost ring of the sum, px: halos end inside, and the background's error grows with the area.
+REACH_PX = 45.0
+# Steps and directions of the interpolation near the source, px.
+STEP_PX, ANGLES = 0.25, 48
+
+
+def ring_energy_radii(view: SourceView, background: Background, *, seed: int) -> dict[float, Array] | str:
+    """Return draws of the encircled-energy radii for each of `SHARES`, column pitches; or a refusal reason.
+
+    Parameters
+    ----------
+    view
+        Mean frame around the source.
+    background
+        Signal not due to the source.
+    seed
+        Seed of the draws.
+
+    Notes
+    -----
+    The total signal is that inside the largest ring of the frame, or within `REACH_PX`: wings beyond are excluded, and
+    the background's error includes the whole area.
+    """
+    top = float((view.signal[view.polar.radius < view.rings.radius[-1]]).max())
+    if top > 0.97 * view.top:
+        return "the source's core is clipped, so that its total signal is unknown: a fainter stack is needed"
+    if not background.even:
+        return "the signal still falls at the border of the frame: a larger frame is needed"
+    border = (view.polar.radius[edge].min() for edge in (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1]))
+    rings = max(int(min(*border, REACH_PX)), 1)
+    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(seed)
+    sd = view.noise.sd(view.profile[1]) / np.sqrt(view.noise.frames)
+    area = np.diff(np.pi * np.arange(rings + 1.0) ** 2)
+    mean = view.rings.mean()[:rings]
+    noise = view.rings.draws(sd, DRAWS, rng, np.ones(SECTORS, bool))[:, :rings] - mean
+    noise -= background.sd_dn * rng.standard_normal((DRAWS, 1))
+    radius, held = _cumulative_light(view, mean - background.level_dn, area, background.level_dn)
+    off = np.concatenate([np.zeros((DRAWS, 1)), np.cumsum(noise * area, axis=1)], axis=1)
+    draws = held + np.array([np.interp(radius, np.arange(rings + 1.0), one) for one in off])
+    whole = draws[:, -1]
+    if np.std(whole) > 0.1 * np.mean(whole):
+        return f"the source's signal is uncertain by {np.std(whole) / abs(np.mean(whole)):.0%}: more frames are needed"
+    return {share: np.array([_first(one / one[-1], radius, share) for one in draws]) for share in SHARES}
+
+
+def _cumulative_light(view: SourceView, light: Array, area: Array, floor: float) -> tuple[Array, Array]:
+    """Radii and encircled signal: by spline interpolation near the source, by rings beyond."""
+    from scipy import ndimage
+
+    near = min(12, len(light))
+    fine = np.arange(0.0, near + STEP_PX / 2, STEP_PX)
+    angle = 2.0 * np.pi * (np.arange(ANGLES) + 0.5) / ANGLES
+    middle = fine[1:] - 0.5 * STEP_PX
+    row, col = _centre(view)
+    places = [row + middle[:, None] * np.sin(angle) / view.polar.row_pitch, col + middle[:, None] * np.cos(angle)]
+    profile = ndimage.map_coordinates(view.signal, places, order=3, mode="nearest").mean(axis=1) - floor
+    inner = np.concatenate([[0.0], np.cumsum(2.0 * np.pi * middle * STEP_PX * profile)])
+    outer = inner[-1] + np.cumsum((light * area)[near:])
+    return np.concatenate([fine, np.arange(near + 1.0, len(light) + 1.0)]), np.concatenate([inner, outer])
+
+
+def _centre(view: SourceView) -> tuple[float, float]:
+    """Centre of the view, px."""
+    return float(-view.polar.dy[0, 0] / view.polar.row_pitch), float(-view.polar.dx[0, 0])
+
+
+def _first(held: Array, radius: Array, share: float) -> float:
+    """Radius at which the encircled signal first reaches a fraction; between radii it grows with the area."""
+    at = max(int(np.argmax(held >= share)), 1)
+    part = (share - held[at - 1]) / max(held[at] - held[at - 1], 1e-12)
+    return float(np.sqrt(radius[at - 1] ** 2 + np.clip(part, 0.0, 1.0) * (radius[at] ** 2 - radius[at - 1] ** 2)))
+
+
 METHOD = "one-frame"
-# The steepest step of a blurred rim lies within about half a pixel of its edge; in one frame nothing confirms it.
-RADIUS_SD_PX = 0.7
-# A region at the highest code as wide as this hides halos, px.
-CUT_PX = 16.0
-# Box of another source in the frame, px to either side.
+# Half side of the region of another source, px.
 BOX_PX = 12
-MOST_OTHERS = 8
-# What one frame cannot tell: quantity, unit, and what would.
+# Quantities that one frame cannot determine: name, unit and reason.
 BEYOND_ONE_FRAME = (
-    ("halo_fraction", "1", "the halo's share of the light needs levels at which core and halo are each not cut"),
-    ("halo_plateau", "1/px2", "the plateau over the source's light needs a fainter level of stated light"),
-    ("halo_rim", "1", "rim over plateau needs a fit of several levels"),
-    ("veiling_glare", "%", "glare is told from background by levels of different light"),
-    ("smear_fraction", "1", "smear is a share of light that only a fainter level, not cut, tells"),
-    ("background_depression", "dB", "a background that falls needs a fainter level beside this one"),
-    ("recovery_time_10", "s", "recovery needs a stack in which the source goes out"),
+    (
+        "halo_fraction",
+        "1",
+        "the fraction of light in the halo needs stacks with unclipped core and with unclipped halo",
+    ),
+    ("halo_plateau", "1/px2", "the plateau over the source's signal needs a fainter stack of stated illuminance"),
+    ("halo_rim", "1", "the ratio of rim to plateau needs a fit of several stacks"),
+    ("veiling_glare", "%", "glare needs stacks of different illuminance to separate it from background"),
+    ("smear_fraction", "1", "the smear fraction needs a fainter, unclipped stack"),
+    ("background_depression", "dB", "a fall of the background needs a fainter stack for comparison"),
+    ("recovery_time_10", "s", "recovery needs a stack in which the source is switched off"),
 )
 
 
 def bare_session(path: str | Path) -> Session:
-    """Return a session of one stack that shows a point source, from a picture that has no session.
+    """Return a session of one point stack from an image file without a session.
 
     Parameters
     ----------
@@ -61,7 +131,7 @@ def bare_session(path: str | Path) -> Session:
 
 @with_timing
 def measure_frame(session: Session, *, context: Context) -> Result:
-    """Measure what the only stack of a session says by itself, each source in it with its region.
+    """Measure the only stack of a session; each source in it has its own region.
 
     Parameters
     ----------
@@ -81,9 +151,9 @@ def measure_frame(session: Session, *, context: Context) -> Result:
     ]
     if spot.others:
         out = [m.with_(region=_box(spot)) for m in out]
-    for other in spot.others[:MOST_OTHERS]:
-        beside = replace(spot_of(entry, stack, _dark_of(spot), other, context, []), others=(_place(spot),))
-        out += [m.with_(region=_box(beside)) for m in _extents(beside, context, fields)]
+    for other in spot.others[:8]:
+        second = replace(spot_of(entry, stack, _dark_of(spot), other, context, []), others=(_place(spot),))
+        out += [m.with_(region=_box(second)) for m in _extents(second, context, fields)]
     return Result(
         measurements=tuple(add_findings(one) for one in out), evidence={"bloom-series": series_evidence((spot,))}
     )
@@ -102,7 +172,7 @@ def _place(spot: PointStack) -> SourcePosition:
 
 
 def _box(spot: PointStack) -> tuple[int, int, int, int]:
-    """ROW, COL, HEIGHT, WIDTH of the region at half of full scale, or of a few pixels around the place."""
+    """Region (row, col, height, width) at half of full scale, or a few pixels around the source."""
     rows, cols = spot.image.shape
     if spot.half is not None:
         down, along = np.nonzero(spot.half.region)
@@ -116,7 +186,7 @@ def _energy_radii(spot: PointStack, stack: FrameStack, context: Context, fields:
     names = [f"encircled_radius_{100 * share:.0f}" for share in SHARES]
     common = {"stack": spot.label, **fields}
     if spot.significance < DETECTED:
-        return [make_refusal(name, "px", "no point source stands out of its surroundings", **common) for name in names]
+        return [make_refusal(name, "px", "no point source is detected", **common) for name in names]
     view = view_of(stack.data, spot.dark_dn, spot.full_scale_dn, spot.row, spot.col, context.pitch_ratio)
     found = ring_energy_radii(view, spot.light, seed=context.seed)
     if isinstance(found, str):
@@ -126,7 +196,7 @@ def _energy_radii(spot: PointStack, stack: FrameStack, context: Context, fields:
     reach = min(
         REACH_PX, *(m * context.pitch_ratio for m in (spot.row, rows - 1 - spot.row)), spot.col, cols - 1 - spot.col
     )
-    notes = (f"the whole light is what lies within {reach:.0f} px of the source",)
+    notes = (f"the total signal is that within {reach:.0f} px of the source",)
     return [
         measurement_from_draws(name, "px", found[share], flags=flags, notes=notes, **common)
         for name, share in zip(names, SHARES, strict=True)
@@ -134,16 +204,16 @@ def _energy_radii(spot: PointStack, stack: FrameStack, context: Context, fields:
 
 
 def _halo(spot: PointStack, context: Context, fields: dict[str, Any]) -> Measurement:
-    """The halo's edge where the rings step clearly."""
+    """Diameter of the halo where the ring profile has a clear step."""
     common = {"stack": spot.label, **fields}
     if spot.significance < DETECTED:
-        return make_refusal("halo_diameter", "px", "no point source stands out of its surroundings", **common)
+        return make_refusal("halo_diameter", "px", "no point source is detected", **common)
     radius, seen = edge_radius(profile_of(spot, reach_of(spot), context=context))
-    if seen < STEP_SEEN and spot.clip is not None and spot.clip.diameter_px > CUT_PX:
-        reason = "the frame is cut to beyond any step of the rings: a fainter level would show the halo's edge"
+    if seen < STEP_SEEN and spot.clip is not None and spot.clip.diameter_px > 16.0:
+        reason = "the frame is clipped beyond any step of the rings: a fainter stack would show the halo's edge"
         return make_refusal("halo_diameter", "px", reason, **common)
     if seen < STEP_SEEN:
-        reason = "the rings show no step: a brighter level, whose halo rises above the noise, would show one"
+        reason = "the rings show no step: a brighter stack, with its halo above the noise, would show one"
         return make_refusal("halo_diameter", "px", reason, **common)
-    notes = ("the steepest step of the rings; a series of levels tells it from other steps",)
-    return measurement_from_sd("halo_diameter", "px", 2 * radius, 2 * RADIUS_SD_PX, notes=notes, **common)
+    notes = ("the steepest step of the rings; only a series of stacks distinguishes it from other steps",)
+    return measurement_from_sd("halo_diameter", "px", 2 * radius, 2 * 0.7, notes=notes, **common)

@@ -1,8 +1,4 @@
-"""Smear: light that falls on the columns while their charge is moved, even from the frame's top to its bottom.
-
-The columns of the core are compared with those to their left and right, in rows that neither the streak nor much of the
-halo reaches; what they hold more, above and below alike, is held against the light that they gather.
-"""
+"""Smear: signal collected by columns during charge transfer, uniform along the column."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -10,55 +6,46 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.bloom.column_artefacts import ROUNDED_DN, ColumnArtefacts, compare_columns
-from charact.bloom.mean_frame_noise import MeanFrameNoise, grain_of
+from charact.bloom.column_artefacts import (
+    FULL_SHARE,
+    ROUNDED_DN,
+    ColumnArtefacts,
+    MeanFrameNoise,
+    compare_columns,
+    grain_of,
+)
 from charact.bloom.point_stack import DETECTED, PointStack
-from charact.bloom.streak import FULL_SHARE
 from charact.method import Context
 from labdata.measurement import Measurement, make_refusal, measurement_from_sd
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# Columns left and right of the core that are compared with it: how far from its own, and how many.
-GAP_PX, FLANK_PX = 3, 8
-# Rows on either side of the source over which its light is summed, and share of the core's brightest column that
-# belongs to it.
-LIGHT_ROWS_PX = 24
-CORE_SHARE = 0.25
-# Least rows above and below the streak together, and on either side for both to be compared.
-LEAST_ROWS, LEAST_SIDE = 16, 6
-# Rows where the source's own light adds so much to the noise of a pixel are left out.
-NOISY = 1.3
-# Share of full scale that no unsaturated source exceeds, and from which on light even along a column may be a streak.
-LINEAR_SHARE = 0.65
-# Standard errors at which smear is seen in a stack; and those by which two stacks, or above and below, may differ, two
-# stacks by some share besides.
-SEEN = 4.0
-APART, APART_SHARE = 5.0, 0.15
-# Relative error of each stack's stated light beside the others': neutral-density steps are
-# seldom known better. Scatter of the stacks beyond their errors raises it up to the second number.
-LIGHT_SD, MOST_LIGHT_SD = 0.03, 0.3
-# Light of two stacks that must see it, one over the other, for the light to be known to stay in proportion.
+# Number of columns left and right of the core for comparison.
+FLANK_PX = 8
+# Minimum rows on each side of the streak for a comparison of both.
+LEAST_SIDE = 6
+APART = 5.0
+# Relative uncertainty of the stated light between stacks: neutral-density steps are rarely known better.
+LIGHT_SD = 0.03
+# Minimum ratio of the light of two stacks with smear for a test of proportionality.
 LEAST_RATIO = 2.5
-# Relative standard error of the source's light beyond which a ratio to it is none.
-LEAST_KNOWN = 0.25
-NARROW = "the frame is too narrow: there are no columns far from the source to hold those of its core against"
+NARROW = "the frame is too narrow: there are no columns far from the source for comparison"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Core:
-    """Columns of the core, and the light that they gather.
+    """Columns of the core, and their signal.
 
     Parameters
     ----------
     half_width_px
-        Columns on either side of the source's own.
+        Columns on either side of the source's column.
     light_dn, light_sd_dn
-        Mean over these columns of their summed light less that of their neighbours', at the light 1, and its standard
+        Mean over these columns of their summed signal above that of their neighbours', per unit light, and its standard
         error, DN.
     stack
-        Label of the unsaturated stack it is taken from.
+        Label of the unsaturated stack.
     """
 
     half_width_px: int
@@ -69,18 +56,18 @@ class Core:
 
 @dataclass(frozen=True, kw_only=True)
 class Smear:
-    """What one stack holds evenly on the columns of its core.
+    """Uniform column signal of one stack.
 
     Parameters
     ----------
     label
         The stack.
     light
-        Its light as stated.
+        Stated light.
     level_dn, level_sd_dn
-        Mean of the core's columns over their neighbours far from the source, and its standard error, DN.
+        Mean of the core's columns above their neighbours far from the source, and its standard error, DN.
     uneven
-        Whether it differs above and below the source.
+        Whether it differs between above and below the source.
     """
 
     label: str
@@ -93,28 +80,31 @@ class Smear:
 def smear_measurement(
     spots: tuple[PointStack, ...], context: Context, **fields: Any
 ) -> tuple[Measurement, dict[str, Any]]:
-    """Return the smear fraction of a series of stacks, and what the report draws of it.
+    """Return the smear fraction of a series of stacks, and its figure data.
 
     Parameters
     ----------
     spots
-        Stacks of one source at several known lights, one of them unsaturated.
+        Stacks of one source at several known illuminances, one of them unsaturated.
     context
         Pitches, and whether frames are interlaced.
 
     Notes
     -----
-    The fraction f is of the summed light S of a column, spread over its R rows: each gets f S / R. A stack that shows
-    it has a saturated core, so S is that of an unsaturated stack times the ratio of their lights. Nothing but a second
-    stack whose smear grows as its light does proves that the tube follows: with one alone the number is flagged
-    `extrapolated`. Where no stack shows smear nothing can prove it, and the number is refused with the most that it can
-    be if the tube does follow.
+    The fraction f refers to the summed signal S of a column of R rows, each of which receives f S / R. A stack with
+    visible smear has a saturated core, so that S is scaled from an unsaturated stack by the ratio of stated light.
+    Linearity of the tube is verified only by a second stack with proportional smear: with one alone the number is
+    flagged `extrapolated`. Without visible smear it is refused with an upper limit that assumes linearity.
     """
     clear = tuple(spot for spot in spots if spot.significance > DETECTED)
     core = core_of(clear, context)
     if isinstance(core, str):
         return make_refusal("smear_fraction", "1", core, **fields), {}
-    read = [_smear_of(spot, core, context) for spot in clear if (_light(spot) or 0.0) > LEAST_RATIO * core_light(clear)]
+    read = [
+        _smear_of(spot, core, context)
+        for spot in clear
+        if (spot.exposure_lux_ns or 0.0) > LEAST_RATIO * core_light(clear)
+    ]
     found = [one for one in read if isinstance(one, Smear)]
     rows = clear[0].image.shape[0]
     evidence = {"bloom-smear": _evidence(found, core, rows)} if found else {}
@@ -125,56 +115,50 @@ def smear_measurement(
 
 
 def core_light(spots: tuple[PointStack, ...]) -> float:
-    """Light of the brightest unsaturated stack; 0 where there is none."""
-    return max((_light(spot) or 0.0 for spot in spots if _linear(spot)), default=0.0)
-
-
-def _light(spot: PointStack) -> float | None:
-    lux = spot.conditions.illuminance_lux
-    return None if lux is None else lux * (spot.conditions.gate_ns or 1.0)
+    """Stated light of the brightest unsaturated stack; 0 where there is none."""
+    return max((spot.exposure_lux_ns or 0.0 for spot in spots if _linear(spot)), default=0.0)
 
 
 def _linear(spot: PointStack) -> bool:
     row, col = round(spot.row), round(spot.col)
     peak = float(spot.image[max(0, row - 2) : row + 3, max(0, col - 2) : col + 3].max())
-    return peak - spot.dark_dn < LINEAR_SHARE * (spot.full_scale_dn - spot.dark_dn)
+    return peak - spot.dark_dn < 0.65 * (spot.full_scale_dn - spot.dark_dn)
 
 
 def core_of(spots: tuple[PointStack, ...], context: Context) -> Core | str:
-    """Sum the light of each column of the brightest unsaturated stack; or say why that cannot be."""
+    """Sum the signal of each column of the brightest unsaturated stack; or return a refusal reason."""
     if not spots:
-        return "no point source stands out of its surroundings"
-    if any(_light(spot) is None for spot in spots):
-        return "the light of the stacks is unknown: what smears cannot be held against it"
-    linear = [spot for spot in spots if _linear(spot) and _light(spot)]
+        return "no point source is detected"
+    if any(spot.exposure_lux_ns is None for spot in spots):
+        return "the illuminance of the stacks is unknown: smear has no reference"
+    linear = [spot for spot in spots if _linear(spot) and spot.exposure_lux_ns]
     if not linear:
-        return "every level saturates the core: the light that its columns gather is unknown"
-    spot = max(linear, key=lambda one: _light(one) or 0.0)
-    near = np.abs(np.arange(spot.image.shape[0]) - spot.row) * context.pitch_ratio <= LIGHT_ROWS_PX
+        return "every stack saturates the core: the signal of its columns is unknown"
+    spot = max(linear, key=lambda one: one.exposure_lux_ns or 0.0)
+    near = np.abs(np.arange(spot.image.shape[0]) - spot.row) * context.pitch_ratio <= 24
     sums = spot.image[near].sum(axis=0)
     col = round(spot.col)
     wide = sums[max(0, col - 6) : col + 7] - np.median(sums)
-    over = np.flatnonzero(wide > CORE_SHARE * wide.max())
+    over = np.flatnonzero(wide > 0.25 * wide.max())
     half = int(np.clip(np.abs(over - min(6, col)).max(), 1, 6))
     value, sd = _contrast(spot.image, near, half, col)
     grain = grain_of(spot.image, spot.col, spot.dark_dn)
-    light, value = _light(spot) or 1.0, value * near.sum()
+    light, value = spot.exposure_lux_ns or 1.0, value * near.sum()
     noise = np.hypot(sd * near.sum(), np.sqrt(grain.sum_variance((2 * half + 1) * value)) / (2 * half + 1))
     if np.isinf(noise):
         return NARROW
-    if not value > 0 or noise > LEAST_KNOWN * value:
-        return "the light that the core's columns gather is known too badly: the unsaturated stacks are too faint"
+    if not value > 0 or noise > 0.25 * value:
+        return "the signal of the core's columns is too uncertain: the unsaturated stacks are too faint"
     return Core(half_width_px=half, light_dn=value / light, light_sd_dn=float(noise) / light, stack=spot.label)
 
 
 def _contrast(image: Array, rows: Mask, half: int, col: int) -> tuple[float, float]:
-    """Mean of the core's columns less that of their neighbours over some rows, and its standard error.
+    """Mean of the core's columns less their neighbours' over some rows, and its standard error.
 
-    The error is the scatter of the same difference taken everywhere else along these rows: what rows, columns and
-    neighbours share is in it.
+    The error is the scatter of the same difference elsewhere along these rows, which includes correlated noise.
     """
     along = image[rows].mean(axis=0)
-    reach = half + GAP_PX + FLANK_PX
+    reach = half + 3 + FLANK_PX
     weight = np.zeros(2 * reach + 1)
     weight[:FLANK_PX], weight[-FLANK_PX:] = -0.5 / FLANK_PX, -0.5 / FLANK_PX
     weight[reach - half : reach + half + 1] = 1.0 / (2 * half + 1)
@@ -190,36 +174,38 @@ def _contrast(image: Array, rows: Mask, half: int, col: int) -> tuple[float, flo
 
 
 def _smear_of(spot: PointStack, core: Core, context: Context) -> Smear | str:
-    """Even light of one stack's core columns; or why it cannot be told."""
+    """Uniform column signal of one stack; or a refusal reason."""
     col, half = round(spot.col), core.half_width_px
-    # Round light is taken away first: across a halo or a wing it is bent enough to pass for a faint column.
+    # The round profile is subtracted first, since its curvature resembles a faint column.
     found = compare_columns(spot, context, half_width_px=spot.image.shape[1])
     middle = slice(max(0, col - half), col + half + 1)
     far = _far_rows(found, middle, grain_of(spot.image, spot.col, spot.dark_dn))
     above, below = far & (found.row_offset < 0), far & (found.row_offset > 0)
-    if far.sum() < LEAST_ROWS:
-        return "the source's streak or its halo reaches the frame's top and bottom: smear cannot be told from them"
-    # One column that is full from end to end is enough: a streak's columns are of unlike length.
+    if far.sum() < 16:
+        return "the source's streak or halo extends to the frame's top and bottom: smear is not separable from them"
+    # One full column is sufficient, since a streak's columns differ in length.
     even = float(np.median(spot.image[far, middle], axis=0).max()) - spot.dark_dn
     if even > FULL_SHARE * (spot.full_scale_dn - spot.dark_dn):
-        return "the columns are bright from top to bottom: smear cannot be told from a streak"
+        return "the columns are bright from top to bottom: smear is not separable from a streak"
     level, sd = _contrast(found.excess_dn, far, half, col)
     if np.isinf(sd):
         return NARROW
-    # Halo and wing add noise to these columns that those farther off do not have.
+    # Halo and wing add noise to these columns.
     sd *= float(np.sqrt((found.sd_dn[far, middle] ** 2).mean() / np.median(found.sd_dn[far]) ** 2))
     uneven = False
     if min(above.sum(), below.sum()) >= LEAST_SIDE:
         (up, up_sd), (down, down_sd) = (_contrast(found.excess_dn, rows, half, col) for rows in (above, below))
         uneven = abs(up - down) > APART * np.hypot(up_sd, down_sd)
-    return Smear(label=spot.label, light=_light(spot) or 0.0, level_dn=level, level_sd_dn=sd, uneven=bool(uneven))
+    return Smear(
+        label=spot.label, light=spot.exposure_lux_ns or 0.0, level_dn=level, level_sd_dn=sd, uneven=bool(uneven)
+    )
 
 
 def _far_rows(found: ColumnArtefacts, middle: slice, grain: MeanFrameNoise) -> Mask:
-    """Rows beyond the streak, without those that the halo makes noisy: what they hold is even."""
+    """Rows beyond the streak and outside the noisy part of the halo."""
     excess = found.excess_dn[:, middle].max(axis=1)
     noise = np.sqrt(grain.floor_variance)
-    quiet = found.sd_dn[:, middle].max(axis=1) < NOISY * max(noise, float(np.median(found.sd_dn[[0, -1]])))
+    quiet = found.sd_dn[:, middle].max(axis=1) < 1.3 * max(noise, float(np.median(found.sd_dn[[0, -1]])))
     out = np.zeros(len(excess), bool)
     for side in (-1, 1):
         rows = np.flatnonzero(found.row_offset * side > 0)[::side]
@@ -231,27 +217,27 @@ def _far_rows(found: ColumnArtefacts, middle: slice, grain: MeanFrameNoise) -> M
         spread = max(noise, 1.4826 * float(np.median(np.abs(last - level))))
         over = excess[rows] > level + 6.0 * spread
         run = np.flatnonzero(over[:-1] & over[1:])
-        # Two rows more: the last pixels of a streak are partly filled.
+        # The last pixels of a streak are partly filled: two rows more.
         beyond = rows[run[-1] + 4 :] if len(run) else rows
         out[beyond[quiet[beyond]]] = True
     return out
 
 
 def _fraction(found: list[Smear], core: Core, rows: int, **fields: Any) -> Measurement:
-    """Combine stacks; scatter beyond their errors, as of lights that are not quite as stated, widens the interval."""
+    """Combine stacks; scatter beyond their errors widens the interval."""
     light, level, error = np.array([(one.light, one.level_dn, one.level_sd_dn) for one in found]).T
     share, sd = rows * level / (light * core.light_dn), rows * error / (light * core.light_dn)
-    seen = level > SEEN * error
+    seen = level > 4.0 * error
     weight = 1.0 / (sd**2 + (LIGHT_SD * float(np.average(share, weights=sd**-2))) ** 2)
     weight /= weight.sum()
     mean = float(weight @ share)
-    between = max(LIGHT_SD, min(_between(share[seen], sd[seen]), MOST_LIGHT_SD)) * mean
-    # The light of the unsaturated stack is as little known as that of the others.
+    between = max(LIGHT_SD, min(_between(share[seen], sd[seen]), 0.3)) * mean
+    # The light of the unsaturated stack has the same uncertainty.
     known = float(np.hypot(mean * core.light_sd_dn / core.light_dn, between))
     total = float(np.sqrt(weight**2 @ (sd**2 + between**2) + known**2))
     if not seen.any():
         most = max(mean, 0.0) + 2.0 * total
-        reason = f"no stack shows smear: it is at most {most:.2g} of a column's light, if the light rose as stated"
+        reason = f"no stack shows smear: it is at most {most:.2g} of a column's signal, if the light is as stated"
         return make_refusal("smear_fraction", "1", reason, **fields)
     flags = ()
     if light[seen].max() < LEAST_RATIO * light[seen].min():
@@ -275,13 +261,13 @@ def _between(share: Array, sd: Array) -> float:
 
 
 def _bends(light: Array, share: Array, sd: Array) -> bool:
-    """Whether the share falls or rises steadily with the light: then the light on the columns does not follow it."""
+    """Whether the fraction changes with the light: the column signal is then nonlinear."""
     if len(share) < 2:
         return False
     order = np.argsort(light)
     low, high = order[0], order[-1]
     apart = abs(share[high] - share[low]) > APART * np.hypot(sd[high], sd[low])
-    return bool(apart and abs(share[high] / share[low] - 1.0) > APART_SHARE)
+    return bool(apart and abs(share[high] / share[low] - 1.0) > 0.15)
 
 
 def _evidence(found: list[Smear], core: Core, rows: int) -> dict[str, Any]:

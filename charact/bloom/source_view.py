@@ -1,4 +1,4 @@
-"""A mean frame as seen from a source: its signal, its rings and sectors, and the noise of its pixels."""
+"""Mean frame around a source: rings and sectors, pixel noise and background."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -6,28 +6,218 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.bloom.pixel_noise import SMOOTHING_PX, PixelNoise, noise_of
-from charact.bloom.polar import Polar, Rings, polar_of, rings_of
+from charact import robust
 
 Array = NDArray[np.float64]
+
+# Sectors of the full circle.
+SECTORS = 24
+
+
+@dataclass(frozen=True, kw_only=True)
+class Polar:
+    """Polar coordinates of the pixels around a source.
+
+    Parameters
+    ----------
+    dx, dy
+        Distances from the source along rows and columns, column pitches, shape (row, col).
+    radius
+        Distance, column pitches, shape (row, col).
+    ring, sector
+        Index of the ring, one column pitch wide, and of the sector, shape (row, col).
+    row_pitch
+        Row pitch over column pitch.
+    """
+
+    dx: Array
+    dy: Array
+    radius: Array
+    ring: NDArray[np.intp]
+    sector: NDArray[np.intp]
+    row_pitch: float
+
+    @property
+    def rings(self) -> int:
+        """Number of rings, including those that cross the border."""
+        return int(self.ring.max()) + 1
+
+
+def polar_of(shape: tuple[int, int], row: float, col: float, row_pitch: float) -> Polar:
+    """Return the polar coordinates of the pixels of a frame around (row, col)."""
+    down = (np.arange(shape[0]) - row)[:, None] * row_pitch
+    dx, dy = np.broadcast_arrays((np.arange(shape[1]) - col)[None, :], down)
+    radius = np.hypot(dx, dy)
+    sector = ((np.arctan2(dy, dx) / (2 * np.pi) + 0.5) * SECTORS).astype(np.intp) % SECTORS
+    return Polar(dx=dx, dy=dy, radius=radius, ring=radius.astype(np.intp), sector=sector, row_pitch=row_pitch)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rings:
+    """Sums over ring and sector cells of an image.
+
+    Parameters
+    ----------
+    total, count
+        Sum and number of pixels of each cell, shape (ring, sector).
+    radius
+        Mean radius of each ring, column pitches, shape (ring,).
+    whole
+        Fraction of each ring that lies inside the frame, shape (ring,).
+    """
+
+    total: Array
+    count: Array
+    radius: Array
+    whole: Array
+
+    def mean(self, sectors: NDArray[np.bool_] | None = None) -> Array:
+        """Ring means over the selected sectors, shape (ring,)."""
+        chosen = np.ones(SECTORS, bool) if sectors is None else sectors
+        return self.total[:, chosen].sum(axis=1) / np.maximum(self.count[:, chosen].sum(axis=1), 1.0)
+
+    def median(self) -> Array:
+        """Median over the sectors of each ring, shape (ring,); robust against a streak or another source."""
+        cells = np.sort(np.where(self.count > 0, self.total / np.maximum(self.count, 1.0), np.inf), axis=1)
+        occupied = (self.count > 0).sum(axis=1)
+        rows, upper = np.arange(len(cells)), np.minimum(occupied // 2, SECTORS - 1)
+        lower = np.maximum((occupied - 1) // 2, 0)
+        return np.where(occupied > 0, 0.5 * (cells[rows, lower] + cells[rows, upper]), 0.0)
+
+    def draws(self, pixel_sd: Array, count: int, rng: np.random.Generator, sectors: NDArray[np.bool_]) -> Array:
+        """Draw ring means by a block bootstrap over sectors, shape (draw, ring).
+
+        Random weights of the sectors preserve the correlation of noise between pixels, rings and frames. `pixel_sd` is
+        the noise of a pixel of the mean frame in each ring, shape (ring,).
+        """
+        mean, number = self.mean(sectors), np.maximum(self.count[:, sectors].sum(axis=1), 1.0)
+        apart = (self.total - mean[:, None] * self.count)[:, sectors] / number[:, None]
+        weights = rng.standard_normal((count, apart.shape[1])) * np.sqrt(apart.shape[1] / max(apart.shape[1] - 1, 1))
+        near = np.where(self.radius < 4, pixel_sd / np.sqrt(number), 0.0)
+        return mean + weights @ apart.T + near * rng.standard_normal((count, len(mean)))
+
+
+def rings_of(image: Array, polar: Polar) -> Rings:
+    """Sum an image over rings and sectors."""
+    rings = polar.rings
+    cell = (polar.ring * SECTORS + polar.sector).ravel()
+    size = rings * SECTORS
+    count = np.bincount(cell, minlength=size).reshape(rings, SECTORS).astype(float)
+    total = np.bincount(cell, image.ravel(), minlength=size).reshape(rings, SECTORS).astype(float)
+    pixels = np.maximum(count.sum(axis=1), 1.0)
+    radius = np.bincount(polar.ring.ravel(), polar.radius.ravel(), minlength=rings) / pixels
+    full = np.pi * (2.0 * np.arange(rings) + 1.0) / polar.row_pitch
+    return Rings(total=total, count=count, radius=radius, whole=count.sum(axis=1) / full)
+
+
+# Range of signal, fractions of full scale, in which photon noise is measured.
+LIGHT = (0.1, 0.7)
+# Variance of quantisation, DN^2.
+ROUNDING = 1.0 / 12.0
+SMOOTHING_PX = 1.0
+# Rows with independent noise.
+APART_ROWS = 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class PixelNoise:
+    """Variance of a pixel in one frame, `floor + slope * signal`, DN^2, and the number of averaged frames.
+
+    `tied` is the variance of a sum of many pixels over that of as many independent ones.
+    """
+
+    floor: float
+    slope: float
+    frames: int
+    tied: float = 1.0
+
+    def sd(self, signal: Array | float) -> Array:
+        """Return the standard deviation of a pixel in one frame, DN."""
+        return np.sqrt(np.maximum(self.floor + self.slope * np.maximum(signal, 0.0), 1e-6))
+
+
+def mean_with_clipping(mean: Array, noise: PixelNoise, top: float) -> tuple[Array, Array]:
+    """Return the mean of a noisy signal clipped at `top`, and the unclipped fraction; shapes of `mean`."""
+    from scipy.special import ndtr
+
+    sd = noise.sd(np.minimum(mean, top))
+    z = np.clip((top - mean) / sd, -30.0, 30.0)
+    below = ndtr(z)
+    density = np.exp(-0.5 * z**2) / np.sqrt(2 * np.pi)
+    return np.where(z >= 30.0, mean, mean * below - sd * density + top * (1.0 - below)), below
+
+
+def noise_of(frames: NDArray, signal: Array, smooth: Array, top: float, polar: Polar, rings: Rings) -> PixelNoise:
+    """Estimate pixel noise from frame differences or, in a single frame, from differences within rings.
+
+    Parameters
+    ----------
+    frames, signal, smooth
+        Frames, shape (frame, row, col), their mean above dark and that smoothed by one pixel, shape (row, col), DN.
+    top
+        Full scale above dark, DN.
+    polar, rings
+        Polar coordinates of the pixels, and sums over cells of the mean.
+    """
+    profile = rings.median()
+    expected = np.interp(polar.radius, rings.radius, profile)
+    if len(frames) > 1:
+        variance = frames.var(axis=0, ddof=1, dtype=np.float64)
+    else:
+        # Differences are no measure of noise where rings fall steeply; along columns they are, even in a streak.
+        level = (np.abs(np.gradient(profile)) < np.maximum(0.015 * profile, 0.004 * top))[polar.ring]
+        level[:APART_ROWS] = level[-APART_ROWS:] = False
+        around = 0.5 * (np.roll(signal, APART_ROWS, axis=0) + np.roll(signal, -APART_ROWS, axis=0))
+        variance = np.where(level, (signal - around) ** 2 / 1.5, np.nan)
+    faint = (signal <= np.median(signal[::2, ::2]))[::2, ::2]
+    spread = [float(np.median(np.abs(one - expected)[::2, ::2][faint])) for one in (smooth, signal)]
+    tied = max(1.0, (spread[0] / max(spread[1], 1e-6)) ** 2 * 4.0 * np.pi * SMOOTHING_PX**2)
+    # In a single frame, selection by the pixel's own value would bias its noise.
+    of = signal if len(frames) > 1 else expected
+    return _line(variance.ravel(), of.ravel(), top, len(frames), tied)
+
+
+def _line(variance: Array, signal: Array, top: float, frames: int, tied: float) -> PixelNoise:
+    """Fit variance against signal from the faint half of the pixels and from well exposed ones."""
+    known = np.isfinite(variance)
+    variance, signal = variance[known], signal[known]
+    faint = signal <= np.median(signal)
+    lit = (signal > LIGHT[0] * top) & (signal < LIGHT[1] * top)
+    at_faint, of_faint = float(np.maximum(signal[faint], 0.0).mean()), float(variance[faint].mean())
+    if lit.sum() < 8:
+        # Noise of intensified cameras is mostly photon noise.
+        slope = max(of_faint - ROUNDING, 0.0) / max(at_faint, 1.0)
+        return PixelNoise(floor=ROUNDING, slope=slope, frames=frames, tied=tied)
+    # Medians, since pixels at the end of a streak or under a moving source vary by more than their noise.
+    at_lit = float(np.median(signal[lit]))
+    of_lit = float(np.median(variance[lit])) / _median_share(max(frames - 1, 1))
+    if at_lit < 1.5 * at_faint:
+        return PixelNoise(floor=ROUNDING, slope=max(of_lit - ROUNDING, 0.0) / at_lit, frames=frames, tied=tied)
+    slope = max(of_lit - of_faint, 0.0) / max(at_lit - at_faint, 1e-6)
+    return PixelNoise(floor=max(of_faint - slope * at_faint, ROUNDING), slope=slope, frames=frames, tied=tied)
+
+
+def _median_share(freedom: int) -> float:
+    """Median over mean of chi squared (Wilson and Hilferty, 1931)."""
+    return (1.0 - 2.0 / (9.0 * freedom)) ** 3
 
 
 @dataclass(frozen=True, kw_only=True)
 class SourceView:
-    """A mean frame as seen from a source.
+    """Mean frame around a source.
 
     Parameters
     ----------
     signal
-        Mean frame over dark, shape (row, col), DN.
+        Mean frame above dark, shape (row, col), DN.
     smooth
         The same smoothed by one pixel.
     dark_dn
-        Level without light, DN.
+        Black level, DN.
     top
-        Highest code over dark, DN.
+        Full scale above dark, DN.
     polar, rings, noise
-        Places of the pixels, sums over cells, and noise of a pixel.
+        Polar coordinates of the pixels, sums over cells, and noise of a pixel.
     """
 
     signal: Array
@@ -40,21 +230,21 @@ class SourceView:
 
     @cached_property
     def profile(self) -> tuple[Array, Array]:
-        """Radius and mean signal of the rings, what pulls few sectors left out."""
+        """Radius and median signal of the rings."""
         return self.rings.radius, self.rings.median()
 
 
 def view_of(
     frames: NDArray, dark_dn: float, full_scale_dn: float, row: float, col: float, row_pitch: float
 ) -> SourceView:
-    """Prepare frames for extents around (row, col).
+    """Compute rings, sectors and pixel noise of frames around (row, col).
 
     Parameters
     ----------
     frames
         Shape (frame, row, col), DN.
     dark_dn, full_scale_dn
-        Level without light and highest code, DN.
+        Black level and full scale, DN.
     row, col
         Centre of the source, px.
     row_pitch
@@ -75,3 +265,37 @@ def view_of(
         rings=rings,
         noise=noise_of(frames, signal, smooth, top, polar, rings),
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Background:
+    """Signal far from the source above dark and its standard uncertainty, DN, and whether it is uniform."""
+
+    level_dn: float
+    sd_dn: float
+    even: bool
+
+    @property
+    def is_illuminated(self) -> bool:
+        """Whether the background is clearly above the dark level."""
+        return self.level_dn > max(0.25, 5.0 * self.sd_dn)
+
+
+def background_of(view: SourceView) -> Background:
+    """Estimate the background from the outermost rings; medians over sectors exclude other sources."""
+    first = int(0.6 * view.polar.rings)
+    half = (first + view.polar.rings) // 2
+    inner, outer = _level(view, slice(first, half)), _level(view, slice(half, None))
+    level, sd = _level(view, slice(first, None))
+    falls = inner[0] - outer[0]
+    even = falls < max(4.0 * float(np.hypot(inner[1], outer[1])), 0.05 * abs(level), 0.1)
+    return Background(level_dn=level, sd_dn=sd, even=bool(even))
+
+
+def _level(view: SourceView, rings: slice) -> tuple[float, float]:
+    """Return the median over sectors of the means of some rings, and its standard uncertainty."""
+    total, count = view.rings.total[rings].sum(axis=0), view.rings.count[rings].sum(axis=0)
+    means = total[count > 0] / count[count > 0]
+    middle = float(np.median(means))
+    spread = robust.robust_sd(means)
+    return middle, 1.25 * spread / np.sqrt(max(len(means), 1)) + 0.01 / np.sqrt(SECTORS)

@@ -1,31 +1,27 @@
-"""Transforms of everything that spreads a point: pixel, core, wing, halo; each 1 at frequency 0.
+"""Transfer functions of pixel, core, wing and halo, and radial profiles from them."""
 
-All take frequencies in cycles per column pitch, shape (frequency,), and parameters by draw, shape (draw,), and give the
-shape (draw, frequency).
-"""
-
-from functools import lru_cache
+from functools import cache, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# Log-arguments and orders at which the transform of Moffat wings is tabulated.
+# Logarithmic arguments and orders of the Moffat table.
 ARGUMENTS = np.linspace(-10.0, 4.0, 1400)
 ORDERS = np.linspace(0.02, 3.2, 160)
-# Fractions of a halo's light whose density rises to a rim as 1/sqrt(1 - x^2), peaks in the middle as arccos(x)/x, rises
-# evenly as x^2, and lies in a rim of finite width as x^12, x its radius over the disc's; half the powers.
+# Fractions of the halo's light with the densities 1/sqrt(1 - x^2) (rim), arccos(x)/x (central peak), x^2 and x^12 (rim
+# of finite width), with x the radius over the disc's radius; half of the highest power.
 PROFILE = ("elastic_share", "even_share", "rising_share", "rim_share")
-RISE, RIM = 1, 6
-# Arguments at which the transforms of discs are tabulated: 160 px at 1.25 cycles a pixel.
+RIM = 6
+# Arguments of the disc table: 160 px at 1.25 cy/px.
 DISC_ARGUMENTS = np.arange(0.0, 650.0, 0.04)
-# Frequency that stands for 0 where a formula divides by it.
+# Substitute for frequency 0 in denominators.
 LEAST_CY_PER_PX = 1e-9
 
 
 def pixel(frequency: Array, pitch_ratio: float) -> Array:
-    """Transform of the pixel's aperture, averaged over all directions, shape (frequency,)."""
+    """Transfer function of the pixel aperture, averaged over all directions, shape (frequency,)."""
     angle = (np.arange(64) + 0.5) * (np.pi / 128)
     across, along = np.cos(angle)[:, None] * frequency, pitch_ratio * np.sin(angle)[:, None] * frequency
     return (np.sinc(across) * np.sinc(along)).mean(axis=0)
@@ -37,7 +33,7 @@ def gaussian(frequency: Array, variance_px2: Array) -> Array:
 
 
 def tube(frequency: Array, cut_off: Array, exponent: Array) -> Array:
-    """exp(-(f/fc)^n), an image tube's (Johnson, SPIE 1979)."""
+    """exp(-(f/fc)^n), an image tube (Johnson, SPIE 1979)."""
     return np.exp(-((frequency / cut_off[:, None]) ** exponent[:, None]))
 
 
@@ -59,26 +55,26 @@ def matern(frequency: Array, sd_px: Array, peak: Array) -> Array:
 
 
 def backscatter_profile(elastic: Array) -> Array:
-    """Return the profile of electrons that bounced off a plate, shape (draw, fraction), by their elastic fraction."""
+    """Return the profile of backscattered electrons, shape (draw, fraction), from their elastic fraction."""
     return np.stack([elastic, 1.0 - elastic, 0.0 * elastic, 0.0 * elastic], axis=-1)
 
 
 def disc(frequency: Array, diameter_px: Array, profile: Array) -> Array:
-    """Transform of a halo's disc, whose light ends at its edge and may take any even profile inside.
+    """Transfer function of a halo disc of finite diameter and any smooth profile.
 
     Parameters
     ----------
     frequency, diameter_px
-        As above.
+        As in the module docstring.
     profile
         Fractions of its light with the radial densities of `PROFILE`, shape (draw, fraction); the rest is flat.
 
     Notes
     -----
-    With x the radius over that of the disc and u = pi f D: electrons that bounce off a plate and keep their energy fall
-    with the density 1/sqrt(1 - x^2), those that keep an even fraction of it with arccos(x)/x (range 2 d e sin 2t in the
-    gap, cosine law), of transforms sin(u)/u and Si(u)/u. Powers of x are sums of (1 - x^2)^k, whose transforms are
-    Sonine's, Gamma(k + 2) (2/u)^(k + 1) J_(k+1)(u).
+    With x the radius over that of the disc and u = pi f D: elastically backscattered electrons have the density
+    1/sqrt(1 - x^2), those with uniformly distributed energies arccos(x)/x (range 2 d e sin 2t in the gap, cosine law),
+    with the transforms sin(u)/u and Si(u)/u. Powers of x are sums of (1 - x^2)^k, with Sonine's transforms Gamma(k + 2)
+    (2/u)^(k + 1) J_(k+1)(u).
     """
     u = np.pi * diameter_px[:, None] * np.maximum(frequency, LEAST_CY_PER_PX)
     first, weight = _four(DISC_ARGUMENTS, np.minimum(u, DISC_ARGUMENTS[-1]))
@@ -88,7 +84,7 @@ def disc(frequency: Array, diameter_px: Array, profile: Array) -> Array:
 
 @lru_cache(maxsize=1)
 def _disc_table() -> tuple[Array, ...]:
-    """Transforms of a flat disc and of the densities of `PROFILE` at `DISC_ARGUMENTS`."""
+    """Transfer functions of a flat disc and of the densities of `PROFILE` at `DISC_ARGUMENTS`."""
     from scipy.special import comb, gamma, jv, sici
 
     u = np.maximum(DISC_ARGUMENTS, LEAST_CY_PER_PX)
@@ -98,7 +94,7 @@ def _disc_table() -> tuple[Array, ...]:
         weight = np.array([(-1) ** k * comb(n, k) / (k + 1) for k in range(n + 1)])
         return (n + 1) * (weight @ np.array(sonine[: n + 1]))
 
-    return sonine[0], np.sinc(u / np.pi), sici(u)[0] / u, power(RISE), power(RIM)
+    return sonine[0], np.sinc(u / np.pi), sici(u)[0] / u, power(1), power(RIM)
 
 
 @lru_cache(maxsize=1)
@@ -110,10 +106,41 @@ def _moffat_table() -> Array:
 
 
 def _four(even: Array, value: Array) -> tuple[NDArray[np.intp], Array]:
-    """Four neighbours on an even grid and their weights in a cubic through them, shape (.., 4)."""
+    """Four neighbours on a uniform grid and their cubic interpolation weights, shape (.., 4)."""
     at = (value - even[0]) / (even[1] - even[0])
     first = np.clip(at.astype(np.intp) - 1, 0, len(even) - 4)
     t = at - first
     weight = np.stack([-(t - 1) * (t - 2) * (t - 3) / 6, t * (t - 2) * (t - 3) / 2, -t * (t - 1) * (t - 3) / 2,
                        t * (t - 1) * (t - 2) / 6], axis=-1)  # fmt: skip
     return first[..., None] + np.arange(4), weight
+
+
+@cache
+def quadrature(highest_cy_per_px: float, count: int) -> tuple[Array, Array]:
+    """Return frequencies, cy/px, and weights of the integral over a transfer function (Gauss-Legendre)."""
+    node, weight = np.polynomial.legendre.leggauss(count)
+    return 0.5 * highest_cy_per_px * (node + 1.0), 0.5 * highest_cy_per_px * weight
+
+
+def _quadrature() -> tuple[Array, Array]:
+    """Quadrature for the sharpest core and the outermost ring of a series."""
+    return quadrature(1.25, 300)
+
+
+def frequencies() -> Array:
+    """Frequencies of the transforms, cycles per column pitch."""
+    return _quadrature()[0]
+
+
+def onto_nodes(node_px: Array) -> Array:
+    """Return the matrix that takes transforms to light at radii, shape (frequency, node); not to be written to."""
+    return _onto_nodes(np.asarray(node_px, np.float64).tobytes())
+
+
+@lru_cache(maxsize=4)
+def _onto_nodes(nodes: bytes) -> Array:
+    from scipy.special import j0
+
+    node_px = np.frombuffer(nodes)
+    frequency, weight = (one[:, None] for one in _quadrature())
+    return 2.0 * np.pi * frequency * weight * j0(2.0 * np.pi * frequency * node_px)

@@ -1,14 +1,14 @@
-"""The command line: it wires the rooms together, and nothing imports it."""
+"""Command line of charact; it imports all packages, and none imports it."""
 
 import os
 
 
 def main() -> None:
     """Run the command `charact`."""
-    # Our matrices are small: threads of the linear algebra library cost more processor time than they save.
+    # The matrices are small: BLAS threads cost more processor time than they save.
     for library in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(library, "1")
-    # A child process imports nothing from the folder in which the user works, such as a `serial.py` of theirs.
+    # Child processes must not import from the working folder, such as a user's `serial.py`.
     os.environ["PYTHONSAFEPATH"] = "1"
     from charact.cli.application import run
 

@@ -1,4 +1,4 @@
-"""The verb `acquire`: a plan becomes a session, on real or virtual instruments."""
+"""The verbs `acquire`, `demo` and `safe`, which run a real or virtual bench."""
 
 from pathlib import Path
 from typing import Annotated
@@ -6,50 +6,47 @@ from typing import Annotated
 import typer
 
 from charact.cli import options
-from charact.cli.output import exit_on_bad_input, print_message
-from charact.cli.progress import progress_bar
-
-
-def add_to(app: typer.Typer) -> None:
-    """Add the verb to the command."""
-    app.command()(acquire)
+from charact.cli.output import exit_on_bad_input, print_message, progress_bar
 
 
 def acquire(
     plan: Annotated[Path, typer.Argument(help="Acquisition plan, TOML, or the name of a shipped one.")],
-    out: Annotated[Path, typer.Argument(help="Folder of the session.")],
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with a broken run; finished steps stay.")] = False,
+    out: Annotated[Path, typer.Argument(help="Output session folder.")],
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Resume an interrupted run; completed steps are kept.")
+    ] = False,
     rehearse: Annotated[
-        Path | None, typer.Option(metavar="FAULTS.toml", help="Let faults strike the virtual bench meanwhile.")
+        Path | None,
+        typer.Option(metavar="FAULTS.toml", help="Inject the faults of FAULTS.toml into the virtual bench."),
     ] = None,
     events: options.Events = False,
 ) -> None:
-    """Run an acquisition plan on real or virtual instruments into a session.
+    """Run an acquisition plan on real or virtual instruments and store a session.
 
-    The first Ctrl-C finishes the step, shuts the gate and saves; the second shuts the gate now. SIGUSR1 pauses after
-    the step, with gate shut and light out, and the next one goes on. OUT/log.jsonl tells what happened.
+    The first Ctrl-C finishes the step, closes the gate and saves; the second closes the gate at once. SIGUSR1 pauses
+    after the current step with the gate closed and the light off; a second SIGUSR1 resumes. Events are logged to
+    OUT/log.jsonl.
 
     Example: charact acquire plan.toml day1; kill -USR1 PID; charact acquire plan.toml day1 --resume
 
     \b
-    Faults that rehearse a night; --resume goes on with those that have not struck yet:
+    Faults to inject; --resume continues with those not yet injected:
       [[fault]]
       instrument = "high_voltage"  # or delay_generator, light_source, filter_wheel, camera, ...
       kind = "garbage"             # half lines, silence, no answers, late answers, unplugged, power cycle, trip,
                                    # packet loss, stalled camera, clock jump
-      at_step = "flat-700V"        # without it at_s counts from the beginning of the run
+      at_step = "flat-700V"        # default: at_s counts from the start of the run
       at_s = 0.5
       for_s = 2.0
     """
-    interrupted = f"interrupted; the frames so far are kept: charact acquire {plan} {out} --resume"
+    interrupted = f"interrupted; frames acquired so far are kept. Resume with: charact acquire {plan} {out} --resume"
     with (
         exit_on_bad_input(str(plan), events=events, interrupted=interrupted),
         progress_bar(events=events) as progress,
     ):
-        from charact.cli.benches import acquire_session
-        from charact.cli.plan_files import load_plan
+        from charact.cli.benches import acquire_session, load_plan
         from labdata.serialiser import from_toml
-        from simulate.virtual_bench.fault_script import FaultScript
+        from simulate.virtual_bench.rehearsal import FaultScript
 
         session = acquire_session(
             load_plan(plan),
@@ -60,3 +57,55 @@ def acquire(
             rehearse=None if rehearse is None else from_toml(rehearse, FaultScript),
         )
         print(f"{out}: {len(session.stacks)} stacks\nNext: charact measure {out}")
+
+
+def demo(
+    out: Annotated[Path, typer.Argument(help="Folder for the session, the fitted sensor and the report.")] = Path(
+        "demo"
+    ),
+    quick: Annotated[bool, typer.Option("--quick", help="Reduced run: fewer frames, no Markov chains.")] = False,
+    seed: Annotated[
+        int | None,
+        typer.Option(help="Random seed of the device under test and of all noise (default: from the clock).", min=0),
+    ] = None,
+    events: options.Events = False,
+) -> None:
+    """Run the complete loop on the virtual bench: acquire, characterize, fit, simulate, validate, report.
+
+    Example: charact demo
+    """
+    with exit_on_bad_input(str(out), events=events):
+        from charact.cli.demo_loop import demonstrate
+
+        if not demonstrate(out, quick=quick, seed=seed, events=events):
+            raise typer.Exit(1)
+
+
+def safe(
+    plan: Annotated[
+        Path | None, typer.Argument(help="Plan of the bench (default: the last real bench of this machine).")
+    ] = None,
+    events: options.Events = False,
+) -> None:
+    """Close the gate and switch the high voltage and the lamp off, without camera or session.
+
+    Works while another program uses the ports; waits 15 s for a missing port. Exit 0: the safe state is verified.
+
+    Example: charact safe plan.toml
+    """
+    with exit_on_bad_input(str(plan or "the last bench"), events=events):
+        from charact.cli.benches import load_plan
+        from drivers.bench.safe_state import make_bench_safe
+        from drivers.bench.setup import last_bench, with_present_ports
+
+        wires = last_bench() if plan is None else with_present_ports(load_plan(plan).wires)
+        if not any(one.port for one in wires.instruments):
+            print("This bench has no serial ports: no instrument is on between runs.")
+            return
+
+        report = make_bench_safe(wires, lambda step, **details: None)
+        print(f"The tube: {report.last_words()}.")
+        for failure in report.failures:
+            print_message(f"charact: {failure}", events=events)
+        if not report.whole:
+            raise typer.Exit(1)

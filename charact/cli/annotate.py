@@ -1,24 +1,102 @@
-"""The annotated picture: the frame with every measured region, its MTF50 and its verdict drawn in."""
+"""Annotated image: the mean frame with every measured region, its MTF50 and its status."""
 
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.cli.captions import Box, place_captions
 from charact.cli.output import Frequency, in_cycles_per_pixel
-from labdata.atomic_write import write_atomically
 from labdata.errors import BadInput
+from labdata.file_io import write_atomically
 from labdata.flags import FLAGS
 from labdata.frames import FrameStack
 from labdata.measurement import Measurement, Result
 
-Picture = NDArray[np.uint8]
+Box = tuple[int, int, int, int]
+"""Top, left, bottom, right, px."""
 
-# Blue, orange and vermilion keep apart for every kind of colour vision (Okabe and Ito); blue, green, red order.
+RING_STEP_PX, DIRECTIONS = 14, 16
+
+
+def place_captions(
+    boxes: Sequence[Box], sizes: Sequence[tuple[int, int]], frame: tuple[int, ...]
+) -> list[tuple[int, int]]:
+    """Return top and left of the caption of each box.
+
+    Parameters
+    ----------
+    boxes
+        Regions.
+    sizes
+        Height and width of each caption, px.
+    frame
+        Height and width of the image, px; captions stay inside it if they fit.
+
+    Notes
+    -----
+    Greedy: each caption takes the position nearest to the centre of its box that covers no earlier caption and, if
+    possible, not the inner half of a region.
+    """
+    taken: list[Box] = []
+    places = []
+    hearts = [_inner_part(box) for box in boxes]
+    for box, size in zip(boxes, sizes, strict=True):
+        options = [(_cost(option, box, taken, hearts), option) for option in _around(box, size, frame)]
+        best = min(options, key=lambda option: option[0])[1]
+        taken.append(best)
+        places.append(best[:2])
+    return places
+
+
+def _middle(box: Box) -> tuple[float, float]:
+    return 0.5 * (box[0] + box[2]), 0.5 * (box[1] + box[3])
+
+
+def _around(box: Box, size: tuple[int, int], frame: tuple[int, ...]) -> Iterator[Box]:
+    """Yield positions around the centre of a box, inside the frame."""
+    row, col = _middle(box)
+    for ring in range(24):
+        for turn in range(DIRECTIONS if ring else 1):
+            angle = 2.0 * np.pi * turn / DIRECTIONS
+            top = row + ring * RING_STEP_PX * np.sin(angle) - 0.5 * size[0]
+            left = col + 1.5 * ring * RING_STEP_PX * np.cos(angle) - 0.5 * size[1]
+            top, left = (
+                int(np.clip(start, 2, max(limit - length - 3, 2)))
+                for start, limit, length in ((top, frame[0], size[0]), (left, frame[1], size[1]))
+            )
+            yield top, left, top + size[0], left + size[1]
+
+
+def _inner_part(box: Box) -> Box:
+    """Return the inner half of a box, at least 14 px to each side of the centre."""
+    row, col = _middle(box)
+    down, right = (max(0.25 * (box[k + 2] - box[k]), 14) for k in (0, 1))
+    return int(row - down), int(col - right), int(row + down), int(col + right)
+
+
+def _cost(option: Box, box: Box, taken: list[Box], hearts: list[Box]) -> float:
+    """Return the distance of a position from the centre of its box plus the cost of what it covers, px."""
+    here, there = _middle(option), _middle(box)
+    distance = float(np.hypot(here[0] - there[0], here[1] - there[1]))
+    area = (option[2] - option[0]) * (option[3] - option[1])
+    covered = sum(_overlap(option, heart) for heart in hearts) / area
+    over = sum(_overlap(option, other) for other in taken)
+    return distance + 250.0 * covered + 100.0 * over
+
+
+def _overlap(one: Box, other: Box) -> float:
+    """Return the overlap of two boxes, px^2; gaps of 2 px count as overlap."""
+    height = min(one[2], other[2]) - max(one[0], other[0]) + 2
+    width = min(one[3], other[3]) - max(one[1], other[1]) + 2
+    return float(max(height, 0) * max(width, 0))
+
+
+Image = NDArray[np.uint8]
+
+# Blue, orange and vermilion, distinct for all colour vision (Okabe and Ito); blue, green, red order.
 COLOURS = {"ok": (230, 170, 70), "suspect": (0, 160, 240), "refused": (60, 80, 235)}
-LOOKS = {"ok": "solid line", "suspect": "dashed line", "refused": "crossed out"}
-LEAST_WIDTH_PX = 1500
+LINE_STYLES = {"ok": "solid line", "suspect": "dashed line", "refused": "crossed out"}
 LINE_PX, DASH_PX = 18, 12
 INK, PAPER = (255, 255, 255), (25, 25, 25)
 
@@ -26,7 +104,7 @@ INK, PAPER = (255, 255, 255), (25, 25, 25)
 def write_annotated_image(
     stack: FrameStack, result: Result, path: Path, frequency: Frequency = in_cycles_per_pixel
 ) -> None:
-    """Write the mean frame as PNG with the regions of a result drawn in, whole or not at all.
+    """Write the mean frame with the regions of a result as PNG, atomically.
 
     Parameters
     ----------
@@ -36,56 +114,56 @@ def write_annotated_image(
     Raises
     ------
     BadInput
-        If the picture cannot be encoded.
+        If the image cannot be encoded.
     """
     import cv2
 
     ok, encoded = cv2.imencode(".png", render_annotations(stack, result, frequency))
     if not ok:
-        raise BadInput(f"the annotated picture could not be encoded for {path}")
+        raise BadInput(f"the annotated image must be encoded as PNG, and was not: {path}")
     write_atomically(path, encoded.tobytes())
 
 
 def require_png(path: Path) -> None:
-    """Refuse a file that is not named .png."""
+    """Raise BadInput unless the file is named .png."""
     if path.suffix.lower() != ".png":
         raise BadInput(f"--annotate must name a .png file, got {path.name!r}")
 
 
-def render_annotations(stack: FrameStack, result: Result, frequency: Frequency = in_cycles_per_pixel) -> Picture:
-    """Return the annotated picture, shape (row, col, 3), blue, green, red.
+def render_annotations(stack: FrameStack, result: Result, frequency: Frequency = in_cycles_per_pixel) -> Image:
+    """Return the annotated image, shape (row, col, 3), blue, green, red.
 
-    Every region has a frame in the colour and the line of its verdict, and a caption with the number and its 95 %
-    interval; a leader leads from it to the region's middle. A strip below tells what is what.
+    Every region has an outline in the colour and line style of its status and a caption with the value and its 95 %
+    interval; a leader connects it to the region's centre. A legend is below the image.
     """
     import cv2
 
-    scale = max(1, int(np.ceil(LEAST_WIDTH_PX / stack.shape[2])))
+    scale = max(1, int(np.ceil(1500 / stack.shape[2])))
     grey = cv2.resize(_stretch_grey(stack), None, fx=scale, fy=scale, interpolation=cv2.INTER_NEAREST)
-    picture = np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), np.uint8)
-    shown = _one_a_region(result)
+    image = np.asarray(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), np.uint8)
+    shown = _one_per_region(result)
     boxes = [_box(measurement, stack, scale) for measurement in shown]
     for measurement, box in zip(shown, boxes, strict=True):
-        _outline(picture, box, measurement.status)
+        _outline(image, box, measurement.status)
     captions = [_caption(m, frequency, alone=len(shown) == 1) for m in shown]
     sizes = [(LINE_PX * len(lines) + 8, max(_width(line) for line in lines) + 12) for lines in captions]
     for measurement, box, lines, place in zip(
-        shown, boxes, captions, place_captions(boxes, sizes, picture.shape[:2]), strict=True
+        shown, boxes, captions, place_captions(boxes, sizes, image.shape[:2]), strict=True
     ):
-        _write(picture, lines, place, box, measurement.status)
-    return np.concatenate([picture, _legend(shown, frequency, picture.shape[1])])
+        _write(image, lines, place, box, measurement.status)
+    return np.concatenate([image, _legend(shown, frequency, image.shape[1])])
 
 
-def _stretch_grey(stack: FrameStack) -> Picture:
+def _stretch_grey(stack: FrameStack) -> Image:
     mean = stack.data.mean(axis=0)
     low, high = np.percentile(mean, (0.5, 99.5))
     return (np.clip((mean - low) / max(high - low, 1e-12), 0, 1) * 255).astype(np.uint8)
 
 
-def _one_a_region(result: Result) -> list[Measurement]:
-    """The measurement that stands for each region: its MTF50, else the first one it has.
+def _one_per_region(result: Result) -> list[Measurement]:
+    """Return one measurement for each region: its MTF50, else its first one.
 
-    What several regions tell together lies in none of them and has no place in the picture.
+    Measurements without a region, such as a joint MTF, are left out unless there are no others.
     """
     by_region: dict[object, Measurement] = {}
     placed_ones = [measurement for measurement in result.measurements if measurement.region is not None]
@@ -97,13 +175,13 @@ def _one_a_region(result: Result) -> list[Measurement]:
 
 
 def _box(measurement: Measurement, stack: FrameStack, scale: int) -> Box:
-    """Return top, left, bottom and right of a region in the enlarged picture."""
+    """Return top, left, bottom and right of a region in the enlarged image."""
     row, col, height, width = measurement.region or (0, 0, *stack.shape[1:])
     return scale * row, scale * col, scale * (row + height) - 1, scale * (col + width) - 1
 
 
 def _caption(m: Measurement, frequency: Frequency, *, alone: bool) -> list[str]:
-    """Return the lines of a caption: in full where there is but one, else the number and its interval."""
+    """Return the lines of a caption: complete for a single region, else value and interval."""
     name = f"{m.quantity} " if alone else ""
     if m.value is None:
         return [f"{name}refused", *([str(m.reason)[:90]] if alone else [])]
@@ -124,21 +202,21 @@ def _width(text: str) -> int:
     return cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.5, 1)[0][0]
 
 
-def _outline(picture: Picture, box: Box, status: str) -> None:
-    """Draw a region's frame: whole, dashed or crossed out, as its verdict is."""
+def _outline(image: Image, box: Box, status: str) -> None:
+    """Outline a region: solid, dashed or crossed out by its status."""
     import cv2
 
     top, left, bottom, right = box
     corners = [(left, top), (right, top), (right, bottom), (left, bottom)]
     for start, end in zip(corners, corners[1:] + corners[:1], strict=True):
-        _line(picture, start, end, COLOURS[status], dashed=status == "suspect")
+        _line(image, start, end, COLOURS[status], dashed=status == "suspect")
     if status == "refused":
-        cv2.line(picture, corners[0], corners[2], COLOURS[status], 1, cv2.LINE_AA)
-        cv2.line(picture, corners[1], corners[3], COLOURS[status], 1, cv2.LINE_AA)
+        cv2.line(image, corners[0], corners[2], COLOURS[status], 1, cv2.LINE_AA)
+        cv2.line(image, corners[1], corners[3], COLOURS[status], 1, cv2.LINE_AA)
 
 
 def _line(
-    picture: Picture, start: tuple[int, int], end: tuple[int, int], colour: tuple[int, int, int], *, dashed: bool
+    image: Image, start: tuple[int, int], end: tuple[int, int], colour: tuple[int, int, int], *, dashed: bool
 ) -> None:
     import cv2
 
@@ -147,12 +225,12 @@ def _line(
     ends = np.minimum(stops + 0.6 * DASH_PX, length) if dashed else np.array([length])
     for first, last in zip(stops / max(length, 1.0), ends / max(length, 1.0), strict=True):
         one, other = ([round(a + share * (b - a)) for a, b in zip(start, end, strict=True)] for share in (first, last))
-        cv2.line(picture, one, other, PAPER, 3)
-        cv2.line(picture, one, other, colour, 2)
+        cv2.line(image, one, other, PAPER, 3)
+        cv2.line(image, one, other, colour, 2)
 
 
-def _write(picture: Picture, lines: list[str], place: tuple[int, int], box: Box, status: str) -> None:
-    """Write a caption on its own ground, led to its region where it stands beside it."""
+def _write(image: Image, lines: list[str], place: tuple[int, int], box: Box, status: str) -> None:
+    """Write a caption on a dark background, with a leader if it lies outside its region."""
     import cv2
 
     top, left = place
@@ -160,19 +238,19 @@ def _write(picture: Picture, lines: list[str], place: tuple[int, int], box: Box,
     middle = ((box[1] + box[3]) // 2, (box[0] + box[2]) // 2)
     if not (left <= middle[0] <= left + width and top <= middle[1] <= top + height):
         nearest = (int(np.clip(middle[0], left, left + width)), int(np.clip(middle[1], top, top + height)))
-        cv2.line(picture, nearest, middle, PAPER, 3, cv2.LINE_AA)
-        cv2.line(picture, nearest, middle, COLOURS[status], 1, cv2.LINE_AA)
-        cv2.circle(picture, middle, 4, PAPER, -1, cv2.LINE_AA)
-        cv2.circle(picture, middle, 3, COLOURS[status], -1, cv2.LINE_AA)
-    cv2.rectangle(picture, (left, top), (left + width, top + height), PAPER, -1)
-    cv2.rectangle(picture, (left, top), (left + width, top + height), COLOURS[status], 1)
+        cv2.line(image, nearest, middle, PAPER, 3, cv2.LINE_AA)
+        cv2.line(image, nearest, middle, COLOURS[status], 1, cv2.LINE_AA)
+        cv2.circle(image, middle, 4, PAPER, -1, cv2.LINE_AA)
+        cv2.circle(image, middle, 3, COLOURS[status], -1, cv2.LINE_AA)
+    cv2.rectangle(image, (left, top), (left + width, top + height), PAPER, -1)
+    cv2.rectangle(image, (left, top), (left + width, top + height), COLOURS[status], 1)
     for number, line in enumerate(lines):
         origin = (left + 6, top + LINE_PX * (number + 1))
-        cv2.putText(picture, line, origin, cv2.FONT_HERSHEY_SIMPLEX, 0.5, INK, 1, cv2.LINE_AA)
+        cv2.putText(image, line, origin, cv2.FONT_HERSHEY_SIMPLEX, 0.5, INK, 1, cv2.LINE_AA)
 
 
-def _legend(shown: list[Measurement], frequency: Frequency, width: int) -> Picture:
-    """Return the strip below the picture: what is written, how verdicts look, and what the flags mean."""
+def _legend(shown: list[Measurement], frequency: Frequency, width: int) -> Image:
+    """Return the legend below the image: quantities, line styles of the status, and flags."""
     import cv2
 
     quantities = dict.fromkeys(f"{m.quantity}, {frequency(0.0, m)[1] if m.unit == 'cy/px' else m.unit}" for m in shown)
@@ -183,7 +261,7 @@ def _legend(shown: list[Measurement], frequency: Frequency, width: int) -> Pictu
     for status in (status for status in COLOURS if any(m.status == status for m in shown)):
         _outline(strip, (9, left, 9 + LINE_PX - 4, left + 40), status)
         count = sum(m.status == status for m in shown)
-        text = f"{status} ({LOOKS[status]}): {count}"
+        text = f"{status} ({LINE_STYLES[status]}): {count}"
         cv2.putText(strip, text, (left + 50, 8 + LINE_PX - 4), cv2.FONT_HERSHEY_SIMPLEX, 0.5, INK, 1, cv2.LINE_AA)
         left += 80 + _width(text)
     for number, line in enumerate(lines):

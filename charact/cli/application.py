@@ -1,4 +1,4 @@
-"""The command `charact`: its verbs, and nothing heavy imported before one runs."""
+"""The command `charact`; each verb imports its packages only when it runs."""
 
 import os
 import signal
@@ -8,23 +8,7 @@ from typing import Annotated
 import typer
 
 from charact import __version__
-from charact.cli import (
-    acquire,
-    conform,
-    demo,
-    doctor,
-    import_session,
-    live,
-    mtf,
-    plan,
-    reference,
-    securing,
-    sessions,
-    simulate,
-    studies,
-    temperatures,
-    watch,
-)
+from charact.cli import acquire, doctor, import_session, live, mtf, plan, reference, sessions, simulate, temperatures
 
 app = typer.Typer(
     name="charact",
@@ -36,8 +20,8 @@ app = typer.Typer(
 )
 
 
-def _version(asked: bool) -> None:
-    if asked:
+def _version(requested: bool) -> None:
+    if requested:
         print(f"charact {__version__}")
         raise typer.Exit()
 
@@ -48,7 +32,7 @@ def charact(
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
     ] = False,
 ) -> None:
-    """Characterize, simulate and validate image-intensified cameras, with a posterior on every number.
+    """Characterize, simulate and validate image-intensified cameras, with a posterior for every value.
 
     First steps: charact demo; charact mtf edge my-edge.tif; charact measure my-session
     """
@@ -56,29 +40,37 @@ def charact(
 
 app.add_typer(mtf.app, name="mtf")
 app.add_typer(import_session.app, name="import")
-for verbs in (
-    demo,
-    simulate,
-    temperatures,
-    plan,
-    acquire,
-    securing,
-    live,
-    watch,
-    doctor,
-    conform,
-    sessions,
-    studies,
-    reference,
+for verb in (
+    acquire.demo,
+    simulate.simulate,
+    temperatures.temperatures,
+    plan.plan,
+    acquire.acquire,
+    acquire.safe,
+    live.live,
+    live.focus,
+    live.watch,
+    doctor.doctor,
+    doctor.conform,
+    sessions.noise,
+    sessions.bloom,
+    sessions.measure,
+    sessions.fit,
+    sessions.validate,
+    sessions.report,
+    reference.chart,
+    reference.stability,
+    reference.methods,
+    reference.schema,
 ):
-    verbs.add_to(app)
+    app.command()(verb)
 
 
 def run() -> None:
-    """Run the command; an interrupt ends with exit code 130 and one sentence."""
+    """Run the command; an interrupt exits with code 130 and a message."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    if sys.stdout is None:  # closed by the caller: the next file to be opened would take its number
-        print("charact: stdout must be open to take the numbers, got it closed", file=sys.stderr or None)
+    if sys.stdout is None:  # closed by the caller: the next file opened would get its descriptor
+        print("charact: stdout must be open, got it closed", file=sys.stderr or None)
         sys.exit(1)
     try:
         app()
@@ -90,12 +82,12 @@ def run() -> None:
 
 
 def _flush() -> None:
-    """Write out what was printed; where stdout cannot take it, that is a sentence and exit code 1."""
+    """Flush stdout; exit with code 1 and a message if it fails."""
     try:
         sys.stdout.flush()
     except OSError as error:
-        # Nothing more may be written, not even when Python tidies up.
+        # Python would write to stdout again at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if not isinstance(error, BrokenPipeError):
-            print(f"charact: stdout must take the numbers, got: {error.strerror}", file=sys.stderr)
+            print(f"charact: stdout must be writable, got: {error.strerror}", file=sys.stderr)
         sys.exit(1)

@@ -1,21 +1,26 @@
-"""Wires a plan to its bench: the virtual one with its own processes, or real ports, camera and a person at the lamp."""
+"""Bench of a plan: virtual instruments, or real ports, camera and operator."""
 
+import math
+import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import replace
+from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from charact.cli.cameras import camera_named
-from charact.cli.output import print_message
-from charact.cli.progress import Progress
-from labdata.dose_ledger import DoseLedger, ledger_of
+import numpy as np
+from numpy.typing import NDArray
+
+from charact.cli.output import Progress, print_message
 from labdata.errors import BadInput
 from labdata.instrument_config import InstrumentConfig, Role
 from labdata.limits import limits_in_force
-from labdata.plan import Plan
+from labdata.plan import Plan, Step
 from labdata.sensor import Sensor
+from labdata.serialiser import from_mapping, from_toml, read_toml
 from labdata.session import Session
-from labdata.tube_dose import warnings
+from labdata.tube_dose import DoseLedger, ledger_of, warnings
 
 if TYPE_CHECKING:
     from drivers.bench.client import BenchClient
@@ -23,16 +28,16 @@ if TYPE_CHECKING:
     from drivers.interface import Camera, Operator
     from drivers.serial_lines.line import InstrumentLine
     from simulate.virtual_bench.bench import VirtualBench
-    from simulate.virtual_bench.fault_script import FaultScript
+    from simulate.virtual_bench.rehearsal import FaultScript
+
 
 SAFETY_LOG = "safety.jsonl"
 DOSE = "dose.jsonl"
-REHEARSAL = "rehearsal.jsonl"
 
 
 @contextmanager
-def bench_failure_is_a_sentence() -> Iterator[None]:
-    """Turn a failure of an instrument into one sentence, as bad input is."""
+def bench_errors_as_bad_input() -> Iterator[None]:
+    """Raise BenchError as BadInput."""
     from drivers.errors import BenchError
 
     try:
@@ -42,7 +47,7 @@ def bench_failure_is_a_sentence() -> Iterator[None]:
 
 
 def bench_folder(session: Path) -> Path:
-    """Folder of the virtual bench of a session: beside the session, never inside it."""
+    """Folder of the virtual bench of a session, next to the session folder."""
     return session.with_name(session.name + ".bench")
 
 
@@ -55,11 +60,11 @@ def acquire_session(
     tell: Callable[[str], None] = print_message,
     rehearse: "FaultScript | None" = None,
 ) -> Session:
-    """Run a plan on the bench that it names and return the session; `rehearse`: faults that strike it meanwhile."""
+    """Run a plan on its bench and return the session; `rehearse`: faults to inject into a virtual bench."""
     real = plan.wires.bench == "real"
     if real and rehearse is not None:
-        raise BadInput("a rehearsal must be on a virtual bench, got a real one")
-    with bench_failure_is_a_sentence():
+        raise BadInput("fault injection needs a virtual bench, got a real one")
+    with bench_errors_as_bad_input():
         if real:
             taken = _on_real_bench(plan, session, resume=resume, progress=progress, tell=tell)
         else:
@@ -70,7 +75,7 @@ def acquire_session(
 
 
 def _ledger(plan: Plan, session: Path) -> DoseLedger:
-    """Return the ledger of the plan's tube; the dose of one without a name is kept beside its session."""
+    """Return the dose ledger of the plan's tube; that of an unnamed tube is a file next to the session."""
     if plan.tube is not None:
         return ledger_of(plan.tube)
     real = plan.wires.bench == "real"
@@ -101,34 +106,34 @@ def _on_virtual_bench(
 
 
 def _virtual_sensor(plan: Plan) -> Sensor:
-    """Return the sensor of a plan for the virtual bench, which must name one and take its mains as they are."""
+    """Return the sensor of a plan for the virtual bench; the plan must name one and use the virtual mains frequency."""
     from labdata.sensors import load_sensor
     from simulate.virtual_bench.delay_generator import LINE_HZ
 
     if plan.sensor is None:
         raise BadInput("a plan for the virtual bench must name its sensor, got none")
     if plan.gating.sync == "line-locked" and plan.gating.line_hz != LINE_HZ:
-        raise BadInput(f"the mains of the virtual bench must be of {LINE_HZ:g} Hz, got {plan.gating.line_hz:g}")
+        raise BadInput(f"the mains frequency of the virtual bench must be {LINE_HZ:g} Hz, got {plan.gating.line_hz:g}")
     return load_sensor(plan.sensor)
 
 
 def _fault_rehearsal(
     script: "FaultScript | None", virtual: "VirtualBench", session: Path, tell: Callable[[str], None]
 ) -> AbstractContextManager[object]:
-    """Let faults strike a virtual bench while a session is taken."""
+    """Inject the faults of a script into a virtual bench during an acquisition."""
     if script is None:
         return nullcontext()
     from drivers.acquisition.acquire import LOG
     from simulate.virtual_bench.rehearsal import Rehearsal
 
-    log = bench_folder(session) / REHEARSAL
+    log = bench_folder(session) / "rehearsal.jsonl"
     return Rehearsal(script, provoke=virtual.provoke, steps=session / LOG, log=log, say=tell)
 
 
 def _virtual_camera(
     plan: Plan, virtual: "VirtualBench", tell: Callable[[str], None]
 ) -> "AbstractContextManager[Camera]":
-    """Return the virtual bench's own camera, or the one that the plan names in its place."""
+    """Return the camera that the plan names, else that of the virtual bench."""
     if plan.wires.camera is not None:
         return camera_named(plan.wires.camera, tell=tell)
     if virtual.camera is None:
@@ -160,7 +165,7 @@ def _bench(
     log: Path,
     lines: "Mapping[Role, InstrumentLine] | None" = None,
 ) -> "BenchClient | LocalBench":
-    """Return the bench of a plan on wires; `lines`: what stands in for serial ports."""
+    """Return the bench of a plan; `lines` replace its serial ports."""
     from drivers.acquisition.plan_check import field_hz
     from drivers.bench.setup import open_bench
 
@@ -189,7 +194,6 @@ def _acquire_session(
     progress: Progress,
     tell: Callable[[str], None],
 ) -> Session:
-    from charact.cli.judge import SaturationJudge
     from drivers.acquisition.acquire import acquire
     from drivers.acquisition.run_control import RunControl
 
@@ -208,3 +212,161 @@ def _acquire_session(
     finally:
         if bench.last_words:
             tell(f"The tube: {bench.last_words}.")
+
+
+def camera_named(name: str | None, *, tell: Callable[[str], None] = print_message) -> "AbstractContextManager[Camera]":
+    """Return the camera of a name, not opened.
+
+    Parameters
+    ----------
+    name
+        "v4l2:/dev/video0", "v4l2:/dev/video0#1" (input 1 of a capture card); "replay:FOLDER" (each capture replays the
+        session's next stack), "replay:FOLDER#LABEL" (every capture replays that stack); anything else is an Aravis
+        identifier or an IP address. None: the only camera that Aravis lists.
+    tell
+        Prints a message.
+
+    Raises
+    ------
+    BadInput
+        If the name lacks its file or folder, or the input is not a number.
+    """
+    kind, colon, rest = (name or "").partition(":")
+    if not colon or kind not in ("v4l2", "replay"):
+        from drivers.cameras.aravis.camera import AravisCamera
+
+        return AravisCamera(name, say=tell)
+    place, _, part = rest.partition("#")
+    if not place:
+        raise BadInput(f"a camera {kind}: must name its {'file' if kind == 'v4l2' else 'folder'}, got {name!r}")
+    if kind == "replay":
+        from drivers.cameras.replay import ReplayCamera
+
+        return ReplayCamera(place, label=part or None, say=tell)
+    from drivers.cameras.v4l2 import V4l2Camera
+
+    if part and not part.isdigit():
+        raise BadInput(f"the input of a capture card must be a whole number, got {part!r} in {name!r}")
+    return V4l2Camera(place, input_number=int(part) if part else None)
+
+
+def builtin_plan_names() -> tuple[str, ...]:
+    """Names of the shipped plans."""
+    files = (resources.files("charact.cli") / "plans").iterdir()
+    return tuple(sorted(file.name.removesuffix(".toml") for file in files if file.name.endswith(".toml")))
+
+
+def load_plan(path: Path) -> Plan:
+    """Read a plan from a file, or a shipped one by name; paths in it are relative to its folder.
+
+    Raises
+    ------
+    BadInput
+        If there is no such plan or it is invalid.
+    """
+    if str(path) in builtin_plan_names():
+        with resources.as_file(resources.files("charact.cli") / "plans" / f"{path}.toml") as shipped:
+            return from_toml(shipped, Plan)
+    if not os.path.exists(path):
+        raise BadInput(f"a plan must be a file or one of {', '.join(builtin_plan_names())}, got {path}")
+    plan = from_mapping(_with_calibration_paths(path), Plan, where=path.name)
+    sensor = path.parent / (plan.sensor or "")
+    return replace(plan, sensor=str(sensor.resolve())) if plan.sensor is not None and os.path.isfile(sensor) else plan
+
+
+def _with_calibration_paths(path: Path) -> dict[str, Any]:
+    """Read a plan's file; resolve the paths of its calibration files relative to it."""
+    written = read_toml(path)
+    named = {key: name for key in ("gain_table", "lamp") if isinstance(name := written.get(key), str)}
+    return {**written, **{key: str(path.parent / name) for key, name in named.items()}}
+
+
+# Allowed fraction of pixels at full scale; point sources are exempt, they saturate on purpose.
+MAX_SATURATED_FRACTION = 1e-3
+# Fraction of pixels at full scale beyond which a stack is saturated.
+SATURATED_FRACTION = 0.01
+# Frames between two checks grow by this factor: a check after every frame would find a small interval by chance.
+CHECK_GROWTH = 1.25
+
+
+class SaturationJudge:
+    """Reports saturated stacks and ends adaptive steps."""
+
+    def watch(self, step: Step, full_scale_dn: float) -> "StackWatcher":
+        """Return the watcher of one stack."""
+        return StackWatcher(step, full_scale_dn)
+
+
+class StackWatcher:
+    """Running statistics of one stack over all pixels.
+
+    Parameters
+    ----------
+    step
+        The step being acquired.
+    full_scale_dn
+        Full scale, DN.
+    """
+
+    def __init__(self, step: Step, full_scale_dn: float) -> None:
+        self._step, self._full_scale_dn = step, full_scale_dn
+        self._full_scale = math.ceil(full_scale_dn)  # an integer: a float would convert every frame
+        self._full, self._pixels = 0, 0
+        self._means_dn: list[float] = []
+        self._look_at = step.until.least_frames if step.until else 0
+
+    def see(self, pixels: NDArray) -> None:
+        """Add a frame, shape (row, col), DN."""
+        self._full += int(np.count_nonzero(pixels >= self._full_scale))
+        self._pixels += pixels.size
+        if self._step.until:
+            self._means_dn.append(float(pixels.mean(dtype=np.float64)))
+
+    def enough(self) -> str | None:
+        """Return a sentence that the mean is within its tolerance, or None."""
+        until, taken = self._step.until, len(self._means_dn)
+        if until is None or taken < self._look_at:
+            return None
+        self._look_at = int(np.ceil(CHECK_GROWTH * taken))
+        half_dn = half_interval_dn(np.array(self._means_dn))
+        if half_dn > until.mean_within_dn:
+            return None
+        return (
+            f"stopped after {taken} of at most {self._step.frames} frames: the mean of {np.mean(self._means_dn):.6g} "
+            f"DN is known within {half_dn:.2g} DN, requested {until.mean_within_dn:g}"
+        )
+
+    def is_saturated(self) -> bool:
+        """Whether more than 1 % of the pixels are at full scale."""
+        return self._share > SATURATED_FRACTION
+
+    def complaint(self) -> str | None:
+        """Return a sentence on saturated pixels, or None."""
+        if self._step.kind == "point" or self._share <= MAX_SATURATED_FRACTION:
+            return None
+        return f"{100 * self._share:.2g} % of all pixels are at full scale, {self._full_scale_dn:g} DN"
+
+    @property
+    def _share(self) -> float:
+        return self._full / self._pixels if self._pixels else 0.0
+
+
+def half_interval_dn(means_dn: NDArray) -> float:
+    """Return half the 95 % interval of a stack's mean from its frame means, shape (frame,), DN.
+
+    Notes
+    -----
+    Student's interval with the effective number of frames, n / tau, because of image lag and drift. The
+    autocorrelation time tau = 1 + 2 sum rho is summed while rho stays positive (Geyer, Stat. Sci. 7, 473 (1992)).
+    """
+    from scipy.special import stdtrit
+
+    frames = len(means_dn)
+    rest = means_dn - means_dn.mean()
+    if not rest.any():
+        return 0.0
+    rho = np.correlate(rest, rest, "full")[frames - 1 :] / (rest @ rest)
+    first_negative = int(np.argmax(rho <= 0.0)) or frames
+    tau = 1.0 + 2.0 * float(rho[1:first_negative].sum())
+    independent = max(2.0, frames / tau)
+    return float(stdtrit(independent - 1.0, 0.975) * rest.std(ddof=1) / np.sqrt(independent))

@@ -1,4 +1,4 @@
-"""A picture of one's own as light on the cathode: read, checked, scaled to photoelectrons and centred on the frame."""
+"""An image or radiance cube as light source of a simulation: read, checked, scaled and centred on the frame."""
 
 import math
 import zipfile
@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata.errors import BadInput
+from labdata.file_io import require_regular
 from labdata.importers.decompression_limit import require_room
-from labdata.regular_file import require_regular
 
 if TYPE_CHECKING:
     from simulate.radiance.cube import RadianceCube
@@ -20,23 +20,23 @@ if TYPE_CHECKING:
 def photoelectrons_of(
     path: Path, *, photoelectrons_per_dn: float | None, black_dn: float, shape: tuple[int, int]
 ) -> tuple[NDArray[np.float32], tuple[str, ...]]:
-    """Read the first frame of a picture as mean photoelectrons on a frame of a camera.
+    """Read the first frame of an image as mean photoelectrons on a frame of a camera.
 
     Parameters
     ----------
     path
         Any file that `labdata.importers` reads.
     photoelectrons_per_dn
-        Mean photoelectrons at the cathode per pixel as read and exposure, for each DN of the picture above black.
+        Mean photoelectrons per pixel as read and exposure for each DN of the image above black.
     black_dn
-        Level of the picture that stands for no light, DN.
+        Black level of the image, DN.
     shape
-        Rows and columns of the camera's frame; the picture is centred, cropped or surrounded by darkness.
+        Rows and columns of the camera's frame; the image is centred, cropped or padded with darkness.
 
     Returns
     -------
     image, notes
-        Photoelectrons, shape `shape`, and what a reader of the session should know of how they came about.
+        Photoelectrons, shape `shape`, and notes on the conversion for the session.
 
     Raises
     ------
@@ -49,14 +49,14 @@ def photoelectrons_of(
     if not math.isfinite(black_dn):
         raise BadInput(f"--black-dn must be a number, got {black_dn:g}")
     stack = read_frames(path)
-    picture = stack.data[0].astype(np.float64)
-    if picture.min() < 0.0:
-        raise BadInput(f"a picture must have no negative pixel, got {picture.min():g} in {path.name}")
-    above = picture - black_dn
+    image = stack.data[0].astype(np.float64)
+    if image.min() < 0.0:
+        raise BadInput(f"an image must have no negative pixel, got {image.min():g} in {path.name}")
+    above = image - black_dn
     below = int(np.count_nonzero(above < 0.0))
     placed, how = centre_on_frame(np.maximum(above, 0.0) * scale, shape)
     notes = [f"{path.name}: {scale:g} photoelectrons per DN above {black_dn:g} DN, per pixel and exposure", *how]
-    notes += [f"the first of {len(stack)} frames of {path.name}"] if len(stack) > 1 else []
+    notes += [f"first of {len(stack)} frames of {path.name}"] if len(stack) > 1 else []
     notes += [f"{below} pixels below {black_dn:g} DN count as dark"] if below else []
     return placed.astype(np.float32), (*notes, *stack.notes)
 
@@ -64,39 +64,32 @@ def photoelectrons_of(
 def _scale(photoelectrons_per_dn: float | None) -> float:
     if photoelectrons_per_dn is None:
         raise BadInput(
-            "a picture needs --photoelectrons-per-dn, mean photoelectrons per pixel and exposure for each DN, got none"
+            "an image needs --photoelectrons-per-dn, mean photoelectrons per pixel and exposure for each DN, got none"
         )
     if not (math.isfinite(photoelectrons_per_dn) and photoelectrons_per_dn > 0.0):
         raise BadInput(f"--photoelectrons-per-dn must be positive, got {photoelectrons_per_dn:g}")
     return photoelectrons_per_dn
 
 
-def centre_on_frame(
-    picture: NDArray[np.floating], shape: tuple[int, int]
-) -> tuple[NDArray[np.float64], tuple[str, ...]]:
-    """Return a picture centred on a frame, cropped or surrounded by zeros, and what was done in words."""
+def centre_on_frame(image: NDArray[np.floating], shape: tuple[int, int]) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+    """Return an image centred on a frame, cropped or padded with zeros, and a note if its shape differs."""
     frame = np.zeros(shape)
-    there, here = zip(*(_overlap(size, room) for size, room in zip(picture.shape, shape, strict=True)), strict=True)
-    frame[there] = picture[here]
+    there, here = zip(*(_overlap(size, room) for size, room in zip(image.shape, shape, strict=True)), strict=True)
+    frame[there] = image[here]
     done = [
-        *(["cropped"] if any(size > room for size, room in zip(picture.shape, shape, strict=True)) else []),
-        *(
-            ["surrounded by darkness"]
-            if any(size < room for size, room in zip(picture.shape, shape, strict=True))
-            else []
-        ),
+        *(["cropped"] if any(size > room for size, room in zip(image.shape, shape, strict=True)) else []),
+        *(["padded with darkness"] if any(size < room for size, room in zip(image.shape, shape, strict=True)) else []),
     ]
     if not done:
         return frame, ()
-    rows, cols = picture.shape
+    rows, cols = image.shape
     return frame, (
-        f"the picture of {rows} x {cols} pixels stands centred on the {shape[0]} x {shape[1]} of the frame, "
-        f"{' and '.join(done)}",
+        f"the image of {rows} x {cols} pixels is centred on the frame of {shape[0]} x {shape[1]}, {' and '.join(done)}",
     )
 
 
 def _overlap(size: int, room: int) -> tuple[slice, slice]:
-    """Return where so many pixels, centred, fall on a side of the frame, and which of them do."""
+    """Return the slices of frame and image along one axis, both centred."""
     shift, kept = (room - size) // 2, min(size, room)
     start = max(shift, 0)
     first = max(-shift, 0)
@@ -117,11 +110,11 @@ def cube_of(path: Path) -> "RadianceCube":
     except BadInput:
         raise
     except (ValueError, TypeError, AttributeError, EOFError, MemoryError, zlib.error, zipfile.BadZipFile):
-        raise BadInput(f"a radiance cube must be a whole .npz file, got {path.name}") from None
+        raise BadInput(f"a radiance cube must be a complete .npz file, got {path.name}") from None
     if missing:
-        raise BadInput(f"a radiance cube must hold wavelength_nm and radiance, got no {' and no '.join(missing)}")
+        raise BadInput(f"a radiance cube must contain wavelength_nm and radiance, got no {' and no '.join(missing)}")
     if any(array.dtype.kind not in "uif" for array in arrays.values()):
         raise BadInput(f"wavelength_nm and radiance must be numbers, got {[str(a.dtype) for a in arrays.values()]}")
     if not all(np.isfinite(array).all() for array in arrays.values()) or arrays["radiance"].min(initial=0.0) < 0.0:
-        raise BadInput(f"radiance must be finite and nowhere negative, got another value in {path.name}")
+        raise BadInput(f"radiance must be finite and not negative, got another value in {path.name}")
     return RadianceCube(**arrays)

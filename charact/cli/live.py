@@ -1,35 +1,41 @@
-"""The verbs `live` and `focus`: the newest frames on a page of this machine, or their meters on the terminal."""
+"""The verbs `live`, `focus` and `watch`: frames and results during an acquisition."""
 
+import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from charact import __version__
 from charact.cli import options
-from charact.cli.output import exit_on_bad_input, print_message
+from charact.cli.output import exit_on_bad_input, number_of, print_message
+from charact.cli.single_image import require_session
+from labdata.errors import BadInput
+
+if TYPE_CHECKING:
+    from charact.live.frame_source import FrameSource
+    from charact.live.quick_look import QuickLook
+    from charact.method import Context
+    from labdata.measurement import Measurement
+    from labdata.plan import Plan, Step
 
 Camera = Annotated[
     str | None,
     typer.Option("--camera", help="Aravis identifier, IP address, v4l2:/dev/video0 or replay:FOLDER#LABEL."),
 ]
 PlanFile = Annotated[
-    Path | None, typer.Option("--plan", help="Plan whose camera is shown; on a virtual bench, its first edge.")
+    Path | None, typer.Option("--plan", help="Plan whose camera is shown (virtual bench: its first edge).")
 ]
-Growing = Annotated[
-    Path | None, typer.Option("--session", help="Session that grows while a plan runs; the camera is left alone.")
-]
-Bits = Annotated[int | None, typer.Option("--bits", help="Bits of the digitiser, where the pixel format hides them.")]
+Growing = Annotated[Path | None, typer.Option("--session", help="Session being acquired; the camera is not accessed.")]
+Bits = Annotated[int | None, typer.Option("--bits", help="Bit depth, if the pixel format does not state it.")]
 Host = Annotated[
-    str, typer.Option("--host", help="Address to listen on. Any but the loopback needs the token that is printed.")
+    str, typer.Option("--host", help="Address to listen on; addresses other than loopback require the printed token.")
 ]
-Port = Annotated[int, typer.Option("--port", help="Port of the page; 0: any free one.")]
-Terminal = Annotated[bool, typer.Option("--terminal", help="Meters on the terminal instead of a page.")]
-
-
-def add_to(app: typer.Typer) -> None:
-    """Add the verbs to the command."""
-    for verb in (live, focus):
-        app.command()(verb)
+Port = Annotated[int, typer.Option("--port", help="Port of the page; 0 selects a free port.")]
+Terminal = Annotated[bool, typer.Option("--terminal", help="Show statistics in the terminal instead of a web page.")]
 
 
 def live(
@@ -43,9 +49,9 @@ def live(
     terminal: Terminal = False,
     seed: options.Seed = 0,
 ) -> None:
-    """Picture, meters and histogram of the newest frames, on a page of this machine.
+    """Live view in a local web page: newest frame, statistics and histogram.
 
-    Only looks: no setting of camera or tube is touched. While a plan runs, look at what it stores: --session.
+    Read-only: no camera or tube setting is changed. While a plan runs, use --session to view the frames it stores.
 
     Example: charact live --camera Aravis-Fake-GV01
     """
@@ -63,7 +69,7 @@ def focus(
     terminal: Terminal = False,
     seed: options.Seed = 0,
 ) -> None:
-    """The same page with the focus as its large meter: MTF50 of an edge, the best so far held.
+    """Live view for focusing: MTF50 of an edge, with the best value held.
 
     Example: charact focus --camera Aravis-Fake-GV01 --roi 150,250,200,200
     """
@@ -75,8 +81,7 @@ def _show(
     host: str, port: int, terminal: bool, seed: int,
 ) -> None:  # fmt: skip
     with exit_on_bad_input(title, interrupted="closed"):
-        from charact.cli.live_source import live_source
-        from charact.live.focus_reader import FocusReader
+        from charact.live.focus import FocusReader
         from charact.live.live_loop import LiveLoop
         from charact.live.server import serve
         from charact.live.terminal import watch_on_terminal
@@ -97,5 +102,204 @@ def _show(
                     focus_first=title == "charact focus",
                     host=host,
                     port=port,
-                    tell=lambda address: print_message(f"{address}   (Ctrl-C closes it)"),
+                    tell=lambda address: print_message(f"{address}   (Ctrl-C to quit)"),
                 )
+
+
+VIRTUAL_SENSOR = "pulnix-ag5745ef3"
+
+
+@contextmanager
+def live_source(
+    *, camera: str | None, plan: Path | None, session: Path | None, bits: int | None, seed: int,
+    tell: Callable[[str], None],
+) -> "Iterator[FrameSource]":  # fmt: skip
+    """Yield the frame source.
+
+    Parameters
+    ----------
+    camera
+        A camera as a plan names it, see `labdata.plan.InstrumentConfig`.
+    plan
+        A plan: its camera, or the virtual bench with the conditions of its first illuminated target.
+    session
+        A growing session.
+    bits
+        Bit depth, if the pixel format does not state it.
+    seed
+        Seed of the virtual bench.
+    tell
+        Prints a message.
+    """
+    if sum(given is not None for given in (camera, plan, session)) > 1:
+        raise BadInput("a live view must have one source, got several of --camera, --plan and --session")
+    if bits is not None and not 1 <= bits <= 32:
+        raise BadInput(f"--bits must lie between 1 and 32, got {bits}")
+    full_scale_dn = None if bits is None else float(2**bits - 1)
+    if session is not None:
+        from charact.live.frame_source import SessionSource
+
+        require_session(session)
+        yield SessionSource(session)
+        return
+    from charact.cli.benches import load_plan
+
+    loaded = None if plan is None else load_plan(plan)
+    if camera is None and (loaded is None or (loaded.wires.bench != "real" and loaded.wires.camera is None)):
+        with _virtual(loaded, seed, full_scale_dn, tell) as source:
+            yield source
+        return
+    yield _camera_source(camera or (loaded.wires.camera if loaded else None), loaded, full_scale_dn, tell)
+
+
+def _camera_source(
+    camera: str | None, plan: "Plan | None", full_scale_dn: float | None, tell: Callable[[str], None]
+) -> "FrameSource":
+    from charact.cli.benches import camera_named
+    from charact.live.frame_source import CameraSource
+
+    return CameraSource(
+        camera_named(camera, tell=tell),
+        frames_each=_frames_each(camera or ""),
+        name=f"camera {camera or '(the only one)'}",
+        context=_context(plan.sensor if plan else None, full_scale_dn),
+    )
+
+
+def _frames_each(camera: str) -> int:
+    """Return the number of frames of one capture: that of the shortest stack of a recording, else unlimited."""
+    from charact.live.frame_source import ENDLESS
+    from labdata.lazy_stack import open_lazy_stack
+    from labdata.session import open_session
+
+    kind, _, place = camera.partition(":")
+    if kind != "replay":
+        return ENDLESS
+    folder, _, label = place.partition("#")
+    session = open_session(folder)
+    stacks = (session.stack(label),) if label else session.stacks
+    return min(len(open_lazy_stack(stack)) for stack in stacks)
+
+
+@contextmanager
+def _virtual(
+    plan: "Plan | None", seed: int, full_scale_dn: float | None, tell: Callable[[str], None]
+) -> "Iterator[FrameSource]":
+    """Yield the virtual camera with gate and gain fixed at those of the step shown."""
+    from charact.live.frame_source import CameraSource
+    from labdata.sensors import load_sensor
+    from simulate.virtual_bench.in_process import InProcessCamera
+    from simulate.virtual_bench.outputs import Outputs, VirtualOperator
+    from simulate.virtual_bench.true_sensor import TRUTH, load_or_draw_truth
+
+    name = plan.sensor if plan and plan.sensor else VIRTUAL_SENSOR
+    sensor, step = load_sensor(name), _step(plan)
+    field_hz = float(sensor.video.field_rate_hz)
+    left_at = Outputs(
+        mcp_v=step.conditions.mcp_v or 0.0, gate_open=True, gate_ns=step.conditions.gate_ns or 0.0, gate_hz=field_hz
+    )
+    tell(
+        f"virtual bench: {sensor.name} at {left_at.mcp_v:g} V before the {step.kind} of step {step.label!r}; "
+        "simulating the first frame"
+    )
+    with TemporaryDirectory(prefix="charact-live-") as made:
+        folder = Path(made)
+        load_or_draw_truth(folder / TRUTH, sensor, seed if plan is None else plan.seed)
+        lux = step.conditions.illuminance_lux or 0.0
+        VirtualOperator(folder).place(kind=step.kind, target=step.target, illuminance_lux=lux)
+        yield CameraSource(
+            InProcessCamera(folder, lambda: left_at),
+            name="the virtual camera",
+            context=_context(name, full_scale_dn),
+            most_hz=field_hz / 2 if sensor.video.interlaced else field_hz,
+        )
+
+
+def _step(plan: "Plan | None") -> "Step":
+    """Return the step to show: the first edge, else the first with light; without a plan, from the demo's plan."""
+    if plan is None:
+        from charact.cli.demo_loop import demo_plan
+
+        plan = demo_plan(0, quick=True)
+    lit = [step for step in plan.steps if step.conditions.illuminance_lux]
+    return next((step for step in plan.steps if step.kind == "edge"), (lit or [plan.steps[0]])[0])
+
+
+def _context(sensor: str | None, full_scale_dn: float | None) -> "Context":
+    from charact.method import Context
+    from labdata.sensors import load_sensor
+
+    known = None if sensor is None else load_sensor(sensor)
+    return Context(
+        quick=True,
+        sensor=known,
+        interlaced=known is not None and known.video.interlaced,
+        full_scale_dn=full_scale_dn or (float(2**known.video.bit_depth - 1) if known else None),
+    )
+
+
+def watch(
+    session: Annotated[Path, typer.Argument(help="Session folder of a running acquisition.")],
+    once: Annotated[bool, typer.Option("--once", help="Process the stacks present now, then exit.")] = False,
+    patience_s: Annotated[
+        float, typer.Option("--patience-s", help="Maximum wait for the next stack, s.", min=0.0)
+    ] = 1800.0,
+    seed: options.Seed = 0,
+    as_json: options.Json = False,
+    events: options.Events = False,
+) -> None:
+    """Measure each stack of a running acquisition as it is completed, one line per stack.
+
+    With --json each line is one JSON object. Ends with the run.
+
+    Example: charact watch day1
+    """
+    interrupted = f"stopped watching; the acquisition continues. Resume with: charact watch {session}"
+    with exit_on_bad_input(str(session), as_json=as_json, events=events, interrupted=interrupted):
+        from charact.live.quick_look import look_at, watch_stacks
+
+        require_session(session)
+        for so_far, entry in watch_stacks(session, once=once, patience_s=patience_s):
+            try:
+                looked = look_at(so_far, entry, seed=seed)
+            except BadInput as error:
+                print_message(f"{entry.label}: {error}", events=events)
+                continue
+            print(json.dumps(_object(looked)) if as_json else _line(looked), flush=True)
+
+
+def _line(looked: "QuickLook") -> str:
+    """Return the line of a stack: frames, mean, saturation, values with intervals, and flags."""
+    entry = looked.entry
+    level = (
+        f"{entry.label} ({entry.kind}): {looked.frames} frames, {entry.lost_frames} lost, "
+        f"mean {looked.mean_dn:.4g} DN, at most {looked.saturated_px} px at {looked.full_scale_dn:g} DN"
+    )
+    numbers = [
+        f"{_name(m, looked.leading)} {number_of(m)}" + ("" if m.value is not None else f": {m.reason}")
+        for m in looked.leading
+    ]
+    flags = dict.fromkeys(flag for m in looked.leading for flag in m.flags)
+    return "; ".join([level, *numbers, *([f"flags: {', '.join(flags)}"] if flags else [])])
+
+
+def _name(m: "Measurement", among: "tuple[Measurement, ...]") -> str:
+    """Return a quantity with its frequency, and its direction if there are several of that name."""
+    at = "" if m.frequency_cy_per_px is None else f" at {m.frequency_cy_per_px:.3g} cy/px"
+    several = sum(other.quantity == m.quantity for other in among) > 1 and m.orientation_deg is not None
+    return m.quantity + at + (f" along {m.orientation_deg:.3g} deg" if several else "")
+
+
+def _object(looked: "QuickLook") -> dict:
+    from labdata.result_io import to_json
+
+    return {
+        **to_json(looked.result, given=looked.entry.label, version=__version__),
+        "stack": looked.entry.label,
+        "kind": looked.entry.kind,
+        "frames": looked.frames,
+        "lost_frames": looked.entry.lost_frames,
+        "mean_dn": looked.mean_dn,
+        "most_saturated_px": looked.saturated_px,
+        "full_scale_dn": looked.full_scale_dn,
+    }

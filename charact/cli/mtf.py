@@ -1,4 +1,4 @@
-"""The verbs `mtf edge|bars|point|flats`: the MTF of one image or stack, or of a session's flats."""
+"""The verbs `mtf edge|bars|point|flats`: the MTF of one image or stack, or of flat fields."""
 
 import math
 from dataclasses import replace
@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from charact.cli import options
-from charact.cli.output import exit_on_bad_input, print_result
-from charact.cli.progress import Progress, progress_bar
+from charact.cli.output import Progress, exit_on_bad_input, print_result, progress_bar
 from labdata.errors import BadInput
 
 if TYPE_CHECKING:
-    from charact.cli.units import FrequencyUnit
-    from charact.mtf.region import Region
+    from charact.cli.output import FrequencyUnit
+    from charact.mtf.mean_frame import Region
     from labdata.frames import FrameStack
     from labdata.measurement import Result
     from labdata.sensor import Sensor
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     no_args_is_help=True,
-    help="MTF of one image or stack: a slanted edge, a bar target, a point source, the noise of flats.",
+    help="Measure the MTF from a slanted edge, bar target, point source or flat-field noise.",
 )
 
 File = Annotated[Path, typer.Argument(help="Image or stack: .tif .npy .fits .png .jpg .dng .h5 ... (docs/formats.md)")]
@@ -49,7 +48,7 @@ def edge(
     as_json: options.Json = False,
     events: options.Events = False,
 ) -> None:
-    """MTF of a slanted edge.
+    """Measure the MTF of a slanted edge.
 
     Example: charact mtf edge my-edge.tif --roi 100,200,80,60 --annotate edge.png
     """
@@ -61,9 +60,9 @@ def bars(
     file: File,
     frequency: Annotated[
         float | None,
-        typer.Option(help="Frequency of the bars, cy/px across them; else found in the picture."),
+        typer.Option(help="Bar frequency, cy/px (default: groups along rows and columns are found)."),
     ] = None,
-    bars: Annotated[int | None, typer.Option(help="Number of bars; else counted in the picture.", min=2)] = None,
+    bars: Annotated[int | None, typer.Option(help="Number of bars (default: counted in the image).", min=2)] = None,
     roi: options.Roi = None,
     method: options.MethodName = "auto",
     within: options.Within = 2.0,
@@ -82,7 +81,7 @@ def bars(
     as_json: options.Json = False,
     events: options.Events = False,
 ) -> None:
-    """MTF at the frequency of a bar target.
+    """Measure the MTF at the frequency of a bar target.
 
     Example: charact mtf bars usaf.tif --roi 100,200,80,60
     """
@@ -93,7 +92,7 @@ def bars(
 def point(
     file: File,
     pinhole_px: Annotated[
-        float | None, typer.Option(help="Diameter of the pinhole's image, column pitches; else taken as a point.")
+        float | None, typer.Option(help="Diameter of the pinhole's image, px (default: ideal point).")
     ] = None,
     roi: options.Roi = None,
     method: options.MethodName = "auto",
@@ -112,7 +111,7 @@ def point(
     as_json: options.Json = False,
     events: options.Events = False,
 ) -> None:
-    """MTF of a point source.
+    """Measure the MTF of a point source.
 
     Example: charact mtf point pinhole.tif --pinhole-px 1.0 --roi 200,300,96,96
     """
@@ -136,7 +135,7 @@ def flats(
     as_json: options.Json = False,
     events: options.Events = False,
 ) -> None:
-    """MTF of what comes after the gain, from the noise of flats; no target is needed.
+    """Measure the post-gain MTF from the noise power spectrum of flat fields (no target needed).
 
     Example: charact mtf flats my-session --quick
     """
@@ -156,12 +155,12 @@ def flats(
             as_json=as_json,
             events=events,
             frequency=frequency,
-            next_verb="charact mtf edge FILE: the MTF of the whole camera, lens and cathode gap in it",
+            next_verb="charact mtf edge FILE: the MTF of the complete camera with lens and proximity gap",
         )
 
 
 def _flats_of(file: Path, sensor: "Sensor | None", plane: str | None, axis: str | None) -> "Session":
-    """The session in a folder, or one made of a single stack of flats."""
+    """Return the session in a folder, or a session of one stack of flats."""
     from labdata.conditions import Conditions
     from labdata.session import MANIFEST, Session, StackEntry, open_session
 
@@ -169,7 +168,7 @@ def _flats_of(file: Path, sensor: "Sensor | None", plane: str | None, axis: str 
         session = open_session(file)
         return session if sensor is None else replace(session, sensor=sensor)
     if not file.exists() or (file.is_dir() and not (file / "zarr.json").is_file()):
-        raise BadInput(f"flats must be a session's folder, with a {MANIFEST}, or a file of frames, got {file}")
+        raise BadInput(f"flats must be a session folder with a {MANIFEST}, or a file of frames, got {file}")
     entry = StackEntry(
         label=file.stem, kind="flat", frames=file.name, conditions=Conditions(), folder=file.parent, axis=axis,
         plane=plane,
@@ -192,7 +191,7 @@ def _measure(
     as_json: bool,
     events: bool,
     black_dn: float | None = None,
-    **asked: Any,
+    **settings: Any,
 ) -> None:
     with exit_on_bad_input(str(file), as_json=as_json, events=events):
         from charact.cli.single_image import in_file_coordinates, region_in
@@ -203,12 +202,12 @@ def _measure(
             from charact.cli.annotate import require_png, write_annotated_image
 
             require_png(annotate)
-        known = _sensor(sensor)
-        region = options.parse_region(asked.pop("roi"))
+        description = _sensor(sensor)
+        region = options.parse_region(settings.pop("roi"))
         stack = _with_black(read_frames(file, plane=plane, axis=axis), black_dn)
-        frequency = _unit(units, pitch_um, demagnification, focal_length_mm, known, rows=stack.shape[1])
+        frequency = _unit(units, pitch_um, demagnification, focal_length_mm, description, rows=stack.shape[1])
         with progress_bar(events=events) as progress:
-            result = _result(kind, stack, region_in(stack, region), known, progress, **asked)
+            result = _result(kind, stack, region_in(stack, region), description, progress, **settings)
         print_result(
             in_file_coordinates(result, stack),
             given=str(file),
@@ -221,7 +220,7 @@ def _measure(
 
 
 def _require_frames(file: Path, kind: str) -> None:
-    """Refuse a session with what measures it."""
+    """Reject a session folder and point to `charact measure`."""
     from labdata.session import MANIFEST
 
     if (file / MANIFEST).is_file():
@@ -232,7 +231,7 @@ def _result(
     kind: str,
     stack: "FrameStack",
     region: "Region | None",
-    known: "Sensor | None",
+    sensor: "Sensor | None",
     progress: Progress,
     *,
     method: str,
@@ -242,28 +241,34 @@ def _result(
     at_most: int,
     **target: Any,
 ) -> "Result":
-    """Return what a region of a stack measures or, without one, all targets of this kind that are found in it."""
+    """Measure a region of a stack or, without one, all detected targets of this kind."""
     from charact import mtf
     from charact.method import Context
 
     context = Context(
-        seed=seed, quick=quick, sensor=known, interlaced=known is not None and known.video.interlaced, progress=progress
+        seed=seed,
+        quick=quick,
+        sensor=sensor,
+        interlaced=sensor is not None and sensor.video.interlaced,
+        progress=progress,
     )
     if kind == "bars":
         target = {"bars": target["bars"], "frequency_cy_per_px": target["frequency"]}
-    asked = {"method": method, "within_percent": within, "context": context, **target}
+    arguments = {"method": method, "within_percent": within, "context": context, **target}
     if region is None:
-        return mtf.measure_all(kind, stack, at_most=at_most, **asked)
-    return mtf.measure(kind, stack, region=region, **asked)
+        return mtf.measure_all(kind, stack, at_most=at_most, **arguments)
+    return mtf.measure(kind, stack, region=region, **arguments)
 
 
 def _with_black(stack: "FrameStack", black_dn: float | None) -> "FrameStack":
-    """Return a stack whose code at no light is as told, where it is."""
+    """Return the stack with the given black level, if any."""
     if black_dn is None:
         return stack
     highest = float(stack.data.max())
     if not -math.inf < black_dn < highest:
-        raise BadInput(f"--black-dn must lie below the highest code in the frames, {highest:g} DN, got {black_dn:g}")
+        raise BadInput(
+            f"--black-dn must be below the largest grey value of the frames, {highest:g} DN, got {black_dn:g}"
+        )
     return replace(stack, black_level_dn=black_dn)
 
 
@@ -284,8 +289,8 @@ def _unit(
     *,
     rows: int,
 ) -> "FrequencyUnit":
-    """Return the unit asked for; what is not given comes from the sensor."""
-    from charact.cli.units import FrequencyUnit
+    """Return the display unit of frequency; missing lengths come from the sensor description."""
+    from charact.cli.output import FrequencyUnit
 
     pitch_y_um = pitch_um
     if sensor is not None:

@@ -1,4 +1,4 @@
-"""Options that several verbs share, each declared once."""
+"""Options shared by several verbs."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, get_args
@@ -10,67 +10,69 @@ from labdata.errors import BadInput
 if TYPE_CHECKING:
     from labdata.session import Kind
 
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout and nothing else there.")]
-Events = Annotated[bool, typer.Option("--events", help="Progress and messages as one JSON object a line on stderr.")]
-Seed = Annotated[int, typer.Option(help="Seed of every random step; the same seed gives the same bytes.", min=0)]
-Quick = Annotated[bool, typer.Option("--quick", help="No posterior: intervals from the curvature of the fit.")]
-MethodName = Annotated[str, typer.Option("--method", help="auto, or a name that `charact methods` lists.")]
-Within = Annotated[float, typer.Option("--within", help="Error that auto must meet, percent.", min=0.0)]
-Roi = Annotated[str | None, typer.Option("--roi", help="Region ROW,COL,HEIGHT,WIDTH in px; else the target is found.")]
+Json = Annotated[bool, typer.Option("--json", help="Print the result as one JSON object on stdout.")]
+Events = Annotated[bool, typer.Option("--events", help="Write progress and messages as JSON lines on stderr.")]
+Seed = Annotated[int, typer.Option(help="Random seed; equal seeds give identical output.", min=0)]
+Quick = Annotated[
+    bool, typer.Option("--quick", help="Skip posterior sampling; intervals are from the Laplace approximation.")
+]
+MethodName = Annotated[str, typer.Option("--method", help="Method name, or auto (see `charact methods`).")]
+Within = Annotated[float, typer.Option("--within", help="Error tolerance for auto, percent.", min=0.0)]
+Roi = Annotated[str | None, typer.Option("--roi", help="Region of interest ROW,COL,HEIGHT,WIDTH, px (default: found).")]
 Plane = Annotated[
     str | None,
     typer.Option(
-        help="r, g, b or luminance of a colour picture (else its luminance); r, g1, g2 or b of a mosaic; or a number "
-        "from 0 along an axis that counts no frames."
+        help="Colour plane: r, g, b or luminance (RGB), r, g1, g2 or b (raw); or an index from 0 along an axis that is "
+        "not the frame axis. Default: luminance."
     ),
 ]
-Axis = Annotated[
-    str | None, typer.Option(help="Axis that counts frames, its number from 0 or its name, if the file does not say.")
-]
+Axis = Annotated[str | None, typer.Option(help="Frame axis, index from 0 or name, if the file does not state it.")]
 BlackDn = Annotated[
     float | None,
-    typer.Option(help="Code at no light, DN, else the file's: tells sloping light from a halo, a gamma by noise."),
+    typer.Option(
+        help="Black level, DN (default: from the file). Separates non-uniform illumination from halo; for bars, also "
+        "detects gamma from the noise."
+    ),
 ]
 Scheduler = Annotated[
     str | None,
-    typer.Option(help="Address of a Dask scheduler whose workers read the stacks; they must see the same paths."),
+    typer.Option(help="Address of a Dask scheduler; its workers must see the same file paths."),
 ]
-SensorName = Annotated[str | None, typer.Option("--sensor", help="A shipped sensor's name, or a path to its TOML.")]
+SensorName = Annotated[
+    str | None, typer.Option("--sensor", help="Name of a shipped sensor description, or path to a TOML file.")
+]
 Units = Annotated[
     str,
     typer.Option(
-        help="Frequency unit for people: cy/px, lp/mm (at the detector), lp/mm-cathode, tvl/ph or cy/mrad. "
-        "JSON stays cy/px."
+        help="Display unit of frequency: cy/px, lp/mm, lp/mm-cathode, tvl/ph or cy/mrad. JSON is always cy/px."
     ),
 ]
 PitchUm = Annotated[
-    float | None, typer.Option("--pitch-um", help="Pixel pitch for lp/mm and cy/mrad, um; else the sensor's.")
+    float | None, typer.Option("--pitch-um", help="Pixel pitch for lp/mm and cy/mrad, µm (default: from the sensor).")
 ]
 Demagnification = Annotated[
     float | None,
-    typer.Option(help="Length at the cathode over length at the detector, for lp/mm-cathode; else the sensor's."),
+    typer.Option(help="Photocathode-to-detector demagnification for lp/mm-cathode (default: from the sensor)."),
 ]
 FocalLengthMm = Annotated[
-    float | None, typer.Option("--focal-length-mm", help="Focal length for cy/mrad, mm; else the sensor's.")
+    float | None, typer.Option("--focal-length-mm", help="Focal length for cy/mrad, mm (default: from the sensor).")
 ]
 AtMost = Annotated[
-    int, typer.Option("--at-most", help="Most targets of one frame that are measured, from all over it.", min=1)
+    int, typer.Option("--at-most", help="Maximum number of targets measured per frame, spread over the field.", min=1)
 ]
-Annotate = Annotated[Path | None, typer.Option(help="Write the image with the regions and their MTF50 drawn in, PNG.")]
+Annotate = Annotated[Path | None, typer.Option(help="Write a PNG of the frame with measured regions and MTF50.")]
 BloomMap = Annotated[
     Path | None,
-    typer.Option(
-        "--map", help="Write which share of each pixel's signal is blooming: a picture (.png) or arrays (.npz)."
-    ),
+    typer.Option("--map", help="Write the bloom map (fraction of each pixel's signal that is blooming): .png or .npz."),
 ]
 BloomMapOf = Annotated[
     str | None,
-    typer.Option("--map-of", help="Stack that the map is of; else a scene, or the brightest point."),
+    typer.Option("--map-of", help="Stack to map (default: a scene stack, otherwise the brightest point stack)."),
 ]
 
 
 def parse_kind(text: str) -> "Kind":
-    """Return what a stack shows, as an --kind says; any other word is a BadInput."""
+    """Return the stack kind of a --kind, or raise BadInput."""
     from labdata.session import Kind
 
     for kind in get_args(Kind):
@@ -80,12 +82,12 @@ def parse_kind(text: str) -> "Kind":
 
 
 def parse_region(text: str | None) -> tuple[int, int, int, int] | None:
-    """Return ROW, COL, HEIGHT, WIDTH of an --roi, or None; anything but four whole numbers is a BadInput."""
+    """Return ROW, COL, HEIGHT, WIDTH of an --roi, or None; raise BadInput unless it is four integers."""
     if text is None:
         return None
     parts = text.split(",")
     try:
         row, col, height, width = (int(part) for part in parts)
     except ValueError:
-        raise BadInput(f"--roi must be four whole numbers ROW,COL,HEIGHT,WIDTH, got {text!r}") from None
+        raise BadInput(f"--roi must be four integers ROW,COL,HEIGHT,WIDTH, got {text!r}") from None
     return row, col, height, width

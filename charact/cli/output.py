@@ -1,11 +1,13 @@
-"""What a verb says: one JSON object, or lines for people; and the exit code that goes with it."""
+"""Output of a verb: result as JSON or lines, messages, progress and exit code."""
 
 import json
+import math
 import os
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from itertools import groupby
 from typing import TYPE_CHECKING, NoReturn
 
@@ -22,20 +24,20 @@ Frequency = Callable[[float, "Measurement | None"], tuple[float, str]]
 
 
 def in_cycles_per_pixel(frequency_cy_per_px: float, of: "Measurement | None" = None) -> tuple[float, str]:
-    """The frequency and unit of the contract."""
+    """Return the frequency unchanged, with its unit."""
     return frequency_cy_per_px, "cy/px"
 
 
 def print_message(sentence: str, *, events: bool = False) -> None:
-    """Say one sentence on stderr, as an event if asked."""
+    """Print one sentence on stderr, with `events` as a JSON line."""
     print(json.dumps({"message": sentence}) if events else sentence, file=sys.stderr)
 
 
 def fail(sentence: str, *, given: str, as_json: bool, events: bool = False) -> NoReturn:
-    """End with exit code 1 and one sentence."""
+    """Exit with code 1 and one sentence."""
     one_line = " ".join(sentence.split())
     if as_json:
-        with suppress(OSError):  # where stdout itself takes nothing more, the sentence below is what is left to say
+        with suppress(OSError):  # stdout may be the file that failed
             print(json.dumps({"charact": __version__, "input": given, "error": one_line}))
     print_message(one_line if events else f"charact: {one_line}", events=events)
     raise typer.Exit(1)
@@ -45,10 +47,7 @@ def fail(sentence: str, *, given: str, as_json: bool, events: bool = False) -> N
 def exit_on_bad_input(
     given: str, *, as_json: bool = False, events: bool = False, interrupted: str = "interrupted"
 ) -> Iterator[None]:
-    """Turn bad input, a failing bench and a file system that refuses into one sentence and exit code 1.
-
-    An interrupt ends with its own sentence and exit code 130.
-    """
+    """Exit with code 1 and one sentence on bad input and file system errors, with code 130 on an interrupt."""
     try:
         yield
     except BadInput as error:
@@ -57,15 +56,15 @@ def exit_on_bad_input(
         print_message(interrupted if events else f"charact: {interrupted}", events=events)
         raise typer.Exit(130) from None
     except BrokenPipeError:
-        # Who reads has read enough (`| head`): nothing more may be written, not even when Python tidies up.
+        # The reader closed the pipe (`| head`); Python would write to stdout again at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise typer.Exit(1) from None
     except MemoryError as error:
-        reason = f"the frames must fit into memory, got: {error or 'too little of it'}; give fewer or smaller frames"
+        reason = f"the frames must fit into memory, got: {error or 'too little memory'}; give fewer or smaller frames"
         fail(reason, given=given, as_json=as_json, events=events)
     except OSError as error:
         named = f" ({error.filename})" if error.filename else ""
-        fail(f"the file system refused: {error.strerror or error}{named}", given=given, as_json=as_json, events=events)
+        fail(f"file system error: {error.strerror or error}{named}", given=given, as_json=as_json, events=events)
 
 
 def print_result(
@@ -78,31 +77,30 @@ def print_result(
     next_verb: str | None = None,
     then: Callable[[], object] | None = None,
 ) -> None:
-    """Print a result; exit with 1 and a sentence if no measurement carries a number.
+    """Print a result; exit with code 1 and a sentence if no measurement has a value.
 
     Parameters
     ----------
     frequency
-        Converts a frequency in cy/px to the unit people asked for. JSON stays in cy/px.
+        Converts a frequency in cy/px to the display unit. JSON is always in cy/px.
     next_verb
-        The next sensible command, named on a terminal.
+        Next command to suggest on a terminal.
     then
-        Writes what was asked for besides, once the numbers are printed; where it cannot, that is a sentence on stderr
-        and exit code 1.
+        Writes further output files after the result is printed; a failure is reported on stderr, with exit code 1.
     """
     if as_json:
         from labdata.result_io import to_json
 
         print(json.dumps(to_json(result, given=given, version=__version__), allow_nan=False))
     else:
-        # A line a region is for the targets of one picture; a session's numbers of no region would be left out.
+        # One line per region suits the targets of one image; session quantities have no region.
         of_one_picture = not any(m.stack for m in result.measurements)
         several = len({m.region for m in result.measurements}) > 1
         lines = lines_of_regions if several and of_one_picture else lines_of
         print("\n".join(lines(result.measurements, frequency)))
     if then is not None:
         sys.stdout.flush()
-        # The one JSON object is printed already.
+        # The JSON object is already printed.
         with exit_on_bad_input("", events=events):
             then()
     if all(m.value is None for m in result.measurements):
@@ -114,20 +112,20 @@ def print_result(
 
 
 def lines_of(measurements: Iterable["Measurement"], frequency: Frequency = in_cycles_per_pixel) -> Iterator[str]:
-    """One line for each measurement; after those of one stack and method, one for each of their flags and notes."""
+    """Yield one line per measurement and, after those of one stack and method, one per flag and note."""
     for _, group in groupby(measurements, key=lambda m: (m.stack, m.method)):
         members = tuple(group)
-        told = Counter((m.quantity, m.frequency_cy_per_px) for m in members)
+        counts = Counter((m.quantity, m.frequency_cy_per_px) for m in members)
         placed = len({m.region for m in members}) > 1
         for m in members:
-            yield _line(m, frequency, directed=told[m.quantity, m.frequency_cy_per_px] > 1, placed=placed)
+            yield _line(m, frequency, directed=counts[m.quantity, m.frequency_cy_per_px] > 1, placed=placed)
         flags, notes = _flags_and_notes(members)
         yield from (f"    {flag}" for flag in flags)
         yield from (f"    note: {note}" for note in notes)
 
 
 def _flags_and_notes(members: Iterable["Measurement"]) -> tuple[list[str], list[str]]:
-    """Return a line for each flag, its findings where there are some, and the other notes; each once."""
+    """Return one line for each flag (its findings, else its sentence), and the other notes, without repetition."""
     measurements = tuple(members)
     notes = list(dict.fromkeys(note for m in measurements for note in m.notes))
     lines: list[str] = []
@@ -138,7 +136,7 @@ def _flags_and_notes(members: Iterable["Measurement"]) -> tuple[list[str], list[
 
 
 def _line(m: "Measurement", frequency: Frequency, *, directed: bool, placed: bool) -> str:
-    """Return one measurement's line; `directed` names its direction, `placed` its region as --roi takes it."""
+    """Return the line of a measurement; `directed` adds its direction, `placed` its region in the format of --roi."""
     from charact.method.stopwatch import time_text
 
     where = _at(m, frequency)
@@ -157,7 +155,7 @@ def _place(region: tuple[int, int, int, int]) -> str:
 
 
 def _at(m: "Measurement", frequency: Frequency) -> str:
-    """Return at which frequency a measurement stands, if at one."""
+    """Return " at FREQUENCY" of a measurement at one frequency, else an empty string."""
     if m.frequency_cy_per_px is None:
         return ""
     value, unit = frequency(m.frequency_cy_per_px, m)
@@ -165,7 +163,7 @@ def _at(m: "Measurement", frequency: Frequency) -> str:
 
 
 def number_of(m: "Measurement", frequency: Frequency = in_cycles_per_pixel) -> str:
-    """Return the value with its unit and its 95 % interval."""
+    """Return the value with unit and 95 % interval."""
     if m.value is None:
         return "refused"
     convert = (lambda value: frequency(value, m)) if m.unit == "cy/px" else (lambda value: (value, m.unit))
@@ -182,7 +180,7 @@ def _verdict(m: "Measurement") -> str:
 def lines_of_regions(
     measurements: Iterable["Measurement"], frequency: Frequency = in_cycles_per_pixel
 ) -> Iterator[str]:
-    """One line for each region; after those what their flags mean and what the notes say."""
+    """Yield one line per region, then the flags and notes of all."""
     by_region: dict[object, list[Measurement]] = {}
     for m in measurements:
         by_region.setdefault(m.region, []).append(m)
@@ -195,22 +193,151 @@ def lines_of_regions(
 
 
 def _region_line(members: list["Measurement"], frequency: Frequency) -> str:
-    """Return the line of a region: where it lies, then the leading quantity in its directions."""
+    """Return the line of a region: its position, then its main quantity in each direction."""
     first = members[0]
     leading = [m for m in members if m.quantity == "mtf50"] or [m for m in members if m.quantity == first.quantity]
     place = "all together" if first.region is None else _place(first.region)
     if all(m.value is None for m in leading):
         return f"{place:<16} {first.quantity} refused: {leading[0].reason}"
-    told = (
+    values = (
         f"{m.quantity}{_at(m, frequency)} {number_of(m, frequency)}"
         + (f", {m.orientation_deg:.1f} deg" if m.orientation_deg is not None else "")
         + f", {_verdict(m)}"
         for m in leading
     )
-    return f"{place:<16} {'; '.join(told)}"
+    return f"{place:<16} {'; '.join(values)}"
 
 
 def _where(note: str, by_region: dict[object, list["Measurement"]]) -> str:
-    """Return the numbers of the regions that a note speaks of, where it is not all of them."""
+    """Return the numbers of the regions that a note concerns, unless it concerns all."""
     having = [k for k, members in enumerate(by_region.values(), 1) if any(note in m.notes for m in members)]
     return "" if len(having) == len(by_region) else " of " + ", ".join(str(number) for number in having)
+
+
+Progress = Callable[[str, float], None]
+
+
+@contextmanager
+def progress_bar(*, events: bool = False) -> Iterator[Progress]:
+    """Yield a function of a sentence and the fraction done (0..1): a bar on a terminal, JSON lines with `events`.
+
+    Compilation is announced on stderr.
+    """
+    from charact.method.stopwatch import announce_compilation
+
+    with (
+        _bar(events=events) as progress,
+        announce_compilation(
+            lambda sentence: print_message(sentence if events else f"charact: {sentence}", events=events)
+        ),
+    ):
+        yield progress
+
+
+@contextmanager
+def _bar(*, events: bool = False) -> Iterator[Progress]:
+    if events:
+        yield lambda sentence, share: print(
+            json.dumps({"progress": round(share, 4), "message": sentence}), file=sys.stderr
+        )
+        return
+    if not sys.stderr.isatty():
+        yield lambda sentence, share: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("", total=1.0)
+        yield lambda sentence, share: bar.update(task, description=sentence, completed=share)
+
+
+# Options that give a length that a unit needs.
+LENGTH_OPTIONS = {
+    "pitch_um": "--pitch-um or --sensor",
+    "demagnification": "--demagnification or --sensor",
+    "focal_length_mm": "--focal-length-mm or --sensor",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class FrequencyUnit:
+    """Display unit of spatial frequency with the lengths it needs.
+
+    Parameters
+    ----------
+    unit
+        One of `labdata.quantity.FREQUENCY_UNITS`.
+    pitch_x_um, pitch_y_um
+        Pitch of columns and of rows, µm; None for rows: that of the columns.
+    rows
+        Rows of a frame.
+    focal_length_mm
+        Focal length of the lens, mm.
+    demagnification
+        Length at the photocathode over length at the detector, dimensionless.
+
+    Raises
+    ------
+    BadInput
+        If the unit is unknown, or a length is not positive or missing.
+    """
+
+    unit: str = "cy/px"
+    pitch_x_um: float | None = None
+    pitch_y_um: float | None = None
+    rows: int | None = None
+    focal_length_mm: float | None = None
+    demagnification: float | None = None
+
+    def __post_init__(self) -> None:
+        given = {
+            "--pitch-um": self.pitch_x_um,
+            "--focal-length-mm": self.focal_length_mm,
+            "--demagnification": self.demagnification,
+        }
+        for name, length in given.items():
+            if length is not None and not (math.isfinite(length) and length > 0):
+                raise BadInput(f"{name} must be positive, got {length:g}")
+        needs = {
+            "lp/mm": ("pitch_um",),
+            "lp/mm-cathode": ("pitch_um", "demagnification"),
+            "cy/mrad": ("pitch_um", "focal_length_mm"),
+        }
+        held = {
+            "pitch_um": self.pitch_x_um,
+            "demagnification": self.demagnification,
+            "focal_length_mm": self.focal_length_mm,
+        }
+        missing = [name for name in needs.get(self.unit, ()) if held[name] is None]
+        if missing:
+            remedies = " and ".join(LENGTH_OPTIONS[name] for name in missing)
+            raise BadInput(f"--units {self.unit} needs a positive {' and '.join(missing)}: give {remedies}")
+        from labdata.quantity import FREQUENCY_UNITS
+
+        if self.unit not in FREQUENCY_UNITS:
+            raise BadInput(f"a frequency unit must be one of {', '.join(FREQUENCY_UNITS)}, got {self.unit!r}")
+
+    def __call__(self, frequency_cy_per_px: float, measurement: "Measurement | None" = None) -> tuple[float, str]:
+        """Return the frequency of a measurement in this unit, and the unit."""
+        from labdata.quantity import convert_frequency
+
+        by_rows = measurement is not None and counts_rows(measurement)
+        pitch_y_um = self.pitch_y_um or self.pitch_x_um
+        ratio = 1.0 if not self.pitch_x_um or not pitch_y_um else pitch_y_um / self.pitch_x_um
+        height = None if self.rows is None else self.rows * (1.0 if by_rows else ratio)
+        value = convert_frequency(
+            frequency_cy_per_px, self.unit, pitch_um=pitch_y_um if by_rows else self.pitch_x_um,
+            picture_height_px=height, focal_length_mm=self.focal_length_mm, demagnification=self.demagnification,
+        )  # fmt: skip
+        return value, self.unit
+
+
+def counts_rows(measurement: "Measurement") -> bool:
+    """Return whether a measurement's cycles per pixel are cycles per row pitch.
+
+    Edge methods count pixels of the axis nearest to the edge's normal; all others count column pitches.
+    """
+    normal = measurement.orientation_deg
+    return measurement.method.startswith("edge") and normal is not None and 45.0 < normal % 180.0 < 135.0

@@ -1,4 +1,4 @@
-"""The verb `plan`: what a plan would do to disk, clock and tube, with nothing switched on."""
+"""The verb `plan`: forecast of an acquisition plan."""
 
 import json
 import sys
@@ -12,27 +12,22 @@ from charact.cli import options
 from charact.cli.output import exit_on_bad_input
 
 if TYPE_CHECKING:
-    from drivers.acquisition.forecast import Forecast, StepForecast
+    from drivers.acquisition.plan_check import Forecast, StepForecast
+    from labdata.calibration import GainTable
     from labdata.conditions import Conditions
-    from labdata.gain_table import GainTable
     from labdata.plan import Plan
     from labdata.sensor import Sensor
     from labdata.tube_dose import Dose
 
-MOST_LINES = 40
-
-
-def add_to(app: typer.Typer) -> None:
-    """Add the verb to the command."""
-    app.command()(plan)
+MAX_LINES = 40
 
 
 def plan(
     plan: Annotated[Path, typer.Argument(help="Acquisition plan, TOML, or the name of a shipped one.")],
     as_json: options.Json = False,
-    every: Annotated[bool, typer.Option("--all", help=f"Print every step, not only {MOST_LINES}.")] = False,
+    every: Annotated[bool, typer.Option("--all", help=f"Print every step instead of the first {MAX_LINES}.")] = False,
 ) -> None:
-    """What an acquisition plan would do: steps, time, disk, dose of the tube, hottest step. Nothing is switched on.
+    """Forecast an acquisition plan: steps, time, disk space, tube dose, hottest step. Nothing is switched on.
 
     Example: charact plan gain-by-light
 
@@ -50,64 +45,63 @@ def plan(
       dark_every = 3
     """
     with exit_on_bad_input(str(plan), as_json=as_json):
-        from charact.cli.plan_files import load_plan
-        from drivers.acquisition.forecast import forecast
-        from drivers.acquisition.plan_check import check_plan
-        from labdata.calibrated_gain import in_volts
+        from charact.cli.benches import load_plan
+        from drivers.acquisition.plan_check import check_plan, forecast
+        from labdata.plan import in_volts
         from labdata.sensors import load_sensor
 
-        asked = load_plan(plan)
-        sensor = None if asked.sensor is None else load_sensor(asked.sensor)
-        asked = in_volts(asked, sensor)
-        check_plan(asked, Path.cwd(), sensor)
-        foreseen = forecast(asked, sensor)
+        loaded = load_plan(plan)
+        sensor = None if loaded.sensor is None else load_sensor(loaded.sensor)
+        loaded = in_volts(loaded, sensor)
+        check_plan(loaded, Path.cwd(), sensor)
+        prediction = forecast(loaded, sensor)
         if as_json:
-            print(json.dumps(_document(str(plan), asked, foreseen, sensor), allow_nan=False))
+            print(json.dumps(_document(str(plan), loaded, prediction, sensor), allow_nan=False))
         else:
-            print("\n".join(_lines(asked, foreseen, sensor, every=every)))
+            print("\n".join(_lines(loaded, prediction, sensor, every=every)))
             if sys.stdout.isatty():
                 print(f"\nNext: charact acquire {plan} OUT")
 
 
-def _document(given: str, asked: "Plan", foreseen: "Forecast", sensor: "Sensor | None") -> dict[str, Any]:
+def _document(given: str, plan: "Plan", prediction: "Forecast", sensor: "Sensor | None") -> dict[str, Any]:
     from labdata.limits import LIMITS
 
-    before = _before(asked)
+    before = _before(plan)
     return {
         "charact": __version__,
         "input": given,
-        "name": asked.name,
-        "steps": [_step_document(one, asked, foreseen.gain_table) for one in foreseen.steps],
-        "gain_table": None if foreseen.gain_table is None else foreseen.gain_table.provenance,
-        "seconds": round(foreseen.seconds, 1),
-        "bytes": foreseen.bytes,
-        "dose": _dose_document(foreseen.dose),
+        "name": plan.name,
+        "steps": [_step_document(one, plan, prediction.gain_table) for one in prediction.steps],
+        "gain_table": None if prediction.gain_table is None else prediction.gain_table.provenance,
+        "seconds": round(prediction.seconds, 1),
+        "bytes": prediction.bytes,
+        "dose": _dose_document(prediction.dose),
         "dose_before": None if before is None else _dose_document(before),
-        "lamp": None if asked.lamp is None else asked.lamp.provenance,
-        "hottest": _step_document(foreseen.hottest, asked, foreseen.gain_table),
-        "limits": {name: getattr(foreseen.limits, name) for name in LIMITS},
-        "overridden": list(foreseen.limits.overridden),
-        "tube_known": foreseen.limits.known,
-        "warnings": list(_warnings(foreseen, before, sensor)),
+        "lamp": None if plan.lamp is None else plan.lamp.provenance,
+        "hottest": _step_document(prediction.hottest, plan, prediction.gain_table),
+        "limits": {name: getattr(prediction.limits, name) for name in LIMITS},
+        "overridden": list(prediction.limits.overridden),
+        "tube_known": prediction.limits.known,
+        "warnings": list(_warnings(prediction, before, sensor)),
     }
 
 
 def _step_document(one: "StepForecast", plan: "Plan", table: "GainTable | None") -> dict[str, Any]:
-    from labdata.calibrated_gain import by_calibration
+    from labdata.plan import by_calibration
 
-    asked, gain = one.step.conditions, by_calibration(table, one.step.conditions.mcp_v)
+    conditions, gain = one.step.conditions, by_calibration(table, one.step.conditions.mcp_v)
     lit = _lamp_setting(one, plan)
     return {
         "label": one.step.label,
         "kind": one.step.kind,
         "frames": one.step.most_frames,
-        "mcp_v": asked.mcp_v,
+        "mcp_v": conditions.mcp_v,
         "luminous_gain": gain.luminous_gain,
         "luminous_gain_relative_sd": gain.luminous_gain_relative_sd,
-        "gate_ns": asked.gate_ns,
-        "exposure_s": asked.exposure_s,
+        "gate_ns": conditions.gate_ns,
+        "exposure_s": conditions.exposure_s,
         "illuminance_lux": one.step.brightest.conditions.illuminance_lux,
-        "filter_density": asked.filter_density if lit is None else lit.filter_density,
+        "filter_density": conditions.filter_density if lit is None else lit.filter_density,
         "lamp_a": None if lit is None else lit.lamp_a,
         "seconds": round(one.seconds, 3),
         "anode_na_per_cm2": one.anode_na_per_cm2,
@@ -116,11 +110,11 @@ def _step_document(one: "StepForecast", plan: "Plan", table: "GainTable | None")
 
 
 def _lamp_setting(one: "StepForecast", plan: "Plan") -> "Conditions | None":
-    """How the lamp of the bench makes a step's light: filter and current; None in the dark or by a person's hand."""
-    asked = one.step.brightest.conditions
-    if plan.lamp is None or not asked.illuminance_lux:
+    """Return filter and lamp current of a step; None in the dark or if a person sets the light."""
+    conditions = one.step.brightest.conditions
+    if plan.lamp is None or not conditions.illuminance_lux:
         return None
-    return plan.lamp.setting(asked.illuminance_lux, asked.filter_density).read
+    return plan.lamp.setting(conditions.illuminance_lux, conditions.filter_density).read
 
 
 def _dose_document(dose: "Dose") -> dict[str, float]:
@@ -132,46 +126,50 @@ def _dose_document(dose: "Dose") -> dict[str, float]:
     }
 
 
-def _lines(asked: "Plan", foreseen: "Forecast", sensor: "Sensor | None", *, every: bool) -> list[str]:
+def _lines(plan: "Plan", prediction: "Forecast", sensor: "Sensor | None", *, every: bool) -> list[str]:
     from drivers.acquisition.run_progress import duration
 
-    shown = foreseen.steps if every else foreseen.steps[:MOST_LINES]
-    left = len(foreseen.steps) - len(shown)
-    hottest, before = foreseen.hottest, _before(asked)
-    limit = foreseen.limits.largest_anode_na_per_cm2(point=hottest.step.kind == "point")
-    known = "" if foreseen.limits.known else "The tube is not described: cautious limits hold, its load is a guess."
-    table = foreseen.gain_table
+    shown = prediction.steps if every else prediction.steps[:MAX_LINES]
+    left = len(prediction.steps) - len(shown)
+    hottest, before = prediction.hottest, _before(plan)
+    limit = prediction.limits.largest_anode_na_per_cm2(point=hottest.step.kind == "point")
+    known = (
+        ""
+        if prediction.limits.known
+        else "No sensor description: default tube limits apply, and the tube load is an estimate."
+    )
+    table = prediction.gain_table
     gain = "" if table is None else f" {'lm/lm':>9}"
-    lamp = "" if asked.lamp is None else f" {'lamp mA':>8} {'filter':>6}"
+    lamp = "" if plan.lamp is None else f" {'lamp mA':>8} {'filter':>6}"
     rest = f"{'lux':>9}{lamp} {'nA/cm2':>9} {'limit':>6}"
     return [
-        f"{asked.name}: {len(foreseen.steps)} steps, nothing is switched on",
+        f"{plan.name}: {len(prediction.steps)} steps, nothing is switched on",
         f"{'label':<32} {'kind':<6} {'frames':>6} {'V':>6}{gain} {'gate ms':>8} {rest}",
-        *(_line(one, asked, table) for one in shown),
+        *(_line(one, plan, table) for one in shown),
         *([f"... and {left} more; --all prints them"] if left else []),
-        f"time: {duration(foreseen.seconds)}",
-        f"disk: {foreseen.bytes / 1e6:.0f} MB" if sensor else "disk: unknown without a sensor",
-        f"dose: {_dose_words(foreseen.dose)}",
-        f"dose before: {_before_words(asked, before)}",
-        f"hottest: {hottest.step.label}, {hottest.anode_na_per_cm2:.3g} nA/cm2 asked of the plate, "
-        f"{hottest.share_of_limit:.0%} of the {limit:g} allowed",
+        f"time: {duration(prediction.seconds)}",
+        f"disk: {prediction.bytes / 1e6:.0f} MB" if sensor else "disk: unknown without a sensor",
+        f"dose: {_dose_words(prediction.dose)}",
+        f"dose before: {_before_words(plan, before)}",
+        f"hottest: {hottest.step.label}, {hottest.anode_na_per_cm2:.3g} nA/cm2 MCP output current, "
+        f"{hottest.share_of_limit:.0%} of the limit {limit:g}",
         *([known] if known else []),
         *([table.provenance] if table else []),
-        *([asked.lamp.provenance] if asked.lamp else []),
-        *foreseen.limits.overridden,
-        *_warnings(foreseen, before, sensor),
+        *([plan.lamp.provenance] if plan.lamp else []),
+        *prediction.limits.overridden,
+        *_warnings(prediction, before, sensor),
     ]
 
 
 def _line(one: "StepForecast", plan: "Plan", table: "GainTable | None") -> str:
-    from labdata.calibrated_gain import by_calibration
+    from labdata.plan import by_calibration
 
-    asked = one.step.brightest.conditions
-    gain = by_calibration(table, asked.mcp_v).luminous_gain or 0.0
+    conditions = one.step.brightest.conditions
+    gain = by_calibration(table, conditions.mcp_v).luminous_gain or 0.0
     gain_words = "" if table is None else f" {gain:>9.4g}"
     return (
-        f"{one.step.label:<32} {one.step.kind:<6} {one.step.most_frames:>6} {asked.mcp_v or 0.0:>6g}"
-        f"{gain_words} {(asked.gate_ns or 0.0) * 1e-6:>8.4g} {asked.illuminance_lux or 0.0:>9.3g}"
+        f"{one.step.label:<32} {one.step.kind:<6} {one.step.most_frames:>6} {conditions.mcp_v or 0.0:>6g}"
+        f"{gain_words} {(conditions.gate_ns or 0.0) * 1e-6:>8.4g} {conditions.illuminance_lux or 0.0:>9.3g}"
         f"{_lamp_words(one, plan)} {one.anode_na_per_cm2:>9.3g} {one.share_of_limit:>6.1%}"
     )
 
@@ -186,25 +184,25 @@ def _lamp_words(one: "StepForecast", plan: "Plan") -> str:
 def _dose_words(dose: "Dose") -> str:
     points = f", and {dose.point_c_per_cm2:.2g} inside pinholes" if dose.point_c_per_cm2 else ""
     return (
-        f"{dose.screen_c_per_cm2:.2g} C/cm2 through the screen{points}, within a factor of {dose.factor95:.2g} "
+        f"{dose.screen_c_per_cm2:.2g} C/cm2 at the phosphor{points}, within a factor of {dose.factor95:.2g} "
         f"(95 %); {60 * dose.hours_at_gain:.3g} min at gain"
     )
 
 
-def _before(asked: "Plan") -> "Dose | None":
-    from labdata.dose_ledger import ledger_of
+def _before(plan: "Plan") -> "Dose | None":
+    from labdata.tube_dose import ledger_of
 
-    return None if asked.tube is None else ledger_of(asked.tube).total()
+    return None if plan.tube is None else ledger_of(plan.tube).total()
 
 
-def _before_words(asked: "Plan", before: "Dose | None") -> str:
+def _before_words(plan: "Plan", before: "Dose | None") -> str:
     if before is None:
         return "unknown, the plan names no tube"
-    return f"{before.charge_c_per_cm2:.2g} C/cm2, {before.hours_at_gain:.3g} h at gain of tube {asked.tube}"
+    return f"{before.charge_c_per_cm2:.2g} C/cm2, {before.hours_at_gain:.3g} h at gain of tube {plan.tube}"
 
 
-def _warnings(foreseen: "Forecast", before: "Dose | None", sensor: "Sensor | None") -> tuple[str, ...]:
+def _warnings(prediction: "Forecast", before: "Dose | None", sensor: "Sensor | None") -> tuple[str, ...]:
     from labdata.tube_dose import total_dose, warnings
 
-    doses = warnings(total_dose([foreseen.dose, *([] if before is None else [before])]), sensor)
-    return (*doses, *foreseen.out_of_step)
+    doses = warnings(total_dose([prediction.dose, *([] if before is None else [before])]), sensor)
+    return (*doses, *prediction.out_of_step)

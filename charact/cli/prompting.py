@@ -1,7 +1,7 @@
-"""The operator of a real bench: a person, asked on the terminal to place targets, and to set the light by hand.
+"""Operator of a real bench: prompts a person on the terminal to place targets and to set the light.
 
-The tube may be live while the person takes their time, or while the terminal shows nothing (Ctrl-S): nothing here
-waits for longer than a tenth of a second without calling `while_waiting`.
+The tube may be on while the person or the terminal (Ctrl-S) is slow: no wait is longer than 0.1 s without a call of
+`while_waiting`.
 """
 
 import os
@@ -21,16 +21,16 @@ POLL_S = 0.1
 
 
 class _Terminal:
-    """Questions on stderr and answers from stdin, each waited for in short slices."""
+    """Prompts on stderr and answers from stdin, polled."""
 
     def __init__(self) -> None:
         self.while_waiting: Callable[[], None] = lambda: None
-        """Called every 0.1 s while a person is waited for; what it raises ends the prompt."""
+        """Called every 0.1 s during a prompt; an exception ends the prompt."""
         self._typed = b""
         self._lines: queue.SimpleQueue[str] | None = None
 
-    def _tell(self, text: str) -> None:
-        """Write a text if the terminal takes it now."""
+    def _show(self, text: str) -> None:
+        """Write a text if the terminal is ready."""
         descriptor = _descriptor(sys.stderr)
         if descriptor is None:
             print(text, end="", file=sys.stderr, flush=True)
@@ -38,26 +38,26 @@ class _Terminal:
             os.write(descriptor, text.encode())
 
     def _answer(self, question: str, purpose: str) -> str:
-        """Write a question and return the line typed; the end of the input is a BadInput."""
+        """Write a question and return the answer; the end of the input raises BadInput."""
         descriptor = _descriptor(sys.stderr)
         while descriptor is not None and not select.select((), (descriptor,), (), POLL_S)[1]:
             self.while_waiting()
-        self._tell(question)
+        self._show(question)
         descriptor = _descriptor(sys.stdin)
         line = self._line() if descriptor is None else self._line_of(descriptor)
         if not line:
-            raise BadInput(f"somebody must answer {purpose}, got the end of the input; run it on a terminal")
+            raise BadInput(f"a person must answer {purpose}, got the end of the input; run it on a terminal")
         return line.strip()
 
     def _line_of(self, descriptor: int) -> str:
-        """Return the next line of an open file; what is typed beyond it stays for the next question."""
+        """Return the next line of a descriptor; further input is kept for the next question."""
         while b"\n" not in self._typed:
             if not select.select((descriptor,), (), (), POLL_S)[0]:
                 self.while_waiting()
                 continue
             try:
                 more = os.read(descriptor, 4096)
-            except OSError:  # of a terminal that was closed
+            except OSError:  # the terminal was closed
                 more = b""
             if not more:
                 line, self._typed = self._typed, b""
@@ -67,7 +67,7 @@ class _Terminal:
         return (line + b"\n").decode(errors="replace")
 
     def _line(self) -> str:
-        """Return the next line of an input that is no open file, such as a notebook's, read by a thread."""
+        """Return the next line of an input without descriptor, such as a notebook's, read by a thread."""
         if self._lines is None:
             self._lines = lines = queue.SimpleQueue()
             threading.Thread(target=lambda: lines.put(sys.stdin.readline() if sys.stdin else ""), daemon=True).start()
@@ -82,19 +82,19 @@ class _Terminal:
 
 
 class PromptingOperator(_Terminal):
-    """Asks a person to place targets and set the light, and believes the meter that the person reads."""
+    """Asks a person to place targets, to set the light and to read the light meter."""
 
     is_by_hand = True
     """Whether a person sets the light."""
 
     def darken(self) -> None:
-        """Ask for the light to be blocked, waiting for nobody."""
-        self._tell("Block the light now.\n")
+        """Ask for the light to be blocked, without waiting."""
+        self._show("Block the light now.\n")
 
     def place(
         self, *, kind: Kind, target: Target, illuminance_lux: float, filter_density: float | None = None
     ) -> Conditions:
-        """Ask for a target, a filter and a light level; return what the meter reads."""
+        """Ask for a target, a filter and an illuminance; return the reading of the light meter."""
         if illuminance_lux == 0.0:
             self.darken()
             return Conditions(illuminance_lux=0.0)
@@ -111,7 +111,7 @@ class PromptingOperator(_Terminal):
 
 
 class TargetPlacer(_Terminal):
-    """Asks a person to place targets before a lamp that the bench itself lights and puts out."""
+    """Asks a person to place targets; the bench controls the lamp."""
 
     is_by_hand = False
     """Whether a person sets the light."""
@@ -121,12 +121,12 @@ class TargetPlacer(_Terminal):
         self._placed: tuple[Kind, Target] | None = None
 
     def darken(self) -> None:
-        """Nothing: the bench puts its lamp out."""
+        """Do nothing: the bench switches its lamp off."""
 
     def place(
         self, *, kind: Kind, target: Target, illuminance_lux: float, filter_density: float | None = None
     ) -> Conditions:
-        """Ask for a target where another one stands, and wait until it is there; a dark needs none."""
+        """Ask for a new target and wait until it is placed; a dark needs none."""
         if kind != "dark" and (kind, target) != self._placed:
             self._answer(f"Place the {_words(kind, target)}, then press Enter. ", f"once the {kind} target is placed")
             self._placed = (kind, target)
@@ -134,7 +134,7 @@ class TargetPlacer(_Terminal):
 
 
 def _descriptor(stream: object) -> int | None:
-    """Return the number of an open file; None of a stream that is none."""
+    """Return the descriptor of a stream, or None."""
     try:
         return stream.fileno()  # pyright: ignore[reportAttributeAccessIssue]
     except (AttributeError, OSError, ValueError):

@@ -1,22 +1,17 @@
-"""The verbs `methods` and `schema`: what there is to choose from, and the file formats for editors."""
+"""The verbs `methods`, `schema`, `chart` and `stability`: reference tables and studies of the methods."""
 
 import json
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from charact.cli import options
-from charact.cli.output import exit_on_bad_input
-
-
-def add_to(app: typer.Typer) -> None:
-    """Add the verbs to the command."""
-    app.command()(methods)
-    app.command()(schema)
+from charact.cli.output import exit_on_bad_input, progress_bar
 
 
 def methods(as_json: options.Json = False) -> None:
-    """Every registered method: what it measures, where it holds, its measured error and time.
+    """List the registered methods with scope, measured error and computing time.
 
     Example: charact methods
     """
@@ -45,19 +40,59 @@ def methods(as_json: options.Json = False) -> None:
 
 
 def schema(
-    kind: Annotated[str, typer.Argument(help="session, sensor, solid-state, plan, scene (out of doors) or bench.")],
+    kind: Annotated[str, typer.Argument(help="session, sensor, solid-state, plan, scene (outdoor) or bench.")],
 ) -> None:
-    """JSON Schema of a file format, for completion and checking in editors.
+    """Print the JSON Schema of a file format, for editors.
 
     Example: charact schema plan > plan.schema.json
     """
     with exit_on_bad_input(kind):
         from labdata.serialiser import file_schema
-        from simulate.radiance.outdoor.description.scene import OutdoorScene
+        from simulate.radiance.outdoor.scene import OutdoorScene
         from simulate.radiance.scene import LabScene
 
         found = file_schema(kind, {"scene": OutdoorScene, "bench": LabScene})
         if kind == "scene":
-            # Where the file lies is no part of it.
+            # The folder is not part of the file.
             del found["properties"]["folder"]
         print(json.dumps(found, indent=2))
+
+
+Name = Annotated[str, typer.Argument(help="Quantity, such as mtf50.")]
+Out = Annotated[Path, typer.Option(help="Folder for the table and the figure.")]
+Quick = Annotated[bool, typer.Option("--quick", help="Reduced run: fewer cases, no Markov chains.")]
+
+
+def chart(
+    quantity: Name,
+    out: Out = Path("study"),
+    update: Annotated[bool, typer.Option("--update", help="Also update the table used by auto.")] = False,
+    quick: Quick = False,
+    seed: options.Seed = 0,
+    events: options.Events = False,
+) -> None:
+    """Measure error against computing time of every method of a quantity on common cases.
+
+    Example: charact chart mtf50 --out study
+    """
+    with exit_on_bad_input(quantity, events=events), progress_bar(events=events) as progress:
+        from charact import study
+
+        print(study.chart(quantity, seed=seed, out=out, quick=quick, update=update, progress=progress).text())
+
+
+def stability(
+    quantity: Name,
+    out: Out = Path("study"),
+    quick: Quick = False,
+    seed: options.Seed = 0,
+    events: options.Events = False,
+) -> None:
+    """Map error, refusals, flags and silent failures of every method beyond its breaking point.
+
+    Example: charact stability mtf50 --out study
+    """
+    with exit_on_bad_input(quantity, events=events), progress_bar(events=events) as progress:
+        from charact import study
+
+        print(study.stability(quantity, seed=seed, out=out, quick=quick, progress=progress).text())

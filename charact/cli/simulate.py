@@ -1,4 +1,4 @@
-"""The verb `simulate`: a scene, a picture of one's own or a radiance cube through a camera, into a session."""
+"""The verb `simulate`: frames of a scene, image or radiance cube."""
 
 from pathlib import Path
 from typing import Annotated
@@ -6,74 +6,70 @@ from typing import Annotated
 import typer
 
 from charact.cli import options
-from charact.cli.output import exit_on_bad_input, print_message
-from charact.cli.progress import progress_bar
+from charact.cli.output import exit_on_bad_input, print_message, progress_bar
 
 Source = Annotated[
-    Path, typer.Argument(help="Scene (.toml, or a name), picture (.tif .png .npy .fits ...) or radiance cube (.npz).")
+    Path, typer.Argument(help="Scene (.toml, or a name), image (.tif .png .npy .fits ...) or radiance cube (.npz).")
 ]
-Sensor = Annotated[str, typer.Option("--sensor", help="A shipped camera's name, or a path to a (fitted) TOML.")]
+Sensor = Annotated[str, typer.Option("--sensor", help="Name of a shipped sensor description, or path to a TOML file.")]
 Gain = Annotated[float | None, typer.Option(help="Luminous gain of the tube, lm/lm, or EM gain of an EMCCD.")]
-Gate = Annotated[float | None, typer.Option(help="Time the gate is open in an exposure, ns; else all of it.", min=0.0)]
-Lux = Annotated[float | None, typer.Option(help="Bench: illuminance on the photocathode, lux; else 1e-4.", min=0.0)]
+Gate = Annotated[float | None, typer.Option(help="Gate time per exposure, ns (default: whole exposure).", min=0.0)]
+Lux = Annotated[float | None, typer.Option(help="Bench: photocathode illuminance, lx (default: 1e-4).", min=0.0)]
 PerDn = Annotated[
-    float | None, typer.Option(help="Picture: mean photoelectrons per pixel and exposure for each DN above black.")
+    float | None, typer.Option(help="Image input: mean photoelectrons per pixel and exposure for each DN above black.")
 ]
-
-
-def add_to(app: typer.Typer) -> None:
-    """Add the verb to the command."""
-    app.command()(simulate)
 
 
 def simulate(
     source: Source,
-    out: Annotated[Path, typer.Argument(help="Folder of the session of simulated frames.")],
+    out: Annotated[Path, typer.Argument(help="Output session folder.")],
     sensor: Sensor,
     kind: Annotated[
-        str | None, typer.Option(help="What it shows: dark, flat, edge, bars, point or scene. Bench: edge; else scene.")
+        str | None,
+        typer.Option(
+            help="Target kind: dark, flat, edge, bars, point or scene (default: edge on a bench, otherwise scene)."
+        ),
     ] = None,
     frames: Annotated[int, typer.Option(help="Number of frames.", min=1)] = 8,
     seed: options.Seed = 0,
     photoelectrons_per_dn: PerDn = None,
-    black_dn: Annotated[float | None, typer.Option(help="Picture: level without light, DN; else 0.")] = None,
+    black_dn: Annotated[float | None, typer.Option(help="Black level of the input image, DN (default: 0).")] = None,
     phosphor: Annotated[
-        str | None, typer.Option(help="Another screen: p20, p43, p46, p47 or TOML; photons per photoelectron stay.")
+        str | None,
+        typer.Option(help="Phosphor: p20, p43, p46, p47 or a TOML file; total light per photoelectron is unchanged."),
     ] = None,
     gain: Gain = None,
-    mcp_v: Annotated[float | None, typer.Option(help="Microchannel plate voltage, V; else its nominal one.")] = None,
-    gain_control: Annotated[
-        float | None, typer.Option(help="Control word of the tube's gain, counts.", min=0.0)
+    mcp_v: Annotated[float | None, typer.Option(help="MCP voltage, V (default: nominal).")] = None,
+    gain_control: Annotated[float | None, typer.Option(help="Tube gain control word, counts.", min=0.0)] = None,
+    automatic_gain: Annotated[
+        bool | None, typer.Option("--automatic-gain", help="Enable the camera's automatic gain control (AGC).")
     ] = None,
-    automatic_gain: Annotated[bool | None, typer.Option("--automatic-gain", help="Camera's gain control on.")] = None,
     brightness_control: Annotated[
-        bool | None, typer.Option("--brightness-control", help="Tube's brightness control on.")
+        bool | None, typer.Option("--brightness-control", help="Enable the tube's automatic brightness control (ABC).")
     ] = None,
     gate_ns: Gate = None,
-    temperature_c: Annotated[float | None, typer.Option(help="Temperature of the camera, C; else 25.")] = None,
+    temperature_c: Annotated[float | None, typer.Option(help="Camera temperature, °C (default: 25).")] = None,
     illuminance_lux: Lux = None,
-    frequency: Annotated[float | None, typer.Option(help="Bench, bars: their frequency, cy/px.")] = None,
-    pinhole_px: Annotated[
-        float | None, typer.Option(help="Bench, point: diameter of the pinhole's image, column pitches.")
-    ] = None,
+    frequency: Annotated[float | None, typer.Option(help="Bench, bars: frequency, cy/px.")] = None,
+    pinhole_px: Annotated[float | None, typer.Option(help="Bench, point: pinhole image diameter, px.")] = None,
     within: Annotated[
-        float, typer.Option(help="What leaving effects out may change together, % of the temporal noise.", min=0.0)
+        float, typer.Option(help="Error budget for neglected effects, percent of the temporal noise.", min=0.0)
     ] = 10.0,
     exact: Annotated[
-        bool, typer.Option("--exact", help="Leave nothing out and draw every pulse by itself (slow).")
+        bool, typer.Option("--exact", help="Neglect no effect and sample every photoelectron pulse (slow).")
     ] = False,
     explain: Annotated[
-        bool, typer.Option("--explain", help="Print what each effect can change, and what is left out.")
+        bool, typer.Option("--explain", help="Print the bound on each effect and which effects are neglected.")
     ] = False,
     preview: Annotated[
-        bool, typer.Option("--preview", help="Scene out of doors: its radiance alone, in seconds; no frames.")
+        bool, typer.Option("--preview", help="Outdoor scene: render the radiance only, no frames.")
     ] = False,
     stage_images: Annotated[
-        Path | None, typer.Option(help="Folder for the image after each stage: float TIFFs and a contact sheet.")
+        Path | None, typer.Option(help="Folder for the image after each stage: float TIFF files and a contact sheet.")
     ] = None,
     events: options.Events = False,
 ) -> None:
-    """Light through a camera, stage by stage, into a session that every measuring verb takes.
+    """Simulate frames of a scene, image or radiance cube and store them as a session.
 
     Example: charact simulate bench.toml frames --sensor pulnix-ag5745ef3 --kind edge
 
@@ -81,14 +77,19 @@ def simulate(
 
     Example: charact simulate house.tif frames --sensor gen3-digital-iccd --photoelectrons-per-dn 0.01
     """
-    interrupted = f"interrupted; the frames so far are kept in {out}"
+    interrupted = f"interrupted; frames simulated so far are kept in {out}"
     with (
         exit_on_bad_input(str(source), events=events, interrupted=interrupted),
         progress_bar(events=events) as progress,
     ):
-        from charact.cli.simulated_conditions import beyond_limit, conditions_of
         from charact.cli.simulated_session import preview_into, save_frames, save_stage_images
-        from charact.cli.simulation_sources import SimulationRequest, load_described_camera, shot_of
+        from charact.cli.simulation_sources import (
+            SimulationRequest,
+            conditions_of,
+            load_described_camera,
+            shot_of,
+            voltage_limit_warnings,
+        )
         from labdata.errors import BadInput
         from labdata.target import Target
 
@@ -104,7 +105,7 @@ def simulate(
             temperature_c=temperature_c,
             illuminance_lux=illuminance_lux,
         )
-        asked = SimulationRequest(
+        request = SimulationRequest(
             source=source,
             kind=None if kind is None else options.parse_kind(kind),
             target=Target(frequency_cy_per_px=frequency, pinhole_px=pinhole_px),
@@ -113,22 +114,22 @@ def simulate(
             tolerance=None if exact else within / 100.0,
             seed=seed,
         )
-        beyond = beyond_limit(camera, conditions)
+        beyond = voltage_limit_warnings(camera, conditions)
         for sentence in beyond:
             print_message(sentence, events=events)
         if preview:
             if stage_images is not None:
-                raise BadInput("a preview has no stages, got --stage-images")
-            for sentence in preview_into(out, asked, camera, conditions, explain=explain):
+                raise BadInput("--preview has no stages, got --stage-images")
+            for sentence in preview_into(out, request, camera, conditions, explain=explain):
                 print_message(sentence, events=events)
             print(f"{out}/radiance.png: a preview\nNext: charact simulate {source} {out} --sensor {sensor}")
             return
-        shot = shot_of(asked, camera, conditions, progress)
+        shot = shot_of(request, camera, conditions, progress)
         for sentence in () if shot.view is None else shot.view.left_out:
             print_message(sentence, events=events)
         if explain:
             print(shot.explanation)
-        notes = (*_not_asked(camera.name, gain, temperature_c), *beyond)
+        notes = (*_option_notes(camera.name, gain, temperature_c), *beyond)
         save_frames(shot, camera, out, frames=frames, seed=seed, notes=notes, progress=progress)
         if stage_images is not None:
             stages = save_stage_images(shot, camera, stage_images, seed=seed)
@@ -137,8 +138,8 @@ def simulate(
         print(f"{out}: {frames} frames\n{further}")
 
 
-def _not_asked(camera: str, gain: float | None, temperature_c: float | None) -> tuple[str, ...]:
-    """What a session's notes say of the camera and of what was left to it."""
-    asked = () if gain is None else (f"asked for the gain {gain:g}",)
-    cold = "no temperature asked for: dark emission and current as described"
-    return (f"camera {camera}", *asked, *((cold,) if temperature_c is None else ()))
+def _option_notes(camera: str, gain: float | None, temperature_c: float | None) -> tuple[str, ...]:
+    """Return notes on the camera and on options not given."""
+    gains = () if gain is None else (f"requested gain {gain:g}",)
+    cold = "temperature not given: EBI and dark current as described"
+    return (f"camera {camera}", *gains, *((cold,) if temperature_c is None else ()))

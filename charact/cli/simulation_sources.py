@@ -1,5 +1,6 @@
-"""What is to be simulated: a scene, a picture or a radiance cube before a camera, ready to be drawn."""
+"""Simulation request: a scene, image or radiance cube, a camera and its conditions."""
 
+import math
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
@@ -8,7 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
+from labdata.limits import TubeLimits
+from labdata.sensor import Sensor
 from labdata.session import Kind
+from labdata.solid_state import SolidStateCamera
 from labdata.target import Target
 
 if TYPE_CHECKING:
@@ -19,44 +23,40 @@ if TYPE_CHECKING:
     from labdata.solid_state import SolidStateCamera
     from simulate.effect_selection import EffectSelection
     from simulate.outdoor_rendering import OutdoorRendering, RenderedView
-    from simulate.radiance.outdoor.description.scene import OutdoorScene
+    from simulate.radiance.outdoor.scene import OutdoorScene
     from simulate.radiance.scene import LabScene
 
     Description = Sensor | SolidStateCamera
 
 Progress = Callable[[str, float], None]
-# Light that takes longer than this says so before it begins, s.
-LONG_S = 60.0
-# What a target states -> its option, and the kind of target that it belongs to.
+# Field of a target: its option and its kind of target.
 OF_A_TARGET: dict[str, tuple[str, Kind]] = {
     "frequency_cy_per_px": ("--frequency", "bars"),
     "pinhole_px": ("--pinhole-px", "point"),
 }
-# Illuminance of the bench where none is asked for, lux.
-BENCH_LUX = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)
 class SimulationRequest:
-    """What goes before the camera.
+    """Light source of a simulation.
 
     Parameters
     ----------
     source
-        A scene (.toml, or a shipped one's name), a radiance cube (.npz) or a picture.
+        A scene (.toml, or a shipped one's name), a radiance cube (.npz) or an image.
     kind
-        What the stack is said to show; None: an edge of a bench scene, else a scene.
+        Kind of the stack; None: edge for a bench scene, else scene.
     target
         Target on the bench.
     photoelectrons_per_dn
-        Scale of a picture, see `charact.cli.image_source`.
+        Scale of an image, see `charact.cli.image_source`.
     black_dn
-        Level of the picture that stands for no light, DN; None: 0.
+        Black level of an image, DN; None: 0.
     tolerance
-        What effects left out may change together, as a share of the temporal noise; None: nothing is left out and every
-        pulse is drawn by itself.
+        Error budget of all neglected effects as a fraction of the temporal noise; None: no effect is neglected and
+        every pulse is sampled.
     seed
-        Seed of the rays of a scene out of doors.
+        Seed of the camera rays of an outdoor scene.
     """
 
     source: Path
@@ -70,24 +70,24 @@ class SimulationRequest:
 
 @dataclass(frozen=True, kw_only=True)
 class Shot:
-    """A camera, the light that reaches it, and what is known of both.
+    """A camera, its light and the metadata of the session.
 
     Parameters
     ----------
     camera
         The simulated camera.
     light
-        Expected photoelectrons at the plate, or in the chip of a camera without a tube.
+        Expected photoelectrons at the MCP, or in the sensor of a camera without tube.
     kind, conditions, target, notes
-        As the session records them.
+        Metadata of the stack.
     seen
-        What went before the light that the camera draws from: a picture in photoelectrons, a radiance cube, or None.
+        Input of the camera: an image in photoelectrons, a radiance cube, or None.
     plan
-        What of the camera this light does not need; None for a camera without a tube, of which all is kept.
+        Effect selection; None for a camera without tube, where all effects are retained.
     exact
-        Whether every pulse is drawn by itself.
+        Whether every pulse is sampled.
     view
-        What a scene out of doors showed: radiance, its plan and the truth of each pixel.
+        Rendering of an outdoor scene: radiance, effect selection and auxiliary layers.
     """
 
     camera: Any
@@ -102,7 +102,7 @@ class Shot:
     view: "RenderedView | None" = None
 
     def frames(self, *, seed: int) -> "Iterator[Any]":
-        """Yield its frames, without end."""
+        """Yield frames without end."""
         from simulate.iiccd import sampler_choice
         from simulate.iiccd.camera import IntensifiedCamera
 
@@ -118,14 +118,14 @@ class Shot:
 
     @property
     def explanation(self) -> str:
-        """What light and camera leave out, and what each effect can change."""
+        """Text of retained and neglected effects of light and camera with their bounds."""
         light = () if self.view is None else (self.view.plan.text(), "")
-        camera = "a camera without a tube: every stage is kept" if self.plan is None else self.plan.text()
+        camera = "camera without tube: all effects are retained" if self.plan is None else self.plan.text()
         return "\n".join((*light, camera))
 
 
 def load_described_camera(sensor: str, phosphor: str | None) -> "Description":
-    """Return the description of a camera, with another screen if one is asked for."""
+    """Return the sensor description of a camera, with another phosphor if one is given."""
     from labdata.phosphors import load_phosphor
     from labdata.sensors import load_camera
     from labdata.solid_state import SolidStateCamera
@@ -139,194 +139,273 @@ def load_described_camera(sensor: str, phosphor: str | None) -> "Description":
 
 
 def shot_of(
-    asked: SimulationRequest,
+    request: SimulationRequest,
     description: "Description",
     conditions: Conditions,
     progress: Progress = lambda sentence, share: None,
 ) -> Shot:
-    """Return the light of a source on a camera; rendering a scene out of doors tells its progress."""
-    if is_scene(asked.source):
-        return _of_scene(asked, description, conditions, progress)
-    _no_bench(asked, conditions)
-    if asked.source.suffix == ".npz":
-        return _of_cube(asked, description, conditions)
-    return _of_picture(asked, description, conditions)
+    """Return camera and light of a request; rendering an outdoor scene reports its progress."""
+    if is_scene(request.source):
+        return _of_scene(request, description, conditions, progress)
+    _require_no_bench_options(request, conditions)
+    if request.source.suffix == ".npz":
+        return _of_cube(request, description, conditions)
+    return _of_picture(request, description, conditions)
 
 
 def is_scene(source: Path) -> bool:
-    """Whether a source is a scene's file or the name of a shipped one."""
+    """Whether a source is a scene file or the name of a shipped scene."""
     return source.suffix == ".toml" or (not source.suffix and not source.is_file())
 
 
-def _no_bench(asked: SimulationRequest, conditions: Conditions) -> None:
+def _require_no_bench_options(request: SimulationRequest, conditions: Conditions) -> None:
     if conditions.illuminance_lux is not None:
-        raise BadInput("--illuminance-lux belongs to a bench scene; a picture or a radiance cube brings its own light")
+        raise BadInput("--illuminance-lux is only for bench scenes")
     for name, (option, kind) in OF_A_TARGET.items():
-        if getattr(asked.target, name) is not None:
-            raise BadInput(f"{option} belongs to the {kind} of a bench scene, got it with {asked.source.name}")
+        if getattr(request.target, name) is not None:
+            raise BadInput(f"{option} is only for --kind {kind} of a bench scene, got it with {request.source.name}")
 
 
 def _with_bench_light(conditions: Conditions, kind: Kind) -> Conditions:
-    """Return the conditions with the bench's light, of which a dark has none."""
+    """Return the conditions with the illuminance of the bench, 0 for a dark."""
     lux = conditions.illuminance_lux
     if kind == "dark" and lux:
         raise BadInput(f"a dark must have no light, got --illuminance-lux {lux:g}")
-    unasked = 0.0 if kind == "dark" else BENCH_LUX
+    # Default illuminance of the bench, lux.
+    unasked = 0.0 if kind == "dark" else 1e-4
     return replace(conditions, illuminance_lux=unasked if lux is None else lux)
 
 
 def _require_matching_target(target: Target, kind: Kind) -> None:
-    """Refuse a target that lacks what its kind needs, or states what belongs to another."""
+    """Raise BadInput if a target lacks a field of its kind or has one of another kind."""
     for name, (option, of) in OF_A_TARGET.items():
         value = getattr(target, name)
         if kind == of and value is None:
             raise BadInput(f"--kind {kind} of a bench scene needs {option}, got none")
         if kind != of and value is not None:
-            raise BadInput(f"{option} belongs to the {of} of a bench scene, got it with --kind {kind}")
+            raise BadInput(f"{option} is only for --kind {of} of a bench scene, got it with --kind {kind}")
 
 
-def _require_dark(asked: SimulationRequest, seen: "NDArray[np.floating]") -> None:
-    """Refuse to call dark what has light."""
-    if asked.kind == "dark" and (lit := float((seen > 0.0).mean())):
-        raise BadInput(f"a dark must have no light, got it on {100.0 * lit:.3g} % of {asked.source.name}")
+def _require_dark(request: SimulationRequest, seen: "NDArray[np.floating]") -> None:
+    """Raise BadInput if --kind is dark and the source has light."""
+    if request.kind == "dark" and (lit := float((seen > 0.0).mean())):
+        raise BadInput(f"a dark must have no light, got it on {100.0 * lit:.3g} % of {request.source.name}")
 
 
-def _of_scene(asked: SimulationRequest, description: "Description", conditions: Conditions, progress: Progress) -> Shot:
+def _of_scene(
+    request: SimulationRequest, description: "Description", conditions: Conditions, progress: Progress
+) -> Shot:
     from simulate.radiance.scene import LabScene, load_scene
 
-    _no_picture(asked)
-    scene = load_scene(asked.source)
+    _require_no_image_options(request)
+    scene = load_scene(request.source)
     if isinstance(scene, LabScene):
-        return _of_bench(asked, scene, description, conditions)
-    return _of_night(asked, scene, description, conditions, progress)
+        return _of_bench(request, scene, description, conditions)
+    return _of_night(request, scene, description, conditions, progress)
 
 
-def night_of(asked: SimulationRequest, description: "Description", conditions: Conditions) -> "OutdoorRendering":
-    """Return the scene out of doors that a source is, before its camera; another kind of source is refused."""
-    from simulate.cameras import camera_from_description
+def night_of(request: SimulationRequest, description: "Description", conditions: Conditions) -> "OutdoorRendering":
+    """Return the outdoor scene of a request with its camera; another source raises BadInput."""
+    from simulate.iiccd.scene_to_photoelectrons import camera_from_description
     from simulate.outdoor_rendering import OutdoorRendering
-    from simulate.radiance.outdoor.description.scene import OutdoorScene
+    from simulate.radiance.outdoor.scene import OutdoorScene
     from simulate.radiance.scene import load_scene
 
-    scene = load_scene(asked.source) if is_scene(asked.source) else None
+    scene = load_scene(request.source) if is_scene(request.source) else None
     if not isinstance(scene, OutdoorScene):
-        raise BadInput(f"a preview shows a scene with a camera in it, got {asked.source.name}")
-    _no_picture(asked)
-    _no_bench(asked, conditions)
+        raise BadInput(f"--preview needs an outdoor scene, got {request.source.name}")
+    _require_no_image_options(request)
+    _require_no_bench_options(request, conditions)
     return OutdoorRendering(scene, camera_from_description(description), conditions)
 
 
 def _of_night(
-    asked: SimulationRequest,
+    request: SimulationRequest,
     scene: "OutdoorScene",
     description: "Description",
     conditions: Conditions,
     progress: Progress,
 ) -> Shot:
-    from simulate.cameras import camera_from_description
-    from simulate.iiccd.scene_to_photoelectrons import photoelectrons_from_radiance
+    from simulate.iiccd.scene_to_photoelectrons import camera_from_description, photoelectrons_from_radiance
     from simulate.outdoor_rendering import OutdoorRendering
 
-    _no_bench(asked, conditions)
-    if asked.kind == "dark":
+    _require_no_bench_options(request, conditions)
+    if request.kind == "dark":
         raise BadInput(f"a dark must have no light, got the scene {scene.name!r}")
     camera = camera_from_description(description)
     sentence = "light"
 
     def announce(seconds: float) -> None:
         nonlocal sentence
-        sentence = f"light, about {seconds / 60.0:.0f} min" if seconds > LONG_S else "light"
+        # A rendering that takes longer announces its time, s.
+        sentence = f"light, about {seconds / 60.0:.0f} min" if seconds > 60.0 else "light"
         progress(sentence, 0.0)
 
     view = OutdoorRendering(scene, camera, conditions).seen(
-        tolerance=asked.tolerance,
-        seed=asked.seed,
+        tolerance=request.tolerance,
+        seed=request.seed,
         progress=lambda share: progress(sentence, share),
         announce=announce,
     )
     cube = view.picture.cube
-    freed = photoelectrons_from_radiance(camera, cube, conditions)
-    camera, planned = _select_effects(camera, freed, conditions, asked)
-    light, kind = camera.to_mcp_input(freed, conditions), asked.kind or "scene"
+    photoelectrons = photoelectrons_from_radiance(camera, cube, conditions)
+    camera, planned = _select_effects(camera, photoelectrons, conditions, request)
+    light, kind = camera.to_mcp_input(photoelectrons, conditions), request.kind or "scene"
     notes = (f"scene {scene.name}", *view.notes)
     return Shot(
         camera=camera, light=light, kind=kind, conditions=conditions, seen=cube, notes=notes, view=view, **planned
     )
 
 
-def _of_bench(asked: SimulationRequest, scene: "LabScene", description: "Description", conditions: Conditions) -> Shot:
+def _of_bench(
+    request: SimulationRequest, scene: "LabScene", description: "Description", conditions: Conditions
+) -> Shot:
     from labdata.sensor import Sensor
     from simulate.lab import LabBench
     from simulate.radiance.target_mesh import as_stood
 
     if not isinstance(description, Sensor):
         raise BadInput(f"a bench scene needs a camera with a tube, got {description.name!r}")
-    kind = asked.kind or "edge"
-    _require_matching_target(asked.target, kind)
-    target = as_stood(kind, asked.target)
+    kind = request.kind or "edge"
+    _require_matching_target(request.target, kind)
+    target = as_stood(kind, request.target)
     conditions, bench = _with_bench_light(conditions, kind), LabBench(description, scene)
-    _, planned = _select_effects(bench.camera, bench.freed(kind, target, conditions), conditions, asked)
+    _, planned = _select_effects(bench.camera, bench.freed(kind, target, conditions), conditions, request)
     bench = bench.without(planned["plan"].names)
     light = bench.photoelectrons(kind, target, conditions)
     return Shot(camera=bench.camera, light=light, kind=kind, conditions=conditions, target=target, **planned)
 
 
 def _select_effects(
-    camera: Any, freed: Any, conditions: Conditions, asked: SimulationRequest
+    camera: Any, photoelectrons: Any, conditions: Conditions, request: SimulationRequest
 ) -> tuple[Any, dict[str, Any]]:
-    """Return the camera without what this light does not need, and the fields of the shot that say so."""
+    """Return the camera without the effects that this light does not need, and the fields of the shot."""
     from simulate.effect_selection import EffectSelection
     from simulate.iiccd.camera import IntensifiedCamera
-    from simulate.iiccd.effect_bounds.camera_effects import select_camera_effects
-    from simulate.iiccd.effect_bounds.effects import bound_effects
+    from simulate.iiccd.effect_bounds.camera_effects import bound_effects, select_camera_effects
     from simulate.iiccd.effect_bounds.noise_budget import NoiseBudget, per_pixel
 
-    exact = asked.tolerance is None
+    exact = request.tolerance is None
     if not isinstance(camera, IntensifiedCamera):
         return camera, {"exact": exact}
-    if asked.tolerance is None:
-        effects = bound_effects(NoiseBudget(camera, per_pixel(camera, freed), conditions))
+    if request.tolerance is None:
+        effects = bound_effects(NoiseBudget(camera, per_pixel(camera, photoelectrons), conditions))
         return camera, {"exact": True, "plan": EffectSelection(tolerance=0.0, kept=tuple(effects), left_out=())}
-    camera, plan = select_camera_effects(camera, freed, conditions, asked.tolerance)
+    camera, plan = select_camera_effects(camera, photoelectrons, conditions, request.tolerance)
     return camera, {"exact": False, "plan": plan}
 
 
-def _of_picture(asked: SimulationRequest, description: "Description", conditions: Conditions) -> Shot:
+def _of_picture(request: SimulationRequest, description: "Description", conditions: Conditions) -> Shot:
     from charact.cli.image_source import photoelectrons_of
-    from simulate.cameras import camera_from_description
-    from simulate.iiccd.scene_to_photoelectrons import photoelectrons_from_image
+    from simulate.iiccd.scene_to_photoelectrons import camera_from_description, photoelectrons_from_image
 
     camera = camera_from_description(description)
     image, notes = photoelectrons_of(
-        asked.source,
-        photoelectrons_per_dn=asked.photoelectrons_per_dn,
-        black_dn=asked.black_dn or 0.0,
+        request.source,
+        photoelectrons_per_dn=request.photoelectrons_per_dn,
+        black_dn=request.black_dn or 0.0,
         shape=camera.shape,
     )
-    _require_dark(asked, image)
-    freed = photoelectrons_from_image(camera, image)
-    camera, planned = _select_effects(camera, freed, conditions, asked)
-    light, kind = camera.to_mcp_input(freed, conditions), asked.kind or "scene"
+    _require_dark(request, image)
+    photoelectrons = photoelectrons_from_image(camera, image)
+    camera, planned = _select_effects(camera, photoelectrons, conditions, request)
+    light, kind = camera.to_mcp_input(photoelectrons, conditions), request.kind or "scene"
     return Shot(camera=camera, light=light, kind=kind, conditions=conditions, seen=image, notes=notes, **planned)
 
 
-def _of_cube(asked: SimulationRequest, description: "Description", conditions: Conditions) -> Shot:
+def _of_cube(request: SimulationRequest, description: "Description", conditions: Conditions) -> Shot:
     from charact.cli.image_source import cube_of
-    from simulate.cameras import camera_from_description
-    from simulate.iiccd.scene_to_photoelectrons import photoelectrons_from_radiance
+    from simulate.iiccd.scene_to_photoelectrons import camera_from_description, photoelectrons_from_radiance
 
-    _no_picture(asked)
+    _require_no_image_options(request)
     camera = camera_from_description(description)
-    cube = cube_of(asked.source)
-    _require_dark(asked, cube.radiance)
-    freed = photoelectrons_from_radiance(camera, cube, conditions)
-    camera, planned = _select_effects(camera, freed, conditions, asked)
-    light, kind = camera.to_mcp_input(freed, conditions), asked.kind or "scene"
-    notes = (f"spectral radiance of {asked.source.name}",)
+    cube = cube_of(request.source)
+    _require_dark(request, cube.radiance)
+    photoelectrons = photoelectrons_from_radiance(camera, cube, conditions)
+    camera, planned = _select_effects(camera, photoelectrons, conditions, request)
+    light, kind = camera.to_mcp_input(photoelectrons, conditions), request.kind or "scene"
+    notes = (f"spectral radiance of {request.source.name}",)
     return Shot(camera=camera, light=light, kind=kind, conditions=conditions, seen=cube, notes=notes, **planned)
 
 
-def _no_picture(asked: SimulationRequest) -> None:
-    for option, value in (("--photoelectrons-per-dn", asked.photoelectrons_per_dn), ("--black-dn", asked.black_dn)):
+def _require_no_image_options(request: SimulationRequest) -> None:
+    for option, value in (("--photoelectrons-per-dn", request.photoelectrons_per_dn), ("--black-dn", request.black_dn)):
         if value is not None:
-            raise BadInput(f"{option} belongs to a picture, got it with {asked.source.name}")
+            raise BadInput(f"{option} is only for an image, got it with {request.source.name}")
+
+
+# Options of a tube, by the name of their condition.
+_OF_A_TUBE = {
+    "mcp_v": "--mcp-v",
+    "gain_control": "--gain-control",
+    "gate_ns": "--gate-ns",
+    "brightness_control": "--brightness-control",
+}
+
+
+def conditions_of(camera: Sensor | SolidStateCamera, *, gain: float | None = None, **options: Any) -> Conditions:
+    """Return the conditions of the options; others have their nominal values.
+
+    Parameters
+    ----------
+    camera
+        The description.
+    gain
+        Luminous gain of the tube, lm/lm, or multiplication of an electron-multiplying register.
+    options
+        Conditions by name; None: option not given.
+
+    Raises
+    ------
+    BadInput
+        If an option does not apply to the camera or conflicts with another one.
+    """
+    given = {name: value for name, value in options.items() if value is not None}
+    if gain is not None and not (math.isfinite(gain) and gain > 0.0):
+        raise BadInput(f"--gain must be positive, got {gain:g}")
+    exposure_s = 1.0 / float(camera.video.field_rate_hz)
+    if given.get("automatic_gain") and not camera.video.automatic_gain:
+        raise BadInput(f"--automatic-gain needs a camera that has it, got {camera.name!r}")
+    if isinstance(camera, SolidStateCamera):
+        return Conditions(exposure_s=exposure_s, em_gain=_em_gain(camera, gain), **_without_tube(camera, given))
+    if len(ways := [name for name in ("mcp_v", "gain_control") if name in given] + ["gain"] * (gain is not None)) > 1:
+        raise BadInput(f"the gain must be set once, got {' and '.join('--' + way.replace('_', '-') for way in ways)}")
+    nominal = {"gate_ns": exposure_s * 1e9, **({} if ways else {"mcp_v": voltage_of(camera, None)})}
+    set_by_gain = {} if gain is None else {"mcp_v": voltage_of(camera, gain)}
+    return Conditions(exposure_s=exposure_s, **{**nominal, **set_by_gain, **given})
+
+
+def voltage_limit_warnings(camera: Sensor | SolidStateCamera, conditions: Conditions) -> tuple[str, ...]:
+    """Return a warning if the MCP voltage exceeds the limit of the description, which the bench would refuse."""
+    mcp_v = conditions.mcp_v
+    if isinstance(camera, SolidStateCamera) or mcp_v is None:
+        return ()
+    limit = camera.limits.mcp_v
+    if limit == TubeLimits().mcp_v or mcp_v <= float(limit):
+        return ()
+    return (f"mcp_v of {mcp_v:.4g} exceeds the limit {float(limit):g} of {camera.name!r}: its bench would refuse it",)
+
+
+def voltage_of(sensor: Sensor, luminous_gain: float | None) -> float:
+    """Return the MCP voltage for a luminous gain, V = V0 (G/G0)^(1/m); None: the reference voltage."""
+    mcp = sensor.microchannel_plate
+    if luminous_gain is None:
+        return float(mcp.reference_v)
+    if not float(mcp.gain_exponent) > 0.0:
+        raise BadInput(f"--gain needs a tube with a positive gain exponent, got 0 in {sensor.name!r}")
+    return float(mcp.reference_v) * (luminous_gain / float(sensor.tube.luminous_gain)) ** (
+        1.0 / float(mcp.gain_exponent)
+    )
+
+
+def _em_gain(camera: SolidStateCamera, gain: float | None) -> float:
+    most = float(camera.register.em_gain)
+    if gain is not None and not 1.0 <= gain <= most:
+        raise BadInput(f"--gain of {camera.name!r} must lie between 1 and {most:g}, got {gain:g}")
+    return most if gain is None else gain
+
+
+def _without_tube(camera: SolidStateCamera, given: dict[str, Any]) -> dict[str, Any]:
+    if unfit := [option for name, option in _OF_A_TUBE.items() if name in given]:
+        raise BadInput(f"{unfit[0]} needs a camera with a tube, got {camera.name!r}")
+    return given

@@ -1,21 +1,20 @@
-"""A bare picture given where a session is expected: read for what one frame can tell, or refused in one sentence."""
+"""A single image in place of a session: measured where one frame is sufficient, else refused."""
 
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from charact.cli.output import exit_on_bad_input, print_result
-from charact.cli.progress import progress_bar
+from charact.cli.output import exit_on_bad_input, print_result, progress_bar
 
 if TYPE_CHECKING:
-    from charact.mtf.region import Region
+    from charact.mtf.mean_frame import Region
     from labdata.frames import FrameStack
     from labdata.measurement import Result
     from labdata.session import Session
 
 
-def is_picture(path: Path) -> bool:
-    """Whether a path is a file of frames rather than a session."""
+def is_image(path: Path) -> bool:
+    """Whether a path is a file of frames, not a session."""
     from labdata.importers import module_of
     from labdata.session import MANIFEST
 
@@ -23,13 +22,13 @@ def is_picture(path: Path) -> bool:
 
 
 def region_in(stack: "FrameStack", region: "Region | None") -> "Region | None":
-    """Return a region of the file as one of the frames, whose border may have been cut off."""
+    """Return a region of the file in coordinates of the frames, whose border may have been cropped."""
     return None if region is None else (region[0] - stack.origin[0], region[1] - stack.origin[1], *region[2:])
 
 
 def in_file_coordinates(result: "Result", stack: "FrameStack") -> "Result":
-    """Return a result with its regions counted from the file's first pixel and the notes of how it was read."""
-    from charact.mtf.multiple_targets import REGION_NAME
+    """Return the result with regions in coordinates of the file and with the notes of the importer."""
+    from charact.mtf.dispatch import REGION_NAME
     from labdata.measurement import Result
 
     def shift_region(region: "Region") -> "Region":
@@ -60,33 +59,27 @@ def in_file_coordinates(result: "Result", stack: "FrameStack") -> "Result":
 
 
 def require_session(path: Path) -> None:
-    """Refuse a file of frames with what reads it.
-
-    Raises
-    ------
-    BadInput
-        If the path is one.
-    """
+    """Raise BadInput if the path is a file of frames."""
     from labdata.errors import BadInput
 
-    if is_picture(path):
+    if is_image(path):
         raise BadInput(
-            f"a session must be a folder with a session.toml, got the file {path}: charact import frames {path} OUT "
-            "--kind KIND makes a session of it, charact bloom and charact mtf read it as it is"
+            f"a session must be a folder with a session.toml, got the file {path}; create one with charact import "
+            f"frames {path} OUT --kind KIND, or use charact bloom or charact mtf"
         )
 
 
 def open_session_only(path: Path) -> "Session":
-    """Open a session; a file of frames in its place is refused with what reads it."""
+    """Open a session; a file of frames raises BadInput."""
     from labdata.session import open_session
 
     require_session(path)
     return open_session(path)
 
 
-def bloom_of_picture(path: Path, *, method: str, within: float, quick: bool, seed: int, mapped: bool,
+def bloom_of_image(path: Path, *, method: str, within: float, quick: bool, seed: int, mapped: bool,
                      plane: str | None, axis: str | None, as_json: bool, events: bool) -> None:  # fmt: skip
-    """Extents of a point source in a bare picture, by what one frame tells or by the method asked for."""
+    """Measure and print the bloom extent of a point source in a single image."""
     with exit_on_bad_input(str(path), as_json=as_json, events=events):
         from charact import bloom
         from charact.bloom.single_frame import bare_session, measure_frame
@@ -97,8 +90,8 @@ def bloom_of_picture(path: Path, *, method: str, within: float, quick: bool, see
             raise BadInput(f"the file of frames must exist, got {path}")
         if mapped:
             raise BadInput(
-                f"--map needs a session, whose point sources tell the halo, got the file {path}: "
-                f"charact import frames {path} OUT --kind point makes a session of it"
+                f"--map needs a session with point sources, got the file {path}; create one with "
+                f"charact import frames {path} OUT --kind point"
             )
         session = bare_session(path)
         session = replace(session, stacks=(replace(session.stacks[0], plane=plane, axis=axis),))

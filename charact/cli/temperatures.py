@@ -1,4 +1,4 @@
-"""The verb `temperatures`: surface temperatures of a scene out of doors over a day, and of what its camera sees."""
+"""The verb `temperatures`: surface temperatures of an outdoor scene over a day, and their map."""
 
 import io
 import json
@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from charact.cli import options
-from charact.cli.output import exit_on_bad_input, print_message
-from charact.cli.progress import progress_bar
+from charact.cli.output import exit_on_bad_input, print_message, progress_bar
 
 if TYPE_CHECKING:
     import numpy as np
@@ -17,42 +16,34 @@ if TYPE_CHECKING:
 
     from simulate.thermal.temperatures import Temperatures
 
-ZERO_C = 273.15
-# Per cent of the map's pixels between which its scale runs.
-SHOWN_PERCENT = (0.5, 99.5)
-WIDTH_INCHES, DPI = 9.0, 120
-
-
-def add_to(app: typer.Typer) -> None:
-    """Add the verb to the command."""
-    app.command()(temperatures)
+WIDTH_INCHES = 9.0
 
 
 def temperatures(
-    scene: Annotated[Path, typer.Argument(help="Scene out of doors (.toml, or a shipped one's name).")],
-    out: Annotated[Path, typer.Argument(help="New folder for tables and pictures.")],
+    scene: Annotated[Path, typer.Argument(help="Outdoor scene (.toml, or name of a shipped scene).")],
+    out: Annotated[Path, typer.Argument(help="New folder for tables and figures.")],
     sensor: Annotated[
-        str, typer.Option(help="Camera whose lens and pixels the map has: a shipped one's name, or a TOML.")
+        str, typer.Option(help="Sensor description whose lens and pixels define the map: name or TOML file.")
     ] = "pulnix-ag5745ef3",
     within_mk: Annotated[
-        float, typer.Option(help="What terms left out may change at the scene's time, mK.", min=0.0)
+        float, typer.Option(help="Error budget for neglected terms at the scene's time, mK.", min=0.0)
     ] = 20.0,
     seed: options.Seed = 0,
     explain: Annotated[
-        bool, typer.Option("--explain", help="Print what each term changes, and what is left out.")
+        bool, typer.Option("--explain", help="Print the bound on each term and which terms are neglected.")
     ] = False,
     events: options.Events = False,
 ) -> None:
-    """Surface temperatures of a scene over the day before its time, and the map of what its camera sees.
+    """Compute surface temperatures of a scene over the day before its time, and their map at its time.
 
     Example: charact temperatures hangar warm --explain
     """
     with exit_on_bad_input(str(scene), events=events), progress_bar(events=events) as progress:
         from charact.cli.simulation_sources import load_described_camera
-        from labdata.atomic_write import write_atomically
         from labdata.conditions import Conditions
         from labdata.errors import BadInput
-        from simulate.cameras import camera_from_description
+        from labdata.file_io import write_atomically
+        from simulate.iiccd.scene_to_photoelectrons import camera_from_description
         from simulate.outdoor_rendering import OutdoorRendering
         from simulate.radiance.scene import LabScene, load_scene
         from simulate.thermal.temperatures import temperatures_of
@@ -61,9 +52,9 @@ def temperatures(
             raise BadInput(f"OUT must be a new or empty folder, got {out}; nothing is overwritten")
         loaded = load_scene(scene)
         if isinstance(loaded, LabScene):
-            raise BadInput(f"surface temperatures need a scene out of doors, got the lab bench {loaded.name!r}")
+            raise BadInput(f"surface temperatures need an outdoor scene, got the lab bench {loaded.name!r}")
         view = OutdoorRendering(loaded, camera_from_description(load_described_camera(sensor, None)), Conditions()).view
-        progress("balance of heat", 0.0)
+        progress("heat balance", 0.0)
         found = temperatures_of(loaded, tolerance_mk=within_mk, seed=seed)
         kelvin = found.map_k(view, lambda fraction: progress("map", fraction))
         for note in found.balance.weather.notes:
@@ -81,7 +72,7 @@ def temperatures(
 
 
 def _terms(found: "Temperatures", within_mk: float) -> list[str]:
-    """Return lines on the terms that are kept and left out."""
+    """Return lines on retained and neglected terms."""
     solution = found.solution
     lines = [f"{'term':58}  {'changes at most, mK':>20}"]
     for effects, verdict in ((solution.effects, "kept"), (solution.left_out, "left out")):
@@ -104,7 +95,7 @@ def _table(found: "Temperatures") -> str:
 
 
 def _document(found: "Temperatures") -> dict:
-    """Return terms, notes, and every number of the slabs with standing and source, as plain values."""
+    """Return terms, notes, and all slab parameters with basis and source, as plain values."""
     from dataclasses import asdict
 
     balance, solution = found.balance, found.solution
@@ -121,7 +112,7 @@ def _document(found: "Temperatures") -> dict:
 
 
 def _curves(found: "Temperatures", title: str) -> "Figure":
-    """Temperatures of the air and of each object's materials against hours before the scene's time."""
+    """Plot temperatures of the air and of each material against hours before the scene's time."""
     from matplotlib.figure import Figure
 
     _, air, surfaces = found.means_c()
@@ -141,13 +132,14 @@ def _curves(found: "Temperatures", title: str) -> "Figure":
 
 
 def _map(kelvin: "np.ndarray", title: str) -> "Figure":
-    """Temperatures of the view's surfaces; the sky has none."""
+    """Plot the surface temperatures in the camera's view; the sky has none."""
     import numpy as np
     from matplotlib.figure import Figure
 
-    celsius = kelvin - ZERO_C
+    celsius = kelvin - 273.15
     seen = celsius[np.isfinite(celsius)]
-    low, high = np.percentile(seen, SHOWN_PERCENT) if seen.size else (0.0, 1.0)
+    # Percentiles of the map's pixels at the ends of its scale.
+    low, high = np.percentile(seen, (0.5, 99.5)) if seen.size else (0.0, 1.0)
     rows, columns = celsius.shape
     figure = Figure(figsize=(WIDTH_INCHES, WIDTH_INCHES * rows / columns * 0.87 + 0.5), layout="constrained")
     axes = figure.subplots()
@@ -163,18 +155,18 @@ def _map(kelvin: "np.ndarray", title: str) -> "Figure":
 def _save(figure: "Figure", path: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-    from labdata.atomic_write import write_atomically
+    from labdata.file_io import write_atomically
 
     FigureCanvasAgg(figure)
     content = io.BytesIO()
-    figure.savefig(content, format="png", dpi=DPI)
+    figure.savefig(content, format="png", dpi=120)
     write_atomically(path, content.getbuffer())
 
 
 def _save_map(kelvin: "np.ndarray", path: Path) -> None:
     import numpy as np
 
-    from labdata.atomic_write import write_atomically
+    from labdata.file_io import write_atomically
 
     content = io.BytesIO()
     np.savez_compressed(content, temperature_k=kelvin)

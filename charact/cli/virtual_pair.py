@@ -1,4 +1,4 @@
-"""A driver and its virtual instrument over a pseudo-terminal, as the rules of conformance try them."""
+"""A driver and its virtual instrument over a pseudo-terminal, for conformance tests."""
 
 import contextlib
 import json
@@ -17,16 +17,12 @@ from simulate.virtual_bench.models import virtual_model
 from simulate.virtual_bench.process import VirtualInstruments
 
 ADDRESS = 14
-FASTER_THAN_LIFE = 20.0
-LATE_S = 0.6
-# A fault is in force at the instrument's next look at its file.
-SEEN_S = 0.06
-_WRONGS = {
+_FAULTS = {
     "silent": Faults(silent=True),
     "mute": Faults(mute=True),
     "garbage": Faults(garbage=True),
     "half-lines": Faults(half_lines=True),
-    "late": Faults(late_s=LATE_S),
+    "late": Faults(late_s=0.6),
     "unplugged": Faults(unplugged=True),
     "trip": Faults(tripped=True),
     "power-cycle": Faults(),
@@ -35,12 +31,12 @@ _WRONGS = {
 
 
 class VirtualPair:
-    """The pair of a model's driver and its virtual instrument, running within its `with` block.
+    """Driver and virtual instrument of a model, running within a `with` block.
 
     Parameters
     ----------
     name
-        Name of the model; driver and virtual instrument have the same.
+        Name of the model.
     folder
         Folder for the virtual instrument.
     """
@@ -52,7 +48,7 @@ class VirtualPair:
         self.model: InstrumentModel = known[name]
         self._virtual, self._folder = virtual_model(name), Path(folder)
         self._instruments = VirtualInstruments(
-            self._folder, models=(name,), gate_address=ADDRESS, supply_address=ADDRESS, time_scale=FASTER_THAN_LIFE
+            self._folder, models=(name,), gate_address=ADDRESS, supply_address=ADDRESS, time_scale=20.0
         )
         self._line: InstrumentLine | None = None
         self._power_cycles, self._tripped = 0, False
@@ -68,35 +64,36 @@ class VirtualPair:
         self._instruments.stop()
 
     def driver(self) -> Any:
-        """Open the line anew and return a driver on it."""
+        """Reopen the line and return a driver on it."""
         self._close()
         self._line = self.model.open_line(self._instruments.port(self._virtual.place), ADDRESS)
         return self.model.driver(self._line)
 
     def outputs(self) -> Mapping[str, Any]:
-        """What the instrument puts out now."""
+        """Return the present outputs of the instrument."""
         found: dict[str, Any] = {}
         for path in self._folder.glob("*.output.json"):
             found |= json.loads(path.read_text())
         return found
 
     def suffer(self, wrong: str, setting: str = "") -> None:
-        """Begin one of the wrongs, all others ended; "panel" changes a setting once, at the instrument itself."""
+        """Start one fault and end all others; "panel" changes a setting at the instrument's front panel."""
         self._power_cycles += wrong == "power-cycle"
         self._tripped = wrong == "trip"
         if wrong == "panel":
             self._now(Faults(panel=self._virtual.panel[setting]))
-        self._now(_WRONGS[wrong])
+        self._now(_FAULTS[wrong])
 
     def heal(self) -> None:
-        """End what is wrong; a trip is cleared by switching the instrument off and on."""
+        """End all faults; a trip is cleared by a power cycle."""
         self._power_cycles += self._tripped
         self._now(Faults())
         self._tripped = False
 
     def _now(self, faults: Faults) -> None:
         inject_faults(self._folder, self._virtual.place, replace(faults, power_cycles=self._power_cycles))
-        time.sleep(SEEN_S)
+        # Time until a virtual instrument reads its fault file, s.
+        time.sleep(0.06)
 
     def _close(self) -> None:
         line, self._line = self._line, None

@@ -1,4 +1,4 @@
-"""The missing arc: from a session's measurements back to the sensor that made them."""
+"""Fit of a sensor description to a session's measurements."""
 
 from charact.fit.sensor import fit_sensor
 

@@ -1,31 +1,27 @@
-"""What the fit's camera model predicts for each measured quantity, for many parameter draws at once.
-
-`Values` maps a parameter's path ("tube.mtf_exponent") to its draws, shape (n,). Every function returns one number, or
-one row of numbers, for each draw. The formulas are the fit's own: see `charact.fit.transfer` and `charact.fit.video`.
-"""
+"""Quantities predicted by the camera model, for many parameter draws at once."""
 
 from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import j1, sici
 
-from charact.fit import transfer, video
+Array = NDArray[np.float64]
 
 Values = Mapping[str, NDArray[np.float64]]
-Array = NDArray[np.float64]
 
 ELEMENTARY_CHARGE_C = 1.602176634e-19
 
 
 def mtf(values: Values, across: ArrayLike, along: ArrayLike = 0.0) -> Array:
-    """Return the MTF of the whole camera, normalised to the light that entered.
+    """Return the system MTF.
 
     Parameters
     ----------
     across
         Horizontal frequencies, shape (m,), cycles per column pitch.
     along
-        Vertical frequencies, shape (m,), cycles per row pitch; a row as read sums two.
+        Vertical frequencies, shape (m,), cycles per row pitch; a field row is the sum of two sensor rows.
 
     Returns
     -------
@@ -39,38 +35,36 @@ def mtf(values: Values, across: ArrayLike, along: ArrayLike = 0.0) -> Array:
     detector = _per_mm_at_detector(values, fx, fy)
     cathode = detector / _column(values, "taper.demagnification")
     share = _column(values, "photocathode.halo_fraction")
-    halo = transfer.halo_transfer(
+    halo = halo_transfer(
         cathode, _column(values, "photocathode.gap_mm"), _column(values, "photocathode.halo_elastic_share")
     )
-    lens = transfer.lens_transfer(
-        cathode, _column(values, "optics.aberration_blur_um"), _column(values, "optics.f_number")
-    )
+    lens = lens_transfer(cathode, _column(values, "optics.aberration_blur_um"), _column(values, "optics.f_number"))
     before = lens * ((1.0 - share) + share * halo)
     return before * _tube(values, cathode, 1.0) * _coupling(values, detector) * _readout(values, fx, fy)
 
 
 def blur_factor(values: Values, gain_dn_per_pe: Array) -> Array:
-    """Return variance over covariance sum of the noise of a field, shape (n,), dimensionless; see `noise_shape`."""
+    """Return the blur factor of a field's noise, shape (n,), dimensionless; see `noise_shape`."""
     return noise_shape(values, gain_dn_per_pe)[0]
 
 
 def noise_shape(values: Values, gain_dn_per_pe: Array) -> tuple[Array, Array]:
-    """Return blur factor and correlation of neighbours in a row of the noise of a field, shape (n,), dimensionless.
+    """Return blur factor and horizontal neighbour correlation of a field's noise, shape (n,), dimensionless.
 
     Notes
     -----
-    A photoelectron's light spreads with the transfer H of all that follows the gain. Poisson events anywhere on the
-    cathode have, x pixels apart, the covariance (rate) integral of |H|^2 cos(2 pi fx x) over the frequency plane in
-    cycles per field pixel, and the covariance sum (rate) |H(0)|^2 = (rate), since the pixels tile the plane. Electrons
-    counted in the detector are white before the video filter: its own weights correlate them. The two go together as
-    k F^2 and K.
+    A photoelectron's light spreads with the transfer H of all stages after the gain. Poisson events on the photocathode
+    have, x pixels apart, the covariance (rate) integral of |H|^2 cos(2 pi fx x) over the frequency plane in cycles per
+    field pixel, and the covariance sum (rate) |H(0)|^2 = (rate), since the pixels tile the plane. Electrons counted in
+    the detector are white before the video filter, which correlates them by its weights. The two contributions have the
+    ratio k F^2 to K.
     """
     weights = _video_weights(values)
-    across = transfer.aperture_transfer(_ACROSS) * video.video_filter_transfer(weights, _ACROSS)
+    across = aperture_transfer(_ACROSS) * video_filter_transfer(weights, _ACROSS)
     detector = _per_mm_at_detector(values, *(plane.ravel() for plane in np.meshgrid(_ACROSS, _ALONG / 2.0)))
     cathode = detector / _column(values, "taper.demagnification")
     after = _tube(values, cathode, _column(values, "tube.post_gain_share")) * _coupling(values, detector)
-    down = transfer.aperture_transfer(_ALONG) ** 2 * _ALONG_WEIGHT
+    down = aperture_transfer(_ALONG) ** 2 * _ALONG_WEIGHT
     columns = down @ after.reshape(-1, _ALONG.size, _ACROSS.size) ** 2
     power = 4.0 * columns * across**2 * _ACROSS_WEIGHT
     electron = values["video.conversion_gain_dn_per_e"]
@@ -92,13 +86,13 @@ def excess_noise_factor(values: Values) -> Array:
 
 
 def photoelectron_gain(values: Values, mcp_v: ArrayLike, reference_v: float) -> Array:
-    """Return k, the mean signal of one photoelectron (the undetected counted), shape (n,), DN.
+    """Return k, the mean signal per photoelectron, undetected ones included, shape (n,), DN.
 
     Notes
     -----
-    A tube of luminous gain G sends G/(efficacy x photon energy) photons for each lumen on the cathode, which releases
-    S/e electrons; the taper passes T of the photons, the detector turns QE of them into electrons of K DN each. The
-    gain follows the plate's voltage as (V/V0)^m.
+    A tube of luminous gain G emits G/(efficacy x photon energy) photons per lumen on the photocathode, which releases
+    S/e electrons; the taper transmits T of the photons, the detector converts QE of them to electrons of K DN each. The
+    gain depends on the MCP voltage as (V/V0)^m.
     """
     electrons = values["taper.transmission"] * values["ccd.quantum_efficiency"]
     return _photons_per_pe(values, mcp_v, reference_v) * electrons * values["video.conversion_gain_dn_per_e"]
@@ -123,11 +117,11 @@ def background_rate(values: Values) -> Array:
 def mcp_load(
     values: Values, illuminance_lux: ArrayLike, gate_s: ArrayLike, mcp_v: ArrayLike, reference_v: float
 ) -> Array:
-    """Return the plate's mean output current over the one at which its gain has halved, shape (n,).
+    """Return the mean MCP output current over the current at half gain, shape (n,).
 
     Notes
     -----
-    G_loaded = G/(1 + load), load = j/(a j_strip), j = E S G gate/field over the whole plate.
+    G_loaded = G/(1 + load), load = j/(a j_strip), j = E S G gate/field averaged over the MCP.
     """
     per_pe = _photons_per_pe(values, mcp_v, reference_v) / values["phosphor.photons_per_electron"]
     cathode_a_per_cm2 = np.asarray(illuminance_lux) * 1e-4 * _electrons_per_lumen(values) * ELEMENTARY_CHARGE_C
@@ -137,13 +131,13 @@ def mcp_load(
 
 
 def dark_variance(values: Values, gain_dn_per_pe: Array, blur: Array, gate_s: float) -> Array:
-    """Return the temporal variance of a dark frame: reading, rounding and what scintillates, shape (n,), DN^2.
+    """Return the temporal variance of a dark frame, shape (n,), DN^2.
 
     Notes
     -----
-    K^2 (r^2 + d) sum w^2 + k^2 F^2 B n sum l^2 + 1/12: reading noise r and dark charge d pass the video filter w; the n
-    photoelectrons of the EBI are blurred (B, `blur`), and only the share sum l^2 of their noise is left where the
-    screen glows over several fields.
+    K^2 (r^2 + d) sum w^2 + k^2 F^2 B n sum l^2 + 1/12: read noise r and dark charge d pass the video filter w; the n
+    photoelectrons of the EBI are blurred (B, `blur`), and phosphor decay over several fields reduces their noise to the
+    fraction sum l^2.
     """
     filtered = np.sum(_video_weights(values) ** 2, axis=1)
     dark_e = 2.0 * values["ccd.dark_current_e_per_s"] / values["video.field_rate_hz"]
@@ -166,12 +160,12 @@ def ion_variance(values: Values, gain_dn_per_pe: Array, blur: Array, gate_s: flo
 
 
 def lag_noise_fraction(values: Values, gate_s: float) -> Array:
-    """Return the share of a field's scintillation variance left by a screen that glows on, shape (n,).
+    """Return the fraction of a field's scintillation variance that remains with phosphor decay, shape (n,).
 
     Notes
     -----
-    Mean over the arrival of a pulse, anywhere in the gate at the start of a field, of sum_j l_j^2; l_j is the share of
-    its light that comes out in the j-th field after it, of two exponential components.
+    Mean of sum_j l_j^2 over the arrival of a pulse within the gate at the start of a field; l_j is the fraction of its
+    light in the j-th field after it, of two exponential components.
     """
     field_s = 1.0 / values["video.field_rate_hz"][:, None, None]
     fast = values["phosphor.fast_fraction"]
@@ -189,7 +183,7 @@ def lag_noise_fraction(values: Values, gate_s: float) -> Array:
 
 
 def halo_diameter_px(values: Values) -> Array:
-    """Return the halo's diameter before any blur, four gaps seen through the taper, column pitches, shape (n,)."""
+    """Return the halo diameter before blur, four gaps, column pitches, shape (n,)."""
     pitch_mm = values["ccd.pitch_x_um"] * 1e-3 * values["taper.demagnification"]
     return 4.0 * values["photocathode.gap_mm"] / pitch_mm
 
@@ -205,25 +199,25 @@ def _per_mm_at_detector(values: Values, fx: Array, fy: Array) -> Array:
 
 
 def _tube(values: Values, cathode: Array, share: Array | float) -> Array:
-    return transfer.tube_transfer(
+    return tube_transfer(
         cathode, _column(values, "tube.mtf_frequency_lp_per_mm"), _column(values, "tube.mtf_exponent"), share
     )
 
 
 def _coupling(values: Values, detector: Array) -> Array:
-    return transfer.fibre_transfer(
+    return fibre_transfer(
         detector, _column(values, "taper.fibre_pitch_um"), _column(values, "taper.interface_mtf_lp_per_mm")
     )
 
 
 def _readout(values: Values, fx: Array, fy: Array) -> Array:
-    pixel = transfer.aperture_transfer(fx) * transfer.aperture_transfer(2.0 * fy)
-    return pixel * video.video_filter_transfer(_video_weights(values), fx)
+    pixel = aperture_transfer(fx) * aperture_transfer(2.0 * fy)
+    return pixel * video_filter_transfer(_video_weights(values), fx)
 
 
 def _video_weights(values: Values) -> Array:
     clock_mhz, order = float(values["video.pixel_clock_mhz"][0]), int(values["video.filter_order"][0])
-    return video.video_filter_weights(values["video.bandwidth_mhz"], clock_mhz, order)
+    return video_filter_weights(values["video.bandwidth_mhz"], clock_mhz, order)
 
 
 def _photons_per_pe(values: Values, mcp_v: ArrayLike, reference_v: float) -> Array:
@@ -252,6 +246,93 @@ def _nodes(edges: tuple[float, ...], counts: tuple[int, ...]) -> tuple[Array, Ar
     return np.concatenate(points), np.concatenate(weights)
 
 
-# Nodes of a quadrant of the frequency plane, cycles per field pixel, as far as fibres and their gaps let anything pass.
+# Nodes of a quadrant of the frequency plane, cycles per field pixel, up to the limit of fibres and gaps.
 _ACROSS, _ACROSS_WEIGHT = _nodes((0.0, 0.2, 0.8, 2.5), (5, 7, 10))
 _ALONG, _ALONG_WEIGHT = _nodes((0.0, 0.2, 1.0, 2.0, 5.0), (5, 6, 6, 8))
+
+
+def lens_transfer(frequency_per_mm: Array, blur_um: Array, f_number: Array) -> Array:
+    """Return diffraction times exp(-2 (pi f s)^2), a lens with Gaussian aberration blur of width s.
+
+    Notes
+    -----
+    Diffraction of a circular pupil, (2/pi)(acos x - x sqrt(1 - x^2)) with x = f wavelength N, falls as 1 - 4x/pi: by 3
+    % for a fast lens at the central wavelength of the photocathode.
+    """
+    x = np.minimum(frequency_per_mm * 0.7e-3 * f_number, 1.0)
+    diffraction = (2.0 / np.pi) * (np.arccos(x) - x * np.sqrt(1.0 - x**2))
+    return diffraction * np.exp(-2.0 * (np.pi * frequency_per_mm * blur_um * 1e-3) ** 2)
+
+
+def tube_transfer(frequency_per_mm: Array, cut_off_per_mm: Array, exponent: Array, share: Array | float = 1.0) -> Array:
+    """Return exp(-share (f/fc)^n), the part `share` of an image tube's transfer (Johnson's form)."""
+    logarithm = exponent * np.log(np.maximum(frequency_per_mm / cut_off_per_mm, 1e-9))
+    return np.exp(-share * np.exp(np.minimum(logarithm, 700.0)))
+
+
+def halo_transfer(frequency_per_mm: Array, gap_mm: Array, elastic_share: Array) -> Array:
+    """Return the transfer of the halo of back-scattered photoelectrons.
+
+    Notes
+    -----
+    An electron re-emitted at the angle t with the fraction e of its energy lands at r = 2 e d sin 2t. Emission by the
+    cosine law makes sin^2 t uniform, so that x = r/(2 e d) has the density x/sqrt(1 - x^2) and the Hankel transform
+    sin(u)/u with u = 2 pi f 2 d e. Elastic electrons have e = 1; uniformly distributed energies give the mean over e in
+    0..1, Si(u)/u.
+    """
+    argument = 4.0 * np.pi * np.asarray(frequency_per_mm * gap_mm, float)
+    safe = np.maximum(argument, 1e-6)
+    return elastic_share * np.sinc(argument / np.pi) + (1.0 - elastic_share) * sici(safe)[0] / safe
+
+
+def fibre_transfer(frequency_per_mm: Array, pitch_um: Array, interface_per_mm: Array) -> Array:
+    """Return |2 J1(pi p f)/(pi p f)| exp(-(f/f0)^2), a fibre taper with its interfaces; f at the detector."""
+    argument = np.maximum(np.pi * np.asarray(frequency_per_mm * pitch_um, float) * 1e-3, 1e-9)
+    return np.abs(2.0 * j1(argument) / argument) * np.exp(-((frequency_per_mm / interface_per_mm) ** 2))
+
+
+def aperture_transfer(frequency_cy_per_width: Array) -> Array:
+    """Return |sinc f|, an aperture of uniform sensitivity; f in cycles per its width."""
+    return np.abs(np.sinc(frequency_cy_per_width))
+
+
+# Weights beyond this many pixels are below 1e-6 for any bandwidth suitable for the pixel clock.
+LENGTH_PX = 14
+
+
+def video_filter_weights(bandwidth_mhz: Array, clock_mhz: float, order: int, phase: float = 1.0) -> Array:
+    """Return the weights of earlier pixels in one pixel, shape (n, LENGTH_PX), with sum 1.
+
+    Parameters
+    ----------
+    bandwidth_mhz
+        Frequency of 3 dB loss, shape (n,), MHz.
+    clock_mhz
+        Pixel clock, MHz.
+    order
+        Order of the Butterworth filter.
+    phase
+        Sampling time within the pixel clock, 0 (start) to 1 (end).
+
+    Notes
+    -----
+    Poles p_k = w exp(i pi (2k + order + 1)/(2 order)); step response 1 + sum_k r_k exp(p_k t)/p_k with the residues r_k
+    = w^order / prod_{j != k} (p_k - p_j). A step that begins j clocks before the sampled pixel has risen to s(j +
+    phase) and, with its successor, contributes s(j + phase) - s(j + phase - 1).
+    """
+    angle = np.pi * (2.0 * np.arange(order) + order + 1) / (2.0 * order)
+    unit = np.exp(1j * angle)
+    others = np.where(np.eye(order, dtype=bool), 1.0, unit[:, None] - unit[None, :])
+    residue_over_pole = 1.0 / (others.prod(axis=1) * unit)
+    omega = 2.0 * np.pi * np.asarray(bandwidth_mhz, float) / clock_mhz
+    time = np.arange(LENGTH_PX) + phase
+    rise = np.exp(unit[None, :, None] * omega[:, None, None] * time[None, None, :])
+    step = 1.0 + np.einsum("k,nkt->nt", residue_over_pole, rise).real
+    found = np.diff(step, axis=1, prepend=0.0)
+    return found / found.sum(axis=1, keepdims=True)
+
+
+def video_filter_transfer(weight: Array, frequency_cy_per_px: Array) -> Array:
+    """Return |sum_j w_j exp(-2 pi i f j)| of weights (n, pixel) at frequencies (m,), shape (n, m)."""
+    turns = np.exp(-2j * np.pi * np.outer(np.arange(weight.shape[1]), frequency_cy_per_px))
+    return np.abs(weight @ turns)

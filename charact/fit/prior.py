@@ -1,17 +1,18 @@
-"""What is believed of a sensor before its frames are looked at: the ranges of its description."""
+"""Priors of sensor parameters from a description's ranges, and of their degenerate products."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.fit.predicted_quantities import Values
-from labdata.parameter import Parameter
+from charact.fit.predicted_quantities import Values, excess_noise_factor
+from labdata.camera_description import Parameter
 from labdata.sensor import Sensor
 
 Array = NDArray[np.float64]
 
-# Shares and probabilities end at 1.
+# Fractions and probabilities with the upper bound 1.
 _AT_MOST_ONE = (
     "photocathode.halo_fraction",
     "photocathode.halo_elastic_share",
@@ -21,7 +22,7 @@ _AT_MOST_ONE = (
     "ccd.quantum_efficiency",
 )
 
-# Factors of products and powers: drawn as logarithms, so that a product that the data know is a straight ridge.
+# Factors of products and powers: drawn as logarithms, in which a constrained product is a straight ridge.
 _FACTORS = (
     "photocathode.luminous_sensitivity_ua_per_lm",
     "photocathode.ebi_lm_per_cm2",
@@ -37,7 +38,7 @@ _FACTORS = (
     "ccd.read_noise_e",
 )
 
-# What bends the response as 1 + c / parameter: drawn as -1/parameter, in which the bend is straight.
+# Parameters that enter as 1 + c / parameter: drawn as -1/parameter, in which the dependence is linear.
 _LIMITS = ("microchannel_plate.strip_current_ua_per_cm2",)
 
 # Half of a Gaussian's 95 % interval in standard deviations.
@@ -46,18 +47,18 @@ HALF_WIDTH95_SD = 1.959964
 
 @dataclass(frozen=True, kw_only=True)
 class SensorPrior:
-    """Independent priors: halves of two Gaussians that meet at the value, so that low..high hold 95 %.
+    """Independent priors: two half-Gaussians that meet at the value, so that low..high contain 95 %.
 
     Parameters
     ----------
     names
-        Paths of the parameters asked.
+        Paths of the parameters.
     power
-        What a parameter's coordinate is, shape (parameter,): 1 the parameter, 0 its logarithm, -1 its negative inverse.
+        Coordinate of a parameter, shape (parameter,): 1 the parameter, 0 its logarithm, -1 its negative inverse.
     centre, sd_below, sd_above
         Coordinate of the value and the two widths, shape (parameter,).
     bounds
-        Of the coordinates, where a number loses its meaning, shape (parameter, 2).
+        Bounds of the coordinates, shape (parameter, 2).
     """
 
     names: tuple[str, ...]
@@ -69,17 +70,17 @@ class SensorPrior:
 
     @property
     def sd(self) -> Array:
-        """Standard deviation of each coordinate's prior before the cut, shape (parameter,).
+        """Standard deviation of each coordinate's prior before truncation, shape (parameter,).
 
         Notes
         -----
-        Halves of the widths a and b with a common height have the variance (1 - 2/pi)(b - a)^2 + a b.
+        Half-Gaussians of the widths a and b with equal height have the variance (1 - 2/pi)(b - a)^2 + a b.
         """
         below, above = self.sd_below, self.sd_above
         return np.sqrt((1.0 - 2.0 / np.pi) * (above - below) ** 2 + below * above)
 
     def log_density(self, coordinates: Array) -> Array:
-        """Return the logarithm of the prior, not normalised, of coordinates (n, parameter): -inf outside bounds."""
+        """Return the log-prior, not normalised, of coordinates (n, parameter): -inf outside bounds."""
         away = coordinates - self.centre
         z = away / np.where(away < 0, self.sd_below, self.sd_above)
         inside = np.all((coordinates >= self.bounds[:, 0]) & (coordinates <= self.bounds[:, 1]), axis=1)
@@ -105,18 +106,18 @@ class SensorPrior:
         return np.where(logarithmic, exponential, np.where(inverse, turned, coordinates))
 
 
-def prior_of(sensor: Sensor, asked: tuple[str, ...]) -> SensorPrior:
-    """Return the prior of the asked parameters that a sensor's ranges state; an exact one is not asked.
+def prior_of(sensor: Sensor, requested: tuple[str, ...]) -> SensorPrior:
+    """Return the prior of the requested parameters that have a range.
 
     Parameters
     ----------
     sensor
-        The description whose low..high hold each parameter with 95 % probability.
-    asked
-        Paths of the parameters that the session's data speak of.
+        Sensor description whose low..high contain each parameter with 95 % probability.
+    requested
+        Paths of the parameters on which the session's data depend.
     """
     known = sensor.parameters()
-    rows = [(path, *_row(path, known[path])) for path in asked if _has_range(known[path])]
+    rows = [(path, *_row(path, known[path])) for path in requested if _has_range(known[path])]
     numbers = np.array([row[1:] for row in rows], float).reshape(-1, 6)
     return SensorPrior(
         names=tuple(row[0] for row in rows),
@@ -129,7 +130,7 @@ def prior_of(sensor: Sensor, asked: tuple[str, ...]) -> SensorPrior:
 
 
 def values_of_description(sensor: Sensor) -> Values:
-    """Return every parameter's own value, shape (1,)."""
+    """Return the description's value of every parameter, shape (1,)."""
     values = {path: np.array([float(parameter)]) for path, parameter in sensor.parameters().items()}
     order = sensor.video.filter_order
     return values if order is None else {**values, "video.filter_order": np.array([float(order)])}
@@ -142,7 +143,7 @@ def _has_range(parameter: Parameter) -> bool:
 def _row(path: str, parameter: Parameter) -> tuple[int, float, float, float, float, float]:
     """Return the power of the coordinate, its centre, its two widths and its bounds.
 
-    A value on an end of its own range takes a little of the other side.
+    A value at an end of its range extends a little beyond.
     """
     low, value, high = float(parameter.low or 0.0), float(parameter.value), float(parameter.high or 0.0)
     floor, ceiling = 0.0 if low == 0 else 0.02 * value, 1.0 if path in _AT_MOST_ONE else np.inf
@@ -153,3 +154,110 @@ def _row(path: str, parameter: Parameter) -> tuple[int, float, float, float, flo
     least = 0.1 * (high - low) / HALF_WIDTH95_SD
     below, above = max((value - low) / HALF_WIDTH95_SD, least), max((high - value) / HALF_WIDTH95_SD, least)
     return power, value, below, above, floor, ceiling
+
+
+PRIOR_DRAWS = 4000
+CANDIDATES = 200
+
+
+@dataclass(frozen=True, kw_only=True)
+class Product:
+    """Product of parameters that the data determine.
+
+    Parameters
+    ----------
+    carrier
+        Path of the parameter that is drawn as the product.
+    partners
+        Paths of the other factors.
+    factor
+        Factor of the partners, from their values, shape (n,).
+    """
+
+    carrier: str
+    partners: tuple[str, ...]
+    factor: Callable[[Values], Array]
+
+
+PRODUCTS = (
+    Product(
+        carrier="tube.luminous_gain",
+        partners=("taper.transmission", "ccd.quantum_efficiency", "video.conversion_gain_dn_per_e"),
+        factor=lambda values: (
+            values["taper.transmission"] * values["ccd.quantum_efficiency"] * values["video.conversion_gain_dn_per_e"]
+        ),
+    ),
+    Product(
+        carrier="photocathode.luminous_sensitivity_ua_per_lm",
+        partners=("microchannel_plate.detection_probability", "microchannel_plate.pulse_height_shape"),
+        factor=lambda values: 1.0 / excess_noise_factor(values),
+    ),
+)
+
+
+def products_of(sensor: Sensor, requested: tuple[str, ...]) -> tuple[Product, ...]:
+    """Return the products whose carrier and partners are all requested and have ranges."""
+    known = sensor.parameters()
+    return tuple(
+        product
+        for product in PRODUCTS
+        if {product.carrier, *product.partners} <= set(requested)
+        and all(known[path].low is not None for path in (product.carrier, *product.partners))
+    )
+
+
+def widen_to_products(sensor: Sensor, products: tuple[Product, ...]) -> Sensor:
+    """Return the description in which every carrier has the range of its product."""
+    return sensor.with_parameters({product.carrier: _whole(sensor, product) for product in products})
+
+
+def distribute_product(sensor: Sensor, product: Product, carried: Array, rng: np.random.Generator) -> dict[str, Array]:
+    """Distribute drawn products over carrier and partners, shape (draw,) each.
+
+    For each product one of many prior draws of the partners is selected, with the probability of the remaining carrier
+    value under its prior.
+    """
+    partners, prior = _partners(sensor, product, rng, CANDIDATES * 20)
+    relative = _relative(sensor, product, partners)
+    own = prior_of(sensor, (product.carrier,))
+    pick = np.empty(len(carried), int)
+    for index, whole in enumerate(carried):
+        tried = rng.integers(len(relative), size=CANDIDATES)
+        left = (whole / relative[tried])[:, None]
+        weight = own.log_density(np.log(left) if own.power[0] == 0 else left)
+        weight = np.exp(weight - weight.max())
+        pick[index] = tried[rng.choice(CANDIDATES, p=weight / weight.sum())]
+    return {product.carrier: carried / relative[pick], **{path: partners[path][pick] for path in prior.names}}
+
+
+def _whole(sensor: Sensor, product: Product) -> Parameter:
+    """Return the carrier with the 95 % range of its product, with the partners' values as unity."""
+    rng = np.random.default_rng(0)
+    partners, _ = _partners(sensor, product, rng, PRIOR_DRAWS)
+    carrier = prior_of(sensor, (product.carrier,))
+    own = carrier.parameters(carrier.draw(rng, PRIOR_DRAWS))[:, 0]
+    low, high = np.quantile(own * _relative(sensor, product, partners), (0.025, 0.975))
+    before = sensor.parameters()[product.carrier]
+    return Parameter(
+        value=before.value,
+        low=min(float(low), before.value),
+        high=max(float(high), before.value),
+        standing=before.standing,
+        source=before.source,
+    )
+
+
+def _partners(
+    sensor: Sensor, product: Product, rng: np.random.Generator, count: int
+) -> tuple[dict[str, Array], SensorPrior]:
+    """Return prior draws of the partners by path."""
+    prior = prior_of(sensor, product.partners)
+    drawn = prior.parameters(prior.draw(rng, count))
+    return dict(zip(prior.names, drawn.T, strict=True)), prior
+
+
+def _relative(sensor: Sensor, product: Product, partners: dict[str, Array]) -> Array:
+    """Return the partners' factor over that of their values."""
+    known = sensor.parameters()
+    values = {path: np.array([float(known[path])]) for path in product.partners}
+    return product.factor({**values, **partners}) / product.factor(values)

@@ -1,1 +1,1 @@
-"""The bench room: what a person at the bench looks at while frames come in. It reads cameras, never moves the tube."""
+"""Live view and quick results during an acquisition; read-only, no tube or camera setting is changed."""

@@ -1,10 +1,11 @@
-"""Where the bench's frames come from: a camera that is only read, or a session that grows while a plan runs."""
+"""Frame sources of the live view: a camera, or a session during its acquisition."""
 
 import re
 import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -13,24 +14,31 @@ from charact.method import Context
 from drivers.interface import Camera
 from labdata.capture import CameraSettings, Frame
 from labdata.conditions import Conditions
+from labdata.errors import BadInput
+from labdata.file_records import SessionFile, StackRecord, conditions_of
+from labdata.sensor import Sensor
+from labdata.sensors import load_camera
+from labdata.serialiser import from_toml
+from labdata.session import MANIFEST
+from labdata.store import Acknowledged, ArrayFollower, is_ours
 
 ENDLESS = 2**40  # frames; at a thousand a second, 35 years
 
 
 @dataclass(frozen=True, kw_only=True)
 class SourceFrame:
-    """A frame with what is known of it.
+    """A frame with its metadata.
 
     Parameters
     ----------
     frame
         The frame.
     of
-        What it is of: the camera, or the stack of a session.
+        Origin: the camera, or the stack of a session.
     full_scale_dn
-        Highest code of the digitiser, DN.
+        Full scale, DN.
     lost_frames
-        Frames numbered by the camera and not whole since the capture or the stack began.
+        Frames lost since the start of the capture or stack.
     conditions
         Conditions as read back.
     """
@@ -42,48 +50,46 @@ class SourceFrame:
     conditions: Conditions = field(default_factory=Conditions)
 
 
-def highest_code(dtype: np.dtype, pixel_format: str | None = None) -> float:
-    """Return the highest code of a pixel: of the depth that the format names ("Mono12"), else of the type."""
+def full_scale_of(dtype: np.dtype, pixel_format: str | None = None) -> float:
+    """Return the full scale of a pixel format ("Mono12"), else of the data type, DN."""
     named = re.search(r"\d+", pixel_format or "")
     own_bits = 8 * dtype.itemsize
     return float(2 ** min(int(named.group()) if named else own_bits, own_bits) - 1)
 
 
 class FrameSource(Protocol):
-    """Frames as they come."""
+    """Source of frames."""
 
     @property
     def name(self) -> str:
-        """What a person calls it."""
+        """Display name."""
         ...
 
     @property
     def context(self) -> Context:
-        """What is known of the camera: its fields and pitches."""
+        """Context of the camera."""
         ...
 
     def __iter__(self) -> Iterator[SourceFrame | None]:
-        """Frames as they come; None now and then while none comes."""
+        """Yield frames as they arrive, and None at intervals without frames."""
         ...
 
 
 class CameraSource:
-    """A camera as it is set, exposing without end.
-
-    Nothing is set: exposure and gain stay as they are, and no instrument of the tube is within reach.
+    """Endless capture of a camera with its present settings.
 
     Parameters
     ----------
     camera
-        The camera, not yet open.
+        The camera, not opened.
     name
-        What a person calls it.
+        Display name.
     context
-        What is known of it; a full scale in it goes before that of the camera's pixel format.
+        Context of the camera; its full scale overrides that of the pixel format.
     most_hz
-        Pace of a camera without a clock of its own, frames/s; None: the camera paces itself.
+        Frame rate limit of a camera without clock, Hz; None: no limit.
     frames_each
-        Frames of one capture, after which the next begins; fewer where a recording has no more.
+        Frames of one capture.
     """
 
     def __init__(
@@ -110,7 +116,7 @@ class CameraSource:
         with camera.capture(frames=self._frames_each) as capture:
             due_s = time.monotonic()
             for frame in capture:
-                own_scale_dn = highest_code(frame.pixels.dtype, settings.pixel_format)
+                own_scale_dn = full_scale_of(frame.pixels.dtype, settings.pixel_format)
                 yield SourceFrame(
                     frame=frame,
                     of=camera.identifier,
@@ -120,3 +126,94 @@ class CameraSource:
                 )
                 due_s = max(due_s + self._period_s, time.monotonic())
                 time.sleep(max(due_s - time.monotonic(), 0.0) if self._period_s else 0.0)
+
+
+FIRST_SHOWN = 4  # sufficient for noise and focus of an existing stack
+
+
+class SessionSource:
+    """Newest frames of a session during its acquisition, read from disk; intermediate frames are skipped.
+
+    Parameters
+    ----------
+    folder
+        Folder of the session.
+    look_s
+        Interval between two reads of the journal, s.
+
+    Raises
+    ------
+    BadInput
+        If there is no session.
+    """
+
+    def __init__(self, folder: str | Path, *, look_s: float = 0.04) -> None:
+        self.folder, self._look_s = Path(folder), look_s
+        if not (self.folder / MANIFEST).is_file():
+            raise BadInput(f"a session must be a folder with a {MANIFEST}, got {folder}")
+        self.name = f"session {self.folder.name}"
+        self._form, self._written_ns = self._read()
+        camera = None if self._form.sensor is None else load_camera(self._form.sensor, relative_to=self.folder)
+        self._bit_depth = self._form.bit_depth
+        self.context = Context(
+            quick=True,
+            sensor=camera if isinstance(camera, Sensor) else None,
+            interlaced=bool(self._form.interlaced),
+            full_scale_dn=None if self._bit_depth is None else float(2**self._bit_depth - 1),
+        )
+
+    def __iter__(self) -> Iterator[SourceFrame | None]:
+        stack: _Stack | None = None
+        while True:
+            newest = self._newest()
+            if newest is not None and (stack is None or stack.form.label != newest.label):
+                stack = _Stack(newest, self.folder / _array_of(newest), self.context)
+            for seen in (stack.newest() if stack else ()) or (None,):
+                yield seen
+                time.sleep(self._look_s)
+
+    def _newest(self) -> StackRecord | None:
+        """Return the stack being acquired, else the last one."""
+        if (self.folder / MANIFEST).stat().st_mtime_ns != self._written_ns:
+            self._form, self._written_ns = self._read()
+        unfinished = [stack for stack in self._form.stack if stack.finished is False]
+        return (unfinished or [*self._form.stack] or [None])[-1]
+
+    def _read(self) -> tuple[SessionFile, int]:
+        written_ns = (self.folder / MANIFEST).stat().st_mtime_ns
+        return from_toml(self.folder / MANIFEST, SessionFile), written_ns
+
+
+class _Stack:
+    """A stack during its acquisition."""
+
+    def __init__(self, form: StackRecord, path: Path, context: Context) -> None:
+        if not is_ours(path):
+            raise BadInput(f"the session must be acquired by charact acquire, got {path}")
+        self.form, self._full_scale_dn = form, context.full_scale_dn
+        self._following = ArrayFollower(path)
+        self._first_number: int | None = None
+
+    def newest(self) -> tuple[SourceFrame, ...]:
+        """Return the newest frame since the last read, at the first read up to `FIRST_SHOWN` frames."""
+        news = self._following.news()
+        shown = news[-1:]
+        if news and self._first_number is None:
+            self._first_number, shown = news[0].frame_number, news[-FIRST_SHOWN:]
+        return tuple(self._source_frame(entry) for entry in shown)
+
+    def _source_frame(self, entry: Acknowledged) -> SourceFrame:
+        frame = self._following.frame(entry)
+        return SourceFrame(
+            frame=frame,
+            of=f"stack {self.form.label}",
+            full_scale_dn=self._full_scale_dn or full_scale_of(frame.pixels.dtype),
+            lost_frames=frame.number - (self._first_number or 0) - entry.index,
+            conditions=conditions_of(self.form),
+        )
+
+
+def _array_of(stack: StackRecord) -> str:
+    if not isinstance(stack.frames, str):
+        raise BadInput(f"the session must be acquired by charact acquire, got {len(stack.frames)} files")
+    return stack.frames

@@ -1,22 +1,20 @@
-"""Meters of one frame: mean, saturated pixels, temporal noise and histogram, no pixel left out."""
+"""Statistics of one frame: mean, saturated pixels, temporal noise and histogram."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.region import Region
+from charact.mtf.mean_frame import Region
 from labdata.errors import BadInput
 from labdata.frames import read_only
 
 BINS = 256
-# Tiles wider than any blur, so that their means scatter independently; smaller ones in a small region.
-TILE_PX, LEAST_TILE_PX, LEAST_TILES = 32, 8, 16
 
 
 @dataclass(frozen=True, kw_only=True)
 class FrameStatistics:
-    """What one frame, and its difference to the one before, tell.
+    """Statistics of one frame and of its difference to the previous one.
 
     Parameters
     ----------
@@ -27,11 +25,11 @@ class FrameStatistics:
     pixels
         Pixels of the whole frame.
     saturated_px
-        Pixels of the whole frame at or above full scale, each one counted.
+        Pixels of the whole frame at or above full scale.
     noise_dn, noise_se_dn
-        Temporal noise of a pixel over the region and its standard error, DN; None without a frame before.
+        Temporal noise over the region and its standard error, DN; None without a previous frame.
     histogram
-        Pixels of the whole frame by code, shape (bin,). Codes above full scale are in the last bin.
+        Pixels of the whole frame by grey value, shape (bin,); values above full scale are in the last bin.
     bin_dn
         Width of a bin, DN.
     """
@@ -52,26 +50,28 @@ class FrameStatistics:
 def measure_frame(
     frame: NDArray, before: NDArray | None = None, *, full_scale_dn: float, region: Region | None = None
 ) -> FrameStatistics:
-    """Read the meters of a frame.
+    """Measure the statistics of a frame.
 
     Parameters
     ----------
     frame
-        Pixels, shape (row, col), DN, whole numbers.
+        Pixels, shape (row, col), DN, unsigned integers.
     before
-        The frame before it, of the same shape; None where there is none.
+        The previous frame, of the same shape, or None.
     full_scale_dn
-        Highest code of the digitiser, DN.
+        Full scale, DN.
     region
-        ROW, COL, HEIGHT, WIDTH over which mean and noise are taken; None: the whole frame.
+        Region ROW, COL, HEIGHT, WIDTH of mean and noise; None: the whole frame.
 
     Raises
     ------
     BadInput
-        If the pixels are not whole numbers, the frames differ in shape, or the region leaves them.
+        If the pixels are not unsigned integers, the frames differ in shape, or the region exceeds them.
     """
     if frame.ndim != 2 or frame.dtype.kind != "u":
-        raise BadInput(f"meters need a frame (row, col) of unsigned codes, got {frame.ndim} axes of {frame.dtype}")
+        raise BadInput(
+            f"frame statistics need a frame (row, col) of unsigned integers, got {frame.ndim} axes of {frame.dtype}"
+        )
     if before is not None and before.shape != frame.shape:
         raise BadInput(f"two frames must have one shape to be compared, got {before.shape} and {frame.shape}")
     inside = _inside(frame, region)
@@ -90,36 +90,37 @@ def measure_frame(
 
 
 def temporal_noise(frame: NDArray, before: NDArray) -> tuple[float, float | None]:
-    """Return the temporal noise of a pixel, root mean square over the pixels, and its standard error, DN.
+    """Return the temporal noise, root mean square over the pixels, and its standard error, DN.
 
     Parameters
     ----------
     frame, before
-        Two frames of one scene, shape (row, col), DN.
+        Two frames of the same scene, shape (row, col), DN.
 
     Notes
     -----
-    Half the variance of the difference, which removes the scene, the fixed pattern and a light that flickers evenly. A
-    phosphor that glows on makes frames alike and the noise too small. The standard error is from the scatter between
-    neighbouring tiles, half the mean square of successive differences (J. von Neumann, Ann. Math. Statist. 12 (1941)
-    367), so that noise correlated between pixels, or of another level in another part, does not make it too small.
+    Half the variance of the difference, which removes the scene, the fixed pattern and uniform flicker. Image lag
+    biases it low. The standard error is from the scatter between neighbouring tiles, half the mean square of
+    successive differences (J. von Neumann, Ann. Math. Statist. 12 (1941) 367); it accounts for correlated and for
+    non-uniform noise.
     """
     difference = frame.astype(np.float32) - before
     difference -= difference.mean()
     square = np.square(difference, out=difference)
     noise = float(np.sqrt(0.5 * square.mean(dtype=np.float64)))
     tiles = _tiles(square)
-    if tiles.size < LEAST_TILES or min(tiles.shape) < 2 or noise == 0.0:
+    if tiles.size < 16 or min(tiles.shape) < 2 or noise == 0.0:
         return noise, None
-    # Across an edge neighbours differ by more than chance, along it they do not.
+    # The axis with the smaller scatter: across an edge the tiles differ by more than noise.
     scatter = min(np.mean(np.diff(tiles, axis=axis) ** 2) for axis in (0, 1))
     error_of_mean_square = np.sqrt(0.5 * scatter / tiles.size)
     return noise, float(0.25 * error_of_mean_square / noise)
 
 
 def _tiles(values: NDArray) -> NDArray[np.float64]:
-    """Return the means of square tiles, shape (tile row, tile col); what does not fill a tile is left out."""
-    side = int(np.clip(min(values.shape) // 8, LEAST_TILE_PX, TILE_PX))
+    """Return the means of square tiles, shape (tile row, tile col); incomplete tiles are dropped."""
+    # Wider than the blur, so that the means are independent; smaller in a small region.
+    side = int(np.clip(min(values.shape) // 8, 8, 32))
     rows, cols = (length // side for length in values.shape)
     whole = values[: rows * side, : cols * side]
     return whole.reshape(rows, side, cols, side).mean(axis=(1, 3), dtype=np.float64)

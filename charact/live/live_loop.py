@@ -1,41 +1,92 @@
-"""The bench at work: frames are taken in as they come, measured, and put where onlookers find them."""
+"""Live loop: measures frames as they arrive and publishes the newest view."""
 
 import threading
 import time
+from collections import deque
 from dataclasses import replace
 from types import TracebackType
 from typing import Self
 
 from numpy.typing import NDArray
 
-from charact.live.focus import BestFocus
-from charact.live.focus_reader import FocusReader
-from charact.live.frame_rate import FrameRate
+from charact.live.focus import BestFocus, FocusReader
 from charact.live.frame_source import FrameSource, SourceFrame
 from charact.live.frame_statistics import measure_frame
-from charact.live.latest_view import LatestView
-from charact.live.live_view import LiveView
-from charact.live.preview_image import render_preview
-from charact.mtf.region import Region
+from charact.live.live_view import LiveView, render_preview
+from charact.mtf.mean_frame import Region
 from drivers.errors import BenchError
+from labdata.capture import Frame
 from labdata.errors import BadInput
 
-# More often nobody sees a difference; frames in between are taken off the camera and left unmeasured.
-LEAST_PERIOD_S = 1.0 / 30.0
-LEAVE_S = 20.0
+
+class LatestView:
+    """The newest view, written by one thread and read by any number without delaying it."""
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._view: LiveView | None = None
+        self._ended: str | None = None
+
+    @property
+    def view(self) -> LiveView | None:
+        """The newest view; None before the first."""
+        return self._view
+
+    @property
+    def end_reason(self) -> str | None:
+        """Why the views ended; None while more may come."""
+        return self._ended
+
+    def publish(self, view: LiveView) -> None:
+        """Replace the view by a newer one."""
+        with self._changed:
+            self._view = view
+            self._changed.notify_all()
+
+    def end(self, why: str) -> None:
+        """End the views with a reason."""
+        with self._changed:
+            self._ended = why
+            self._changed.notify_all()
+
+    def after(self, number: int, *, timeout_s: float) -> LiveView | None:
+        """Wait for a view with a number above `number`; None after the time-out or when the views ended."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._is_after(number) or self._ended is not None, timeout=timeout_s)
+            return self._view if self._is_after(number) else None
+
+    def _is_after(self, number: int) -> bool:
+        return self._view is not None and self._view.number > number
+
+
+class FrameRate:
+    """Frame rate over the last two seconds, from the camera's frame numbers and time stamps."""
+
+    def __init__(self) -> None:
+        self._seen: deque[tuple[int, float]] = deque()
+
+    def after(self, frame: Frame) -> float | None:
+        """Return the rate after a further frame, Hz; None before two frames of one capture."""
+        if self._seen and (frame.number <= self._seen[-1][0] or frame.time_s <= self._seen[-1][1]):
+            self._seen.clear()
+        self._seen.append((frame.number, frame.time_s))
+        while len(self._seen) > 2 and frame.time_s - self._seen[0][1] > 2.0:
+            self._seen.popleft()
+        (first, began_s), (last, ended_s) = self._seen[0], self._seen[-1]
+        return (last - first) / (ended_s - began_s) if last > first else None
 
 
 class LiveLoop:
-    """A source's frames measured in a thread of their own, within a `with` block.
+    """Measures the frames of a source in a thread, within a `with` block.
 
     Parameters
     ----------
     source
-        Where frames come from.
+        Frame source.
     focus
-        Reads the focus; None: it is not read.
+        Focus reader, or None.
     region
-        ROW, COL, HEIGHT, WIDTH of mean and noise; None: the whole frame.
+        Region ROW, COL, HEIGHT, WIDTH of mean and noise; None: the whole frame.
     """
 
     def __init__(self, source: FrameSource, *, focus: FocusReader | None = None, region: Region | None = None) -> None:
@@ -55,15 +106,15 @@ class LiveLoop:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._stop.set()
-        self._thread.join(LEAVE_S)
+        self._thread.join(20.0)
 
     @property
     def source(self) -> FrameSource:
-        """Where frames come from."""
+        """The frame source."""
         return self._source
 
     def forget_best(self) -> None:
-        """Forget the best focus held."""
+        """Forget the best focus."""
         if self._focus is not None:
             self._focus.forget_best()
 
@@ -71,7 +122,7 @@ class LiveLoop:
         try:
             for seen in self._source:
                 if self._stop.is_set():
-                    self.newest.end("it was closed")
+                    self.newest.end("the live view was closed")
                     return
                 if seen is not None:
                     self._take_in(seen)
@@ -90,18 +141,19 @@ class LiveLoop:
         now_s = time.monotonic()
         if now_s < self._due_s:
             return
-        self._due_s = max(self._due_s + LEAST_PERIOD_S, now_s)
+        # Shortest interval between two views, s; frames in between are read but not measured.
+        self._due_s = max(self._due_s + 1.0 / 30.0, now_s)
         pixels = seen.frame.pixels
         if self._focus is not None:
             self._focus.look_at(pixels)
         meters = measure_frame(pixels, before, full_scale_dn=seen.full_scale_dn, region=self._region)
         self._number += 1
-        self.newest.put(
+        self.newest.publish(
             LiveView(
                 number=self._number,
-                seen=seen,
-                meters=meters,
-                picture=render_preview(pixels, meters, full_scale_dn=seen.full_scale_dn),
+                source_frame=seen,
+                statistics=meters,
+                preview=render_preview(pixels, meters, full_scale_dn=seen.full_scale_dn),
                 frame_rate_hz=rate_hz,
                 focus=self._focus.newest if self._focus else None,
                 best=self._focus.best if self._focus else BestFocus(),
@@ -110,21 +162,21 @@ class LiveLoop:
         )
 
     def _renew_focus(self) -> None:
-        """Show a reading of the focus that came after its frame."""
+        """Publish a focus reading that was completed after its frame."""
         view = self.newest.view
         if view is not None and self._focus is not None and self._focus.take_up():
             self._number += 1
-            self.newest.put(replace(view, number=self._number, focus=self._focus.newest, best=self._focus.best))
+            self.newest.publish(replace(view, number=self._number, focus=self._focus.newest, best=self._focus.best))
 
 
 class _PreviousFrame:
-    """The frame before, as long as it is of the same thing."""
+    """The previous frame of the same stack or camera."""
 
     def __init__(self) -> None:
         self._seen: SourceFrame | None = None
 
     def exchange(self, seen: SourceFrame) -> NDArray | None:
-        """Return the pixels of the frame before this one, None where they show something else."""
+        """Store a frame; return the pixels of the previous one, or None if it is of another stack or shape."""
         before, self._seen = self._seen, seen
         if before is None or before.of != seen.of or before.frame.pixels.shape != seen.frame.pixels.shape:
             return None

@@ -1,4 +1,4 @@
-"""The page of the bench: three files of our own, and the views as a stream of events."""
+"""Web page of the live view: three static files and the views as server-sent events."""
 
 import asyncio
 import json
@@ -13,7 +13,6 @@ from starlette.routing import Route
 from charact.live.live_loop import LiveLoop
 
 LOOK_S = 0.005
-ALIVE_S = 1.0
 FILES = {
     "/": ("live.html", "text/html"),
     "/live.js": ("live.js", "text/javascript"),
@@ -22,20 +21,20 @@ FILES = {
 
 
 def page(running: LiveLoop, *, title: str, focus_first: bool = False) -> Starlette:
-    """Return the application; put it behind a `charact.live.guard.PageAccess`.
+    """Return the application; put it behind a `charact.live.server.PageAccess`.
 
     Parameters
     ----------
     running
-        The bench at work.
+        The live loop.
     title
-        What the page says it shows.
+        Title of the page.
     focus_first
-        Whether the focus is the large meter.
+        Whether the focus is the main value.
 
     Notes
     -----
-    No route reaches an instrument: the page can look, and forget the best focus held.
+    No route accesses an instrument; the only action is to forget the best focus.
     """
     about = {"title": title, "source": running.source.name, "focus_first": focus_first}
 
@@ -52,7 +51,7 @@ def page(running: LiveLoop, *, title: str, focus_first: bool = False) -> Starlet
         newest = running.newest.view
         if newest is None:
             return PlainTextResponse("no frame yet", status_code=503)
-        return Response(newest.picture.jpeg, media_type="image/jpeg")
+        return Response(newest.preview.jpeg, media_type="image/jpeg")
 
     async def forget(request: Request) -> Response:
         running.forget_best()
@@ -80,7 +79,7 @@ def _file(name: str, media_type: str):
 
 
 async def _events(running: LiveLoop, about: dict) -> AsyncIterator[str]:
-    """Send what the page is about, then the newest view whenever there is a newer one; a slow reader skips views."""
+    """Yield the title, then each newer view; a slow reader skips views."""
     yield _event("about", about)
     sent, silent_s = 0, 0.0
     while True:
@@ -94,7 +93,7 @@ async def _events(running: LiveLoop, about: dict) -> AsyncIterator[str]:
         else:
             await asyncio.sleep(LOOK_S)
             silent_s += LOOK_S
-            if silent_s >= ALIVE_S:
+            if silent_s >= 1.0:
                 silent_s = 0.0
                 yield ": no frame yet\n\n"
 

@@ -1,14 +1,21 @@
-"""What one stack tells as soon as it is there: its level, and the quick measurements of its kind."""
+"""Quick look at the stacks of a running acquisition: grey values and quick measurements."""
 
+import time
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
-from charact.live.frame_source import highest_code
+from charact.live.frame_source import full_scale_of
 from charact.session_measurement import measure, method_context
+from labdata.errors import BadInput
+from labdata.event_log import read_events
+from labdata.file_records import SessionFile
 from labdata.lazy_stack import open_lazy_stack
 from labdata.measurement import Measurement, Result
-from labdata.session import Kind, Session, StackEntry
+from labdata.serialiser import from_toml
+from labdata.session import MANIFEST, Kind, Session, StackEntry, session_of
 
 LEADING: dict[Kind, tuple[str, ...]] = {
     "dark": ("dark_signal", "read_noise", "noise_tvh"),
@@ -23,22 +30,22 @@ BLOCK_FRAMES = 16
 
 @dataclass(frozen=True, kw_only=True)
 class QuickLook:
-    """One stack looked at.
+    """Quick look at one stack.
 
     Parameters
     ----------
     entry
         The stack.
     frames
-        Its frames.
+        Number of frames.
     mean_dn
         Mean over all pixels and frames, DN.
     saturated_px
-        Pixels at or above full scale, the most of any frame.
+        Largest number of pixels at or above full scale in any frame.
     full_scale_dn
-        Highest code, DN.
+        Full scale, DN.
     result
-        All that was measured.
+        All measurements.
     """
 
     entry: StackEntry
@@ -50,7 +57,7 @@ class QuickLook:
 
     @property
     def leading(self) -> tuple[Measurement, ...]:
-        """The measurements that a line has room for."""
+        """The main measurements, for one line."""
         names = LEADING[self.entry.kind]
         own = [m for m in self.result.measurements if m.stack in (None, self.entry.label)]
         given = [m for name in names for m in own if m.quantity == name and m.value is not None]
@@ -58,12 +65,12 @@ class QuickLook:
 
 
 def look_at(session: Session, entry: StackEntry, *, seed: int = 0) -> QuickLook:
-    """Look at one stack of a session.
+    """Measure one stack of a session quickly.
 
     Parameters
     ----------
     session
-        The session up to the stack: a flat and a point are measured over the dark taken last at their settings.
+        The session up to the stack: a flat or point uses the last dark with its settings.
     entry
         The stack.
     seed
@@ -96,24 +103,90 @@ def _measure_stack(alone: Session, entry: StackEntry, seed: int) -> Result:
 
 
 def _dark_of(session: Session, entry: StackEntry) -> tuple[StackEntry, ...]:
-    """Return the last dark before a flat or a point that was taken at its gain, gate and exposure."""
+    """Return the last dark with the gain, gate and exposure of a flat or point."""
     if entry.kind not in ("flat", "point"):
         return ()
     return tuple(dark for dark in session.of_kind("dark") if _setting(dark) == _setting(entry))[-1:]
 
 
 def _setting(entry: StackEntry) -> tuple[object, ...]:
-    asked = entry.asked or entry.conditions
-    return asked.mcp_v, asked.gate_ns, asked.exposure_s, asked.camera_gain_db
+    setting = entry.asked or entry.conditions
+    return setting.mcp_v, setting.gate_ns, setting.exposure_s, setting.camera_gain_db
 
 
 def _levels(entry: StackEntry) -> tuple[np.ndarray, int, float]:
-    """Return the mean of each frame, the most saturated pixels of any frame, and full scale; read a few at a time."""
+    """Return frame means, the largest number of saturated pixels of a frame, and full scale, DN; read in blocks."""
     stack = open_lazy_stack(entry)
-    full_scale_dn = stack.full_scale_dn or highest_code(stack.dtype)
+    full_scale_dn = stack.full_scale_dn or full_scale_of(stack.dtype)
     means, most = [], 0
     for first in range(0, len(stack), BLOCK_FRAMES):
         frames = stack.frames(first, min(first + BLOCK_FRAMES, len(stack)))
         means.append(frames.mean(axis=(1, 2), dtype=np.float64))
         most = max(most, int(np.count_nonzero(frames >= full_scale_dn, axis=(1, 2)).max()))
     return np.concatenate(means), most, full_scale_dn
+
+
+def watch_stacks(
+    folder: str | Path, *, once: bool = False, patience_s: float = 1800.0, look_s: float = 0.5
+) -> Iterator[tuple[Session, StackEntry]]:
+    """Yield each finished stack of a running acquisition, with the session up to it.
+
+    Parameters
+    ----------
+    folder
+        Folder of the session.
+    once
+        Whether to end with the stacks present now.
+    patience_s
+        Maximum wait for the next stack, s.
+    look_s
+        Interval between two reads, s.
+
+    Raises
+    ------
+    BadInput
+        If there is no session, the run ended before its plan was completed, or no stack was completed in time.
+    """
+    folder, seen, since_s = Path(folder), set[str](), time.monotonic()
+    if not (folder / MANIFEST).is_file():
+        raise BadInput(f"a session must be a folder with a {MANIFEST}, got {folder}")
+    while True:
+        # The log is read before the stacks, so that a stack finished in between is not missed.
+        ended = run_outcome(folder)
+        for session, entry in _stacks_on_disk(folder):
+            if entry.label not in seen:
+                seen.add(entry.label)
+                yield session, entry
+                since_s = time.monotonic()
+        if ended == "" or once:
+            return
+        if ended is not None:
+            raise BadInput(f"the run ended before its plan was completed: {ended}")
+        if time.monotonic() - since_s > patience_s:
+            raise BadInput(
+                f"a stack must be completed within {patience_s:g} s, got none; resume with charact acquire --resume"
+            )
+        time.sleep(look_s)
+
+
+def run_outcome(folder: Path) -> str | None:
+    """Return None while a plan runs, "" once it is completed (or has no log), else why it ended."""
+    try:
+        runs = [
+            event for event in read_events(folder / "log.jsonl") if event.get("event") in ("run begins", "run ends")
+        ]
+    except FileNotFoundError:
+        return ""
+    if not runs or runs[-1]["event"] == "run begins":
+        return None
+    return "" if runs[-1].get("whole") else str(runs[-1].get("reason", "no reason was logged"))
+
+
+def _stacks_on_disk(folder: Path) -> Iterator[tuple[Session, StackEntry]]:
+    form = from_toml(folder / MANIFEST, SessionFile)
+    if not form.stack:
+        return
+    session = session_of(folder, form)
+    for place, entry in enumerate(session.stacks):
+        if entry.finished:
+            yield replace(session, stacks=session.stacks[: place + 1]), entry

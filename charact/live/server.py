@@ -1,15 +1,160 @@
-"""Serving the page: on the loopback unless told otherwise, behind its guard, until the frames or the person end it."""
+"""Server of the live page, with access control."""
 
+import hmac
+import ipaddress
+import secrets
 import socket
 import threading
 from collections.abc import Callable
+from http.cookies import CookieError, SimpleCookie
+from typing import Any
+from urllib.parse import parse_qs
 
-from charact.live.guard import LOOPBACK_NAMES, PageAccess, is_loopback, new_token
 from charact.live.live_loop import LiveLoop
 from labdata.errors import BadInput
 
-LOOPBACK = "127.0.0.1"
-LAST_WORDS_S = 0.5
+LOOPBACK_NAMES = ("localhost", "127.0.0.1", "[::1]")
+HEADERS = (
+    (b"content-security-policy", b"default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
+     b"connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"),
+    (b"cross-origin-opener-policy", b"same-origin"),
+    (b"cross-origin-resource-policy", b"same-origin"),
+    (b"referrer-policy", b"no-referrer"),
+    (b"x-content-type-options", b"nosniff"),
+    (b"cache-control", b"no-store"),
+)  # fmt: skip
+
+
+def is_loopback(host: str) -> bool:
+    """Whether an address or name is of the loopback."""
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return False
+
+
+class PageAccess:
+    """ASGI middleware that passes only requests for this server, from its own page, with its token.
+
+    Another page in the same browser must not read the frames. It can send requests here, and can make its own name
+    resolve to this address, but cannot choose the headers Host, Origin and Sec-Fetch-Site
+    (https://fetch.spec.whatwg.org, https://www.w3.org/TR/fetch-metadata).
+
+    Parameters
+    ----------
+    app
+        The ASGI application.
+    hosts
+        Names of this server, without port.
+    port
+        Port of the server.
+    token
+        Secret of every request, in the first address and then in a cookie; None: not needed on the loopback.
+
+    Raises
+    ------
+    BadInput
+        If there is no token and a name is not of the loopback.
+    """
+
+    def __init__(self, app: Any, *, hosts: tuple[str, ...], port: int, token: str | None) -> None:
+        if token is None and (open_ := [host for host in hosts if not is_loopback(host)]):
+            raise BadInput(f"a page on an address other than loopback must have a token, got none for {open_[0]}")
+        self._app, self._token, self._cookie = app, token, f"charact-{port}"
+        self._hosts = {f"{host.lower()}:{port}" for host in hosts}
+        if port == 80:
+            self._hosts |= {host.lower() for host in hosts}
+
+    async def __call__(self, scope: dict, receive: Any, send: Any) -> None:
+        """Pass one request to the application, or refuse it."""
+        if scope["type"] == "lifespan":
+            await self._app(scope, receive, send)
+        elif scope["type"] != "http":
+            return  # no web sockets
+        elif why := self._why_not(scope):
+            await _answer(send, 403, why)
+        elif self._token is not None and self._shows(_query_token(scope)):
+            await self._give_cookie(send)
+        elif self._token is not None and not self._shows(self._cookie_of(scope)):
+            await _answer(send, 401, "this page needs the token in the address printed by charact")
+        else:
+            await self._app(scope, receive, _with_security_headers(send))
+
+    def _why_not(self, scope: dict) -> str | None:
+        """Return the reason to refuse a request, or None."""
+        host = _only(scope, b"host")
+        if host is None or host.lower() not in self._hosts | self._local_address(scope):
+            return f"this page is not at {host!r}"
+        origin = _only(scope, b"origin")
+        if origin is not None and origin.lower() != f"http://{host.lower()}":
+            return "this page answers no other origin"
+        if _only(scope, b"sec-fetch-site") not in (None, "same-origin", "none"):
+            return "this page answers no other site"
+        if scope["method"] not in ("GET", "HEAD") and origin is None:
+            return "a request that changes state needs an Origin header"
+        return None
+
+    def _local_address(self, scope: dict) -> set[str]:
+        """Return the local address of a connection, if the server is not on the loopback."""
+        if self._token is None or not scope.get("server"):
+            return set()
+        address, port = scope["server"][:2]
+        return {f"[{address}]:{port}" if ":" in address else f"{address}:{port}"}
+
+    def _shows(self, shown: str | None) -> bool:
+        # Constant time: the duration must not depend on the correct part of a guess.
+        return shown is not None and hmac.compare_digest(shown.encode(), (self._token or "").encode())
+
+    def _cookie_of(self, scope: dict) -> str | None:
+        try:
+            morsel = SimpleCookie(_only(scope, b"cookie") or "").get(self._cookie)
+        except CookieError:
+            return None
+        return morsel.value if morsel else None
+
+    async def _give_cookie(self, send: Any) -> None:
+        """Move the token from the address, which the browser history keeps, to a cookie."""
+        cookie = f"{self._cookie}={self._token}; HttpOnly; SameSite=Strict; Path=/"
+        await _answer(send, 303, "", ((b"location", b"/"), (b"set-cookie", cookie.encode())))
+
+
+def new_token() -> str:
+    """Return a random token."""
+    return secrets.token_urlsafe(32)
+
+
+def _query_token(scope: dict) -> str | None:
+    values = parse_qs(scope["query_string"].decode("latin-1")).get("token", [])
+    return values[0] if len(values) == 1 else None
+
+
+def _only(scope: dict, name: bytes) -> str | None:
+    """Return the value of a header; "(twice)" if it is repeated."""
+    values = [value for key, value in scope["headers"] if key == name]
+    if not values:
+        return None
+    return values[0].decode("latin-1") if len(values) == 1 else "(twice)"
+
+
+def _with_security_headers(send: Any) -> Any:
+    async def sending(message: dict) -> None:
+        if message["type"] == "http.response.start":
+            message = {**message, "headers": [*message["headers"], *HEADERS]}
+        await send(message)
+
+    return sending
+
+
+async def _answer(send: Any, status: int, sentence: str, headers: tuple = ()) -> None:
+    body = sentence.encode()
+    plain = ((b"content-type", b"text/plain; charset=utf-8"), (b"content-length", str(len(body)).encode()))
+    hardened = _with_security_headers(send)
+    await hardened({"type": "http.response.start", "status": status, "headers": [*plain, *headers]})
+    await hardened({"type": "http.response.body", "body": body})
+
+
 NEEDS = "the live page needs packages that are not installed: pip install 'charact[live]'"
 
 
@@ -18,11 +163,11 @@ def serve(
     *,
     title: str,
     focus_first: bool = False,
-    host: str = LOOPBACK,
+    host: str = "127.0.0.1",
     port: int = 0,
     tell: Callable[[str], None],
 ) -> None:
-    """Serve the page of a bench until interrupted.
+    """Serve the live page until the frames end or the user interrupts.
 
     Parameters
     ----------
@@ -31,17 +176,17 @@ def serve(
     title, focus_first
         As `charact.live.page.page`.
     host
-        Address or name to listen on. Anything but the loopback can be reached by others: a token is then needed,
-        made anew for every start and printed within the address.
+        Address or name to listen on. Addresses other than loopback require a token, new for every start and printed
+        with the address.
     port
-        Port; 0: any free one.
+        Port; 0: a free port.
     tell
-        Told the page's address, once.
+        Prints the address of the page.
 
     Raises
     ------
     BadInput
-        If the packages are missing, the address cannot be listened on, or the frames ended.
+        If packages are missing, the address is not available, or the frames ended.
     """
     try:
         import uvicorn
@@ -81,20 +226,18 @@ def _listening(host: str, port: int) -> socket.socket:
         family, _, _, _, address = socket.getaddrinfo(host.strip("[]"), port, type=socket.SOCK_STREAM)[0]
         listener = socket.socket(family, socket.SOCK_STREAM)
     except OSError as error:
-        raise BadInput(f"the page must have an address of this machine, got {host!r} ({error.strerror})") from None
+        raise BadInput(f"--host must be an address of this machine, got {host!r} ({error.strerror})") from None
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind(address)
     except OSError as error:
         listener.close()
-        raise BadInput(
-            f"the page must have a free port of this machine, got {host}:{port} ({error.strerror})"
-        ) from None
+        raise BadInput(f"--port must be a free port of this machine, got {host}:{port} ({error.strerror})") from None
     return listener
 
 
 def _names(host: str, token: str | None) -> tuple[str, ...]:
-    """Return the names by which a browser may call the page."""
+    """Return the host names of the page."""
     if token is None:
         return tuple(dict.fromkeys((*LOOPBACK_NAMES, _with_brackets(host))))
     return (_with_brackets(host), socket.gethostname(), socket.getfqdn())
@@ -111,8 +254,8 @@ def _with_brackets(host: str) -> str:
 
 
 def _stop_at_end(running: LiveLoop, server) -> None:
-    """Let the server go once there are no more frames and every page was told why."""
+    """Stop the server after the end of the frames has been sent to the pages."""
     while running.newest.end_reason is None:
         running.newest.after(2**62, timeout_s=1.0)
-    threading.Event().wait(LAST_WORDS_S)
+    threading.Event().wait(0.5)
     server.should_exit = True

@@ -1,4 +1,4 @@
-"""The meters on a terminal, where there is no browser."""
+"""Live view on a terminal."""
 
 import math
 from typing import TYPE_CHECKING
@@ -11,34 +11,33 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-LOOK_S = 0.5
 BLOCKS = " ▁▂▃▄▅▆▇█"
 HISTOGRAM_WIDTH = 64
 
 
 def watch_on_terminal(running: LiveLoop, *, title: str, console: "Console | None" = None) -> None:
-    """Show the newest view until the frames end or the person interrupts.
+    """Show the newest view until the frames end or the user interrupts.
 
     Parameters
     ----------
     running
-        The bench at work.
+        The live loop.
     title
         Heading.
     console
-        Where to show it; the terminal where it is not given.
+        Output console; None: the terminal.
 
     Raises
     ------
     BadInput
-        When the frames end; the sentence says why.
+        When the frames end, with the reason.
     """
     from rich.live import Live
 
     number = 0
     with Live(console=console, refresh_per_second=10, transient=False) as shown:
         while (why := running.newest.end_reason) is None:
-            view = running.newest.after(number, timeout_s=LOOK_S)
+            view = running.newest.after(number, timeout_s=0.5)
             if view is not None:
                 number = view.number
                 shown.update(table(view, title))
@@ -46,49 +45,49 @@ def watch_on_terminal(running: LiveLoop, *, title: str, console: "Console | None
 
 
 def table(view: LiveView, title: str) -> "Table":
-    """Return the meters of a view as a table; every number has its unit."""
+    """Return the statistics of a view as a table."""
     from rich.table import Table
 
     rows = Table(title=title, show_header=False)
-    for name, told in lines(view).items():
-        rows.add_row(name, told)
+    for name, text in lines(view).items():
+        rows.add_row(name, text)
     return rows
 
 
 def lines(view: LiveView) -> dict[str, str]:
-    """Return the meters of a view by name."""
-    meters, focus, best = view.meters, view.focus, view.best.best
+    """Return the statistics of a view as text, by name."""
+    meters, focus, best = view.statistics, view.focus, view.best.best
     share = 100.0 * meters.saturated_px / meters.pixels
     error = "" if meters.noise_se_dn is None else f" ± {meters.noise_se_dn:.2g}"
-    told = {
-        "frame": f"{view.seen.frame.number} of {view.seen.of}",
+    texts = {
+        "frame": f"{view.source_frame.frame.number} of {view.source_frame.of}",
         "saturated": f"{meters.saturated_px} of {meters.pixels} px ({share:.3g} %) at or above "
-        f"{view.seen.full_scale_dn:g} DN",
+        f"{view.source_frame.full_scale_dn:g} DN",
         "mean": f"{meters.mean_dn:.4g} DN",
         "temporal noise": "needs two frames" if meters.noise_dn is None else f"{meters.noise_dn:.4g}{error} DN",
         "highest pixel": f"{meters.highest_dn:g} DN",
         "frame rate": "needs two frames" if view.frame_rate_hz is None else f"{view.frame_rate_hz:.2f} Hz",
-        "lost frames": str(view.seen.lost_frames),
-        f"histogram 0 to {view.seen.full_scale_dn:g} DN": sparkline(view),
+        "lost frames": str(view.source_frame.lost_frames),
+        f"histogram 0 to {view.source_frame.full_scale_dn:g} DN": sparkline(view),
     }
     if focus is None:
-        return told
+        return texts
     if focus.mtf50_cy_per_px is None or focus.interval95 is None:
-        return {**told, "edge MTF50": focus.reason or "none"}
+        return {**texts, "edge MTF50": focus.reason or "none"}
     low, high = focus.interval95
     reached = ", reached" if view.best.is_reached_by(focus) else ""
-    told["edge MTF50"] = f"{focus.mtf50_cy_per_px:.4f} cy/px [{low:.4f}, {high:.4f}] 95 %"
+    texts["edge MTF50"] = f"{focus.mtf50_cy_per_px:.4f} cy/px [{low:.4f}, {high:.4f}] 95 %"
     if focus.flags:
-        told["distrust"] = ", ".join(focus.flags)
+        texts["flags"] = ", ".join(focus.flags)
     if best is not None and best.mtf50_cy_per_px is not None:
-        told["best so far"] = f"{best.mtf50_cy_per_px:.4f} cy/px{reached}"
-        told["focus"] = _bar(focus.mtf50_cy_per_px / best.mtf50_cy_per_px)
-    return told
+        texts["best so far"] = f"{best.mtf50_cy_per_px:.4f} cy/px{reached}"
+        texts["focus"] = _bar(focus.mtf50_cy_per_px / best.mtf50_cy_per_px)
+    return texts
 
 
 def sparkline(view: LiveView) -> str:
-    """Return the histogram as one line of blocks, logarithmic, every pixel counted."""
-    counts = view.meters.histogram
+    """Return the histogram as one line of block characters, logarithmic."""
+    counts = view.statistics.histogram
     together = -(-len(counts) // HISTOGRAM_WIDTH)
     sums = [int(counts[first : first + together].sum()) for first in range(0, len(counts), together)]
     most = math.log(1 + max(sums))

@@ -25,7 +25,7 @@ MODULES: dict[str, dict[str, str]] = {
         "edge-slanted": "charact.mtf.edge.slanted",
     },
     "bars": {
-        "bars-coltman": "charact.mtf.bars.coltman",
+        "bars-coltman": "charact.mtf.bars.contrast",
         "bars-contrast": "charact.mtf.bars.contrast",
         "bars-forward": "charact.mtf.bars.forward",
     },
@@ -216,7 +216,8 @@ def register(kind: str, name: str, *, quantities: tuple[str, ...], scope: str) -
 def methods_of_kind(kind: str) -> dict[str, Method]:
     """Return the methods of a kind by name."""
     load(kind)
-    return {name: method for (of, name), method in METHODS.items() if of == kind}
+    names = dict.fromkeys((*MODULES.get(kind, ()), *(name for of, name in METHODS if of == kind)))
+    return {name: METHODS[kind, name] for name in names}
 
 
 def chart_table(quantity: str) -> list[dict[str, Any]]:

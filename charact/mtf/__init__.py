@@ -1,6 +1,5 @@
-"""MTF of edges, bars, points and the noise of flats."""
+"""MTF of edges, bar targets, point sources and flat-field noise."""
 
-from charact.mtf.dispatch import measure, measure_flats
-from charact.mtf.multiple_targets import measure_all
+from charact.mtf.dispatch import measure, measure_all, measure_flats
 
 __all__ = ["measure", "measure_all", "measure_flats"]

@@ -1,23 +1,29 @@
-"""From draws of an MTF to what is reported: the curve with its intervals, and where it falls to a level."""
+"""MTF curves and crossing frequencies from posterior draws."""
+
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata.measurement import QUANTILES, Curve
+from labdata.measurement import QUANTILES, Curve, Measurement, Posterior, make_refusal, measurement_from_draws
 
 Array = NDArray[np.float64]
 
-# Frequencies of a reported curve, and the finer ones on which levels are looked for.
+# Frequencies of a reported curve, and the finer grid for crossing frequencies, cy/px.
 REPORTED = np.linspace(0.0, 0.5, 101)
 FINE = np.concatenate([[1e-6], np.geomspace(0.003, 1.5, 230)])
+# Frequencies at which the MTF is reported as a quantity of its own, cy/px.
+PINNED = (0.1, 0.2, 0.3)
+LEVELS = {"mtf50": 0.5, "mtf10": 0.1}
 
 
 def curve_of(frequency: Array, draws: Array) -> Curve:
-    """Return median and pointwise intervals of drawn curves (draw, frequency)."""
-    low95, low68, middle, high68, high95 = quantiles(draws, QUANTILES)
+    """Return median and pointwise credible intervals of drawn curves, shape (draw, frequency)."""
+    low95, low68, centre, high68, high95 = quantiles(draws, QUANTILES)
     return Curve(
         frequency_cy_per_px=frequency,
-        value=middle,
+        value=centre,
         interval68=np.stack([low68, high68]),
         interval95=np.stack([low95, high95]),
         draws=draws,
@@ -25,16 +31,16 @@ def curve_of(frequency: Array, draws: Array) -> Curve:
 
 
 def quantiles(draws: Array, shares: tuple[float, ...]) -> Array:
-    """Return quantiles of draws (draw, ...), shape (share, ...), as `numpy.quantile` does, by sorting once."""
+    """Return quantiles of draws (draw, ...), shape (quantile, ...); equal to `numpy.quantile`, with a single sort."""
     ordered = np.sort(np.ascontiguousarray(draws.T)).T
-    place = np.asarray(shares) * (len(draws) - 1)
-    low = np.minimum(place.astype(int), max(len(draws) - 2, 0))
-    rest = (place - low).reshape(-1, *[1] * (draws.ndim - 1))
+    position = np.asarray(shares) * (len(draws) - 1)
+    low = np.minimum(position.astype(int), max(len(draws) - 2, 0))
+    rest = (position - low).reshape(-1, *[1] * (draws.ndim - 1))
     return ordered[low] + rest * (ordered[np.minimum(low + 1, len(draws) - 1)] - ordered[low])
 
 
 def crossing_frequency(frequency: Array, curves: Array, level: float) -> Array:
-    """Return the lowest frequency at which each curve falls to a level, NaN where it never does.
+    """Return the lowest frequency at which each curve falls to a level, NaN where it does not.
 
     Parameters
     ----------
@@ -49,10 +55,52 @@ def crossing_frequency(frequency: Array, curves: Array, level: float) -> Array:
     index = np.where(found, first, 1)
     rows = np.arange(len(curves))
     high, low = curves[rows, index - 1], curves[rows, index]
-    share = (high - level) / np.where(high > low, high - low, 1.0)
-    crossing = frequency[index - 1] + share * (frequency[index] - frequency[index - 1])
+    fraction = (high - level) / np.where(high > low, high - low, 1.0)
+    crossing = frequency[index - 1] + fraction * (frequency[index] - frequency[index - 1])
     return np.where(found, crossing, np.nan)
 
 
-# Frequencies at which the MTF is also given as a measurement of its own.
-PINNED = (0.1, 0.2, 0.3)
+def crossing_measurement(quantity: str, curves: Array, posterior: Posterior, common: dict[str, Any]) -> Measurement:
+    """Return MTF50 or MTF10 of drawn curves at `FINE`; refused where over 2 % of them do not fall to the level."""
+    level = LEVELS[quantity]
+    draws = crossing_frequency(FINE, curves, level)
+    lost = float(np.mean(~np.isfinite(draws)))
+    if lost > 0.02:
+        reason = f"the MTF must fall to {level:g} below {FINE[-1]:.1f} cy/px; {100 * lost:.0f} % of its draws do not"
+        return make_refusal(quantity, "cy/px", reason, **common)
+    return measurement_from_draws(quantity, "cy/px", draws[np.isfinite(draws)], posterior=posterior, **common)
+
+
+def flag_filter_uncertainty(
+    found: Measurement, doubt: Callable[[Array], Array] | None, crossing: Callable[[float], float]
+) -> Measurement:
+    """Return a measurement whose intervals include the systematic uncertainty of the known transfer.
+
+    Parameters
+    ----------
+    found
+        An MTF at a frequency, MTF50 or MTF10; other quantities are returned unchanged.
+    doubt
+        Relative standard uncertainty of the known transfer at frequencies, cy/px, shape (f,) -> (f,); None: exact.
+    crossing
+        From a level to the frequency at which the measured MTF falls to it, cy/px.
+    """
+    if doubt is None or found.value is None or found.interval68 is None or found.quantity not in (*LEVELS, "mtf"):
+        return found
+    frequency = found.value if found.frequency_cy_per_px is None else found.frequency_cy_per_px
+    fraction = float(doubt(np.array([frequency]))[0])
+    if fraction == 0.0:
+        return found
+    level = LEVELS.get(found.quantity)
+    moved = fraction * found.value if level is None else crossing(level * np.exp(-fraction)) - found.value
+    return found.with_(
+        interval68=_widen(found.value, found.interval68, 0.994458 * moved),
+        interval95=_widen(found.value, found.interval95, 1.959964 * moved),
+    )
+
+
+def _widen(value: float, interval: tuple[float, float] | None, by: float) -> tuple[float, float] | None:
+    if interval is None:
+        return None
+    low, high = interval
+    return max(value - float(np.hypot(value - low, by)), 0.0), value + float(np.hypot(high - value, by))

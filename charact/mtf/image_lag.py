@@ -1,4 +1,4 @@
-"""How pulses of light are remembered: a decaying screen shows one in several fields and frames, and so ties them."""
+"""Image lag: correlation of pulses of light between fields and frames by phosphor decay."""
 
 from dataclasses import dataclass
 
@@ -6,21 +6,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
+from charact.mtf.thresholds import ACCURACY
 
 Array = NDArray[np.float64]
-
-# Fields over which a pulse is followed, and moments of its arrival within one.
-FIELDS, MOMENTS = 64, 200
 
 
 @dataclass(frozen=True, kw_only=True)
 class ImageLagModel:
-    """How pulses are shared out over fields and frames, relative to the light of one frame.
+    """Covariance factors of light pulses, relative to a pulse that lies in one frame.
 
     Parameters
     ----------
     mean_same, mean_other
-        Covariance of the mean of all frames times their number, within a field's rows and between both fields' rows.
+        Covariance of the mean of all frames times their number, for rows of the same and of different fields.
     frame_same, frame_other
         Expected covariance between frames (ddof 1), likewise.
     """
@@ -31,25 +29,25 @@ class ImageLagModel:
     frame_other: float
 
     def between_rows(self, parity: NDArray[np.bool_]) -> Array:
-        """Covariance between frames of pixels in rows of fields, shape (pixel,) -> (pixel, pixel)."""
+        """Return the factors of pairs of pixels from their fields, shape (pixel,) -> (pixel, pixel)."""
         return np.where(parity[:, None] == parity, self.frame_same, self.frame_other)
 
     @property
     def widening(self) -> float:
-        """Variance of the mean of pixels, over that of as many fresh frames with the scatter seen."""
+        """Variance of the mean over that of independent frames of the same scatter."""
         return self.mean_same / self.frame_same
 
     @property
     def widening_of_sums(self) -> float:
-        """The same of sums over the rows of both fields, of which one follows the other by half a frame."""
+        """The same for sums over the rows of both fields, which are exposed half a frame apart."""
         return (self.mean_same + self.mean_other) / (self.frame_same + self.frame_other)
 
 
 def image_lag_model(context: Context, frames: int) -> ImageLagModel:
-    """Return how long pulses are remembered: by the described screen, else not at all."""
+    """Return the image lag of the described phosphor; none without a description."""
     shares = _light_fractions(context)
     if not context.interlaced:
-        # All rows are of one exposure: neighbours share their pulses whatever their parity.
+        # All rows belong to one exposure, whatever their parity.
         same = float(np.mean(np.sum(shares**2, axis=1)))
         return _memory(1.0, 1.0, same, same, frames)
     even, odd = shares[:, ::2].sum(axis=1), shares[:, 1::2].sum(axis=1)
@@ -70,7 +68,7 @@ def _memory(mean_same: float, mean_other: float, same: float, other: float, fram
 
 
 def _light_fractions(context: Context) -> Array:
-    """Share of a pulse's light in each field from its own on, shape (pulse, field), for an open gate."""
+    """Return the fraction of a pulse's light in each field from its arrival on, shape (pulse, field)."""
     if context.sensor is None:
         return np.ones((1, 1))
     phosphor = context.sensor.phosphor
@@ -78,7 +76,7 @@ def _light_fractions(context: Context) -> Array:
     tau = np.maximum([float(phosphor.fast_decay_ms), float(phosphor.slow_decay_ms)], 1e-6)
     fast = float(phosphor.fast_fraction)
     light = np.array([fast, 1.0 - fast]) * tau
-    arrival = (np.arange(MOMENTS) + 0.5) / MOMENTS * exposures
-    ends = np.arange(1, FIELDS + 1) * exposures
+    arrival = (np.arange(ACCURACY.arrival_times) + 0.5) / ACCURACY.arrival_times * exposures
+    ends = np.arange(1, ACCURACY.lag_fields + 1) * exposures
     left = np.exp(-(ends[None, :, None] - arrival[:, None, None]) / tau) @ (light / light.sum())
     return -np.diff(left, axis=1, prepend=1.0)

@@ -1,4 +1,4 @@
-"""What the camera's description says of a direction: its aperture, its video filter and the halo to expect."""
+"""Known transfer of a camera along one direction: pixel aperture, video filter, halo prior."""
 
 from dataclasses import dataclass
 
@@ -16,18 +16,18 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class KnownTransfer:
-    """The known part of the transfer of one upright picture.
+    """Known transfer across an edge of an oriented frame.
 
     Parameters
     ----------
     angle_rad
-        Angle of the direction measured to the columns' direction of the picture.
+        Angle of the direction to the column direction of the oriented frame.
     along_px, across_px
-        Aperture along that grid axis and across it, in pitches of that axis.
+        Pixel aperture along that grid axis and across it, in pitches of that axis.
     video
-        Filter along the picture's columns' direction, or None.
+        Video filter along the column direction, or None.
     mirrored
-        Whether the picture runs against the read-out.
+        Whether the oriented frame runs against the read-out.
     """
 
     angle_rad: float
@@ -37,20 +37,20 @@ class KnownTransfer:
     mirrored: bool
 
     def __call__(self, frequency: Array) -> NDArray[np.complex128]:
-        """Return the known part at frequencies along the direction, complex."""
+        """Return the known transfer at frequencies along the direction, complex."""
         plain = forms.aperture(frequency, self.angle_rad, self.along_px, self.across_px).astype(complex)
         if self.video is None:
             return plain
         return plain * self._as_read(self.video(frequency * np.cos(self.angle_rad)))
 
     def bend(self, frequency: Array) -> NDArray[np.complex128] | None:
-        """Return how ln of the known part moves with ln of the bandwidth, see `VideoFilter.bend`; None: it does not."""
+        """Return the derivatives of ln transfer by ln bandwidth, see `VideoFilter.bend`; None: no dependence."""
         if self.video is None or not self.video.parameters:
             return None
         return self._as_read(self.video.bend(frequency * np.cos(self.angle_rad)))
 
     def doubt(self, frequency: Array) -> Array:
-        """Return by how much of itself the known part may be wrong, one standard deviation, shape (f,)."""
+        """Return the relative standard uncertainty of the known transfer, shape (f,)."""
         if self.video is None:
             return np.zeros(np.shape(frequency))
         return self.video.doubt(frequency * np.cos(self.angle_rad))
@@ -60,7 +60,7 @@ class KnownTransfer:
 
 
 def known_transfer(picture: OrientedFrame, angle_rad: float, context: Context) -> KnownTransfer:
-    """Return what is known of the transfer across an edge in an upright picture."""
+    """Return the known transfer across an edge of an oriented frame."""
     rows_summed = 2.0 if context.sensor is not None and context.interlaced else 1.0
     along, across = (
         (rows_summed, picture.pitch_ratio) if picture.transposed else (1.0, rows_summed * picture.pitch_ratio)
@@ -70,10 +70,10 @@ def known_transfer(picture: OrientedFrame, angle_rad: float, context: Context) -
 
 
 def halo_of(picture: OrientedFrame, half_width_px: float, context: Context) -> tuple[ExtendedComponent | None, bool]:
-    """Return the prior of a halo that the window can show, and whether the camera is known to have one.
+    """Return the prior of a halo that the window contains, and whether the description states a halo.
 
-    An intensifier's halo is four gaps wide. Of an unknown camera only glare that fades inside the window, with
-    plateau beyond it, can be told from a slope of the illumination.
+    The halo is four proximity gaps wide. For a camera without a description only scattered light that ends inside the
+    window can be separated from an illumination gradient.
     """
     if context.sensor is None:
         longest = 0.25 * half_width_px
@@ -85,7 +85,7 @@ def halo_of(picture: OrientedFrame, half_width_px: float, context: Context) -> t
 
 
 def halo_diameters_px(context: Context, *, transposed: bool) -> tuple[float, float]:
-    """Return the range of the halo's diameter, four gaps, in pitches of the direction, px."""
+    """Return the range of the halo diameter, four proximity gaps, in pitches of the direction, px."""
     sensor = context.sensor
     assert sensor is not None
     gap, pitch = sensor.photocathode.gap_mm, sensor.ccd.pitch_y_um if transposed else sensor.ccd.pitch_x_um

@@ -1,4 +1,4 @@
-"""One picture of a stack: its mean frame, turned so that an edge stands upright with its bright side to the right."""
+"""Mean frame of a stack, oriented so that an edge is upright with its bright side right."""
 
 from dataclasses import dataclass
 
@@ -9,10 +9,12 @@ from labdata.frames import FrameStack
 
 Array = NDArray[np.float64]
 
+Region = tuple[int, int, int, int]
+
 
 @dataclass(frozen=True, kw_only=True)
 class OrientedFrame:
-    """Pixel values with the way they were turned.
+    """Mean frame with its orientation.
 
     Parameters
     ----------
@@ -21,18 +23,17 @@ class OrientedFrame:
     row_index
         Row of the original frame of every pixel, shape (row, col); its parity is the field.
     transposed, mirrored
-        Whether rows and columns were exchanged, and whether the columns then ran backwards.
+        Whether rows and columns are exchanged, and whether the columns then run backwards.
     frames
-        Frames averaged.
+        Number of frames averaged.
     whole_codes
-        Whether the frames hold whole codes.
+        Whether the frames hold integers.
     black_dn
-        Code at no light; None: not known.
+        Black level, DN; None: unknown.
     pitch_ratio
-        Pitch along the picture's rows' normal over the pitch along its columns' normal: row pitch over column pitch
-        of the upright picture.
+        Row pitch over column pitch of the oriented frame.
     interlaced
-        Whether odd and even rows of the original are two fields, each exposed for itself.
+        Whether odd and even rows of the original frame are two fields.
     """
 
     value: Array
@@ -47,11 +48,11 @@ class OrientedFrame:
 
     @property
     def field_axis(self) -> int | None:
-        """Axis along which two fields alternate; None: there are none."""
+        """Axis along which two fields alternate; None: progressive frames."""
         return int(self.transposed) if self.interlaced else None
 
     def turned(self, *, transpose: bool, mirror: bool) -> "OrientedFrame":
-        """Return the picture transposed and then mirrored."""
+        """Return the frame transposed and then mirrored."""
         value, row_index = self.value, self.row_index
         if transpose:
             value, row_index = value.T, row_index.T
@@ -70,13 +71,13 @@ class OrientedFrame:
         )
 
     def upright(self, frame: NDArray) -> Array:
-        """Return a single frame turned as the picture is."""
+        """Return a single frame in the same orientation."""
         turned = frame.T if self.transposed else frame
         return np.ascontiguousarray(turned[:, ::-1] if self.mirrored else turned, np.float64)
 
 
 def mean_oriented_frame(stack: FrameStack, pitch_ratio: float, *, interlaced: bool = False) -> OrientedFrame:
-    """Average a stack into a picture."""
+    """Return the mean frame of a stack, not yet reoriented."""
     data = stack.data
     frames, rows, cols = data.shape
     value = data[0].astype(float) if frames == 1 else data.mean(axis=0, dtype=np.float64)

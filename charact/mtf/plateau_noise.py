@@ -1,6 +1,6 @@
-"""Noise where a target is dark and bright: its variance, and what neighbours share, which is light's, not read-out's.
+"""Temporal noise on the dark and bright plateaus and on the slopes of a target.
 
-From frame to frame where there are several: no fixed pattern and no flicker of all is in it then.
+Noise is taken from frame differences where there are several frames: fixed patterns and lamp flicker are then excluded.
 """
 
 from dataclasses import dataclass
@@ -9,26 +9,26 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from charact.mtf.thresholds import ACCURACY, LIMITS
+
 Array = NDArray[np.float64]
 
-# Least pixels of a side.
-MIN_PIXELS = 50
-# Lags along a row: of neighbours, and of pixels so far apart that only what a row has in common ties them.
+# Lags along a row: of neighbours, and of distant pixels, which have only row noise in common.
 LAGS_PX = (1, 8, 9, 10)
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlateauNoise:
-    """One side of a target.
+    """Noise of one plateau of a target.
 
     Parameters
     ----------
     level
         Mean of its pixels, DN.
     variance, scatter
-        Mean variance of a pixel, DN^2, and its relative standard error.
+        Mean variance of a pixel, DN^2, and its relative standard uncertainty.
     covariance, covariance_sd
-        Mean covariance of neighbours along a row, beyond that of pixels far apart in it, and its standard error, DN^2.
+        Mean covariance of neighbours along a row less that of distant pixels, and its standard uncertainty, DN^2.
     """
 
     level: float
@@ -42,30 +42,29 @@ Sides = tuple[PlateauNoise, PlateauNoise]
 
 
 def plateau_noise(frames: Array, expected: Array, sides: NDArray[np.int64], *, along: int, tied: float) -> Sides | None:
-    """Return the dark and the bright side of a target; None: a side of few pixels.
+    """Return the noise of the dark and of the bright plateau; None if a plateau has too few pixels.
 
     Parameters
     ----------
     frames
         Shape (frame, row, col), DN.
     expected
-        What a single frame's noise is measured from, shape (row, col), DN.
+        Model of a single frame, shape (row, col), DN.
     sides
-        0 for pixels that do not count, 1 on the dark and 2 on the bright side, shape (row, col).
+        0 for excluded pixels, 1 on the dark and 2 on the bright plateau, shape (row, col).
     along
         Axis of a frame along which neighbours belong to one field: 0 down its rows, 1 along them.
     tied
-        Sum of the noise's correlation: by how much averages are noisier than those of independent pixels.
+        Sum of the noise correlations: variance factor of averages relative to independent pixels.
 
     Notes
     -----
-    Of several frames the mean of a side in each frame and that of each pixel are taken off. Errors follow from how
-    unequal pixels are, so that heavy-tailed pulses count as they are, and from what neighbours share. Pulses tie
-    neighbours, read-out and rounding do not.
+    The mean of a plateau in each frame and, of several frames, the mean of each pixel are subtracted. Uncertainties
+    follow from the scatter of the pixels, which includes heavy-tailed pulses, and from their correlation.
     """
     mean = frames.mean(axis=0) if len(frames) > 1 else expected
     sums = _sum_products(frames, mean, sides, 1 - along, along)
-    if sums[:, 0].min() < MIN_PIXELS:
+    if sums[:, 0].min() < LIMITS.min_plateau_pixels:
         return None
     free = max(len(frames) - 1, 1)
     dark, bright = (_side(one / np.array([1, 1, *([free, free**2] * 2), 1, free, 1]), max(tied, 1.0)) for one in sums)
@@ -73,7 +72,7 @@ def plateau_noise(frames: Array, expected: Array, sides: NDArray[np.int64], *, a
 
 
 def _side(sums: Array, tied: float) -> PlateauNoise:
-    """Return a side from the sums over its pixels and pairs; averages are noisier by a factor."""
+    """Return the noise of a plateau from the sums over its pixels and pairs."""
     pixels, level, variances, squares, near, near_squares, pairs, far, far_pairs = sums.tolist()
     variance, covariance = variances / pixels, near / max(pairs, 1.0)
     scatter = max(squares / pixels - variance**2, 0.0)
@@ -89,10 +88,10 @@ def _side(sums: Array, tied: float) -> PlateauNoise:
 
 @njit(cache=True)
 def _sum_products(values: Array, mean: Array, sides: NDArray[np.int64], down: int, across: int) -> Array:
-    """Return sums over both sides, shape (side, 9).
+    """Return sums over both plateaus, shape (side, 9).
 
-    Of pixels and their values; of each pixel's squares, of those squared, of neighbours' products, of those squared,
-    each summed over frames, and of neighbours; of far pixels' products, and of those.
+    Number of pixels, sum of values; sums of squares and of squares squared; sums of neighbours' products and of those
+    squared, number of neighbours; sum of distant pixels' products, and their number.
     """
     frames, rows, cols = values.shape
     out, left = np.zeros((2, 9)), np.zeros((frames, rows, cols))
@@ -135,3 +134,89 @@ def _sum_products(values: Array, mean: Array, sides: NDArray[np.int64], down: in
                     here[7] += product
                     here[8] += 1.0
     return out
+
+
+@dataclass(frozen=True, kw_only=True)
+class SlopeNoise:
+    """Temporal variance on the slopes of a target over that expected from its plateaus.
+
+    Parameters
+    ----------
+    ratio, sd
+        Ratio and its standard uncertainty, dimensionless.
+    """
+
+    ratio: float = 1.0
+    sd: float = np.inf
+
+    @property
+    def is_smoothed(self) -> bool:
+        """Whether the plateaus are quieter than photon and read-out noise allow."""
+        return self.ratio > LIMITS.slope_noise[0] + LIMITS.slope_noise[1] * self.sd
+
+
+def noise_on_slopes(frames: Array, level: Array, steep: Array, sides: NDArray[np.int64]) -> SlopeNoise:
+    """Return the noise on the slopes of a target relative to that of its plateaus.
+
+    Parameters
+    ----------
+    frames
+        Shape (frame, row, col), DN; the target's lines run down the rows.
+    level
+        From 0 (dark) to 1 (bright), shape (row, col).
+    steep
+        Slope of the target across its lines, shape (row, col).
+    sides
+        0 for excluded pixels, 1 on the dark and 2 on the bright plateau, shape (row, col).
+
+    Notes
+    -----
+    The variance of photon and read-out noise is linear in the level. Level and contrast of each frame are subtracted
+    (lamp flicker), and from each row's slope the component of a displacement (line jitter). Correlated noise makes that
+    component larger and the ratio smaller.
+    """
+    on_slope = (np.abs(steep) > LIMITS.min_slope * np.abs(steep).max()) & (np.count_nonzero(sides, axis=1) > 0)[:, None]
+    if len(frames) < LIMITS.min_smoothing_frames or not on_slope.any():
+        return SlopeNoise()
+    left = _steady(frames - frames.mean(axis=0), level, on_slope | (sides > 0))
+    free = len(frames) - 1
+    square = np.sum(left**2, axis=0) / free
+    count = np.count_nonzero(on_slope, axis=1)
+    shape = np.where(on_slope, steep, 0.0)
+    moved = np.einsum("fij,ij->fi", left, shape) ** 2 / np.maximum(np.sum(shape**2, axis=1), 1e-300)
+    slope = np.sum(square * on_slope, axis=1) - moved.sum(axis=0) / free
+    usable = count >= LIMITS.min_slope_pixels
+    # The displacement of a row takes one degree of freedom.
+    fraction = (count - 1) / np.maximum(count, 1)
+    bright = np.where(on_slope, np.clip(level, 0.0, 1.0), 0.0).sum(axis=1) * fraction
+    # Per row: variance on the slope, and the equivalent number of pixels at the dark and the bright level.
+    slope, bright, dark = ((usable * one) for one in (slope, bright, count * fraction - bright))
+    plateaus = [(np.sum(square * (sides == one), axis=1), np.count_nonzero(sides == one, axis=1)) for one in (1, 2)]
+    parts = [slope, dark, bright, *(part for plateau in plateaus for part in plateau)]
+    return _noise_ratio(np.stack([np.asarray(part, np.float64) for part in parts]))
+
+
+def _steady(left: Array, level: Array, used: NDArray[np.bool_]) -> Array:
+    """Subtract each frame's level and contrast."""
+    design = np.stack([np.ones(np.count_nonzero(used)), level[used]])
+    found = np.linalg.lstsq(design.T, left[:, used].T, rcond=None)[0]
+    return left - found[0][:, None, None] - found[1][:, None, None] * level
+
+
+def _noise_ratio(parts: Array) -> SlopeNoise:
+    """Return the ratio from the sums of rows, with a jackknife uncertainty over blocks of rows."""
+    blocks = parts.shape[1] // ACCURACY.block_rows
+    if blocks < ACCURACY.min_blocks:
+        return SlopeNoise()
+    sums = parts[:, : blocks * ACCURACY.block_rows].reshape(len(parts), blocks, ACCURACY.block_rows).sum(axis=2)
+    total = sums.sum(axis=1)
+    if min(total[[1, 2, 3, 4, 5, 6]]) <= 0:
+        return SlopeNoise()
+    ratio, each = _ratio(total[:, None])[0], _ratio(total[:, None] - sums)
+    return SlopeNoise(ratio=float(ratio), sd=float(np.sqrt((blocks - 1) / blocks * np.sum((each - each.mean()) ** 2))))
+
+
+def _ratio(sums: Array) -> Array:
+    slope, dark, bright, dark_sum, dark_count, bright_sum, bright_count = sums
+    expected = dark * dark_sum / np.maximum(dark_count, 1.0) + bright * bright_sum / np.maximum(bright_count, 1.0)
+    return slope / np.maximum(expected, 1e-300)

@@ -1,20 +1,16 @@
-"""What the codes themselves give away: clipping at an end of the scale, and steps too coarse for the noise."""
+"""Checks of grey values: clipping, and the effect of quantisation on mean frames."""
+
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-# Share of the pixels at one extreme code that makes it a pile-up, and how much it must exceed the code beside it.
-PILE_UP_FRACTION = 0.002
-PILE_UP_RATIO = 3.0
-FLOORS = (0, 16)
-# The same ratio where noise is seen beside the pile, codes that only noise crosses at once, and of a pile's pixels the
-# least share that crosses them, the least that stays, as 1.6 deviations below a plateau, and the least of either.
-NOISY_RATIO, CROSSED, MIN_CROSSING, MIN_STAYING, MIN_PIXELS = 1.5, 3, 0.005, 0.05, 10
-# Share of the brighter half of the pixels at one value from which the plateau is that value: of normal noise of one
-# step 38 % are.
-ONE_VALUE = 0.6
-# Noise that counts, share of the range: below are the roundings of float and the slopes of noise-free plateaus.
-MIN_NOISE = 1e-5
+from charact.mtf.thresholds import ACCURACY, LIMITS
+
+Array = NDArray[np.float64]
+
+# Variance that quantisation adds where noise spreads over several steps, DN^2.
+QUANTISATION_DN2 = 1.0 / 12.0
 
 
 def clipping_flags(data: NDArray, full_scale_dn: float | None) -> tuple[str, ...]:
@@ -23,41 +19,42 @@ def clipping_flags(data: NDArray, full_scale_dn: float | None) -> tuple[str, ...
     Parameters
     ----------
     data
-        Pixel values, shape (frame, ...): the last axis along rows.
+        Pixel values, shape (frame, ..., col), DN.
     full_scale_dn
-        Highest code, None: unknown; any highest value is then suspected.
+        Full scale, DN; None: unknown, and the highest value may be full scale.
 
     Notes
     -----
-    Noise spreads over several codes with the outermost the rarest. A pile-up is an outermost value that many pixels
-    share and that is several times as frequent as the one beside it. Light brings noise: a bright plateau of one value
-    beside a darker side whose noise spreads over several is clipped, wherever that value lies. Where nothing shows
-    noise, as in pictures that were drawn or averaged, a flat plateau is just flat. Pixels of a quiet plateau are
-    still, those of a clipped one come and go, over several codes at once: where they do, an outermost code even as
-    frequent as the next is clipped.
+    Noise spreads over several grey values, of which the outermost are the rarest. A pile-up is an extreme value that
+    many pixels have and that is several times as frequent as the adjacent value. A bright plateau of a single value is
+    clipped if the darker side shows noise. Data without noise, such as rendered or averaged frames, are not clipped for
+    having a flat plateau. Clipped pixels alternate between the extreme value and values several steps away; where they
+    do, the extreme value may be as rare as the adjacent one.
     """
     if not _has_pile_up(data):
         return ()
     values, counts = _histogram(data)
     if values.size < 3:
         return ("clipped",) if data.size > 64 else ()
-    share = counts / data.size
-    clipped = full_scale_dn is not None and bool(values[-1] >= full_scale_dn and share[-1] > PILE_UP_FRACTION)
+    fraction = counts / data.size
+    clipped = full_scale_dn is not None and bool(values[-1] >= full_scale_dn and fraction[-1] > LIMITS.pile_up_fraction)
     noise, step = _noise_below(data, 0.5 * (float(values[0]) + float(values[-1]))), float(np.diff(values).min())
-    noisy = noise > MIN_NOISE * float(values[-1] - values[0]) and values.size > 12
-    top = share[-1] > 2 * PILE_UP_FRACTION and counts[-1] > PILE_UP_RATIO * counts[-2]
-    bottom = share[0] > 2 * PILE_UP_FRACTION and counts[0] > PILE_UP_RATIO * counts[1]
+    noisy = noise > LIMITS.min_relative_noise * float(values[-1] - values[0]) and values.size > 12
+    top = fraction[-1] > 2 * LIMITS.pile_up_fraction and counts[-1] > LIMITS.pile_up_ratio * counts[-2]
+    bottom = fraction[0] > 2 * LIMITS.pile_up_fraction and counts[0] > LIMITS.pile_up_ratio * counts[1]
     brighter = np.count_nonzero(data > 0.5 * (float(values[0]) + float(values[-1])))
-    clipped |= bool(top and noisy and noise >= step and counts[-1] > ONE_VALUE * brighter)
-    # Black clips at the converter's or the video range's floor; a quiet plateau above it is just quiet.
-    clipped |= bool(bottom and values[0] in FLOORS and values.size > 12 and _shows_noise(data, values))
-    clipped |= bool(top and not bottom and noisy and share[-2] > 1e-4)
+    clipped |= bool(top and noisy and noise >= step and counts[-1] > LIMITS.plateau_fraction * brighter)
+    # Black clips at zero or at the floor of the video range; a quiet plateau above either is not clipped.
+    clipped |= bool(
+        bottom and values[0] in ACCURACY.video_floors_dn and values.size > 12 and _shows_noise(data, values)
+    )
+    clipped |= bool(top and not bottom and noisy and fraction[-2] > 1e-4)
     clipped = clipped or any(_cuts_noise(data, values, counts, end=end) for end in (0, -1))
     return ("clipped",) if clipped else ()
 
 
 def _noise_below(data: NDArray, level: float) -> float:
-    """Return the noise of the pixels below a level, DN: from the differences of neighbours along rows."""
+    """Return the noise of the pixels below a level, DN, from differences of neighbours along rows."""
     frame = np.asarray(data[0], np.float64)
     dark = (frame[..., 1:] <= level) & (frame[..., :-1] <= level)
     apart = np.abs(np.diff(frame, axis=-1))[dark]
@@ -65,42 +62,89 @@ def _noise_below(data: NDArray, level: float) -> float:
 
 
 def _shows_noise(data: NDArray, values: NDArray) -> bool:
-    """Tell whether the brighter half of the pixels scatters from neighbour to neighbour."""
+    """Return whether the brighter half of the pixels has noise."""
     noise = _noise_below(-np.asarray(data[:1], np.float64), -0.5 * (float(values[0]) + float(values[-1])))
-    return noise > MIN_NOISE * float(values[-1] - values[0])
+    return noise > LIMITS.min_relative_noise * float(values[-1] - values[0])
 
 
 def _cuts_noise(data: NDArray, values: NDArray, counts: NDArray, *, end: int) -> bool:
-    """Tell whether the lowest (end 0) or highest (-1) code is where noise was cut off.
+    """Return whether noise is clipped at the lowest (end 0) or highest (end -1) value.
 
-    Noise takes a pixel of the pile several codes away from one frame to the next; of a single frame between two
+    Noise moves a pixel of the pile several steps from one frame to the next, or in a single frame between two
     neighbours that stay.
     """
     inwards = values[::-1] if end else values
-    own, beside = counts[[-1, -2]] if end else counts[:2]
-    if own < max(MIN_PIXELS, 2 * PILE_UP_FRACTION * data.size, NOISY_RATIO * beside) or values.size <= 12:
+    own, adjacent = counts[[-1, -2]] if end else counts[:2]
+    if (
+        own
+        < max(LIMITS.min_pile_pixels, 2 * LIMITS.pile_up_fraction * data.size, LIMITS.noisy_pile_up_ratio * adjacent)
+        or values.size <= 12
+    ):
         return False
     piled = data == inwards[0]
-    away = data <= inwards[CROSSED] if end else data >= inwards[CROSSED]
+    away = data <= inwards[LIMITS.clipped_steps] if end else data >= inwards[LIMITS.clipped_steps]
     if len(data) > 1:
         crossing = np.count_nonzero(piled[:-1] & away[1:])
         staying = np.count_nonzero(piled[:-1] & piled[1:])
     else:
         crossing = np.count_nonzero(piled[..., :-2] & away[..., 1:-1] & piled[..., 2:])
         staying = np.count_nonzero(piled[..., :-1] & piled[..., 1:])
-    return bool(crossing > max(MIN_PIXELS, MIN_CROSSING * own) and staying > max(MIN_PIXELS, MIN_STAYING * own))
+    return bool(
+        crossing > max(LIMITS.min_pile_pixels, LIMITS.min_crossing * own)
+        and staying > max(LIMITS.min_pile_pixels, LIMITS.min_staying * own)
+    )
 
 
 def _has_pile_up(data: NDArray) -> bool:
-    """Tell whether either extreme value is frequent enough to be a pile-up, before all values are counted."""
+    """Return whether an extreme value is frequent enough to be a pile-up; avoids a histogram of all values."""
     extremes = np.count_nonzero(data == data.max()), np.count_nonzero(data == data.min())
-    return bool(max(extremes) > PILE_UP_FRACTION * data.size)
+    return bool(max(extremes) > LIMITS.pile_up_fraction * data.size)
 
 
 def _histogram(data: NDArray) -> tuple[NDArray, NDArray]:
-    """Return the values that occur and how often."""
+    """Return the values that occur and their counts."""
     if data.dtype.kind == "u" and data.dtype.itemsize <= 2:
         counts = np.bincount(data.ravel())
         values = np.flatnonzero(counts)
         return values, counts[values]
     return np.unique(data, return_counts=True)
+
+
+def rounding_shifts(level_dn: Array, variance_dn2: Array) -> Array:
+    """Return the possible shifts of mean values by quantisation, shape (offset, pixel), DN; no rows if negligible.
+
+    Parameters
+    ----------
+    level_dn
+        Means without quantisation, shape (pixel,).
+    variance_dn2
+        Variances of single quantised values, shape (pixel,).
+
+    Notes
+    -----
+    The mean of a value x with normal noise of standard deviation s is shifted by sum_k (-1)^k sin(2 pi k x) exp(-2 (pi
+    k s)^2) / (pi k), the Fourier series of the sawtooth (Widrow & Kollar, Quantization Noise, 2008). The fractional
+    part of x is unknown: the black level is placed at several equally likely offsets between two steps. The noise is
+    the smallest that is consistent with the variance.
+    """
+    from charact.noise.rounding import EVEN_DN2
+
+    least = np.interp(variance_dn2, *_least_noise())
+    noise = np.where(variance_dn2 > EVEN_DN2, variance_dn2 - QUANTISATION_DN2, least)
+    if np.exp(-2.0 * np.pi**2 * float(noise.min())) / np.pi < LIMITS.min_rounding_shift_dn:
+        return np.empty((0, level_dn.size))
+    out = np.zeros((ACCURACY.rounding_offsets, level_dn.size))
+    for term in range(1, ACCURACY.sawtooth_terms + 1):
+        size = (-1.0) ** term * np.exp(-2.0 * (np.pi * term) ** 2 * noise) / (np.pi * term)
+        turns = term * (level_dn + np.arange(ACCURACY.rounding_offsets)[:, None] / ACCURACY.rounding_offsets)
+        out += size * np.sin(2.0 * np.pi * turns)
+    return out
+
+
+@cache
+def _least_noise() -> tuple[Array, Array]:
+    """Return variances after quantisation and the smallest variances before it, DN^2."""
+    from charact.noise.rounding import EVEN_DN2, variance_range_before_rounding
+
+    rounded = np.linspace(0.0, EVEN_DN2, 91)
+    return rounded, np.array([variance_range_before_rounding(float(one))[0] for one in rounded])

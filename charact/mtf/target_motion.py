@@ -1,6 +1,6 @@
-"""A target that moves from frame to frame: how far, by an analysis of variance of where its lines stand.
+"""Target motion between frames, by analysis of variance of line positions.
 
-An edge that wanders along its length blurs alike (`charact.mtf.edge.pixels.roughness`).
+Edge roughness has the same effect within a frame (`charact.mtf.edge.pixels.roughness`).
 """
 
 from collections.abc import Sequence
@@ -9,31 +9,21 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from charact.mtf.thresholds import ACCURACY, LIMITS
 
-# Probability of so much by chance below which a target moves.
-CHANCE = 1e-4
-# Standard errors of a measurement by which motion may have moved it untold.
-MAX_UNFLAGGED_SD = 0.5
-# Most and fewest lines from one part to the next, parts that are wanted and needed, and lines between two parts, whose
-# noise ties them: two where there are lines enough.
-MAX_LINES, MIN_LINES, PARTS, MIN_PARTS, WIDE_FROM = 8, 3, 4, 3, 5
-# Cells of the mean profile that tells where lines stand, and the standard deviation of what smooths it, px.
-CELLS_PER_PX, BLUR_PX = 4, 0.5
-# Share of the lines' median power to tell their place below which a line is left out.
-MIN_POWER = 0.5
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
 class TargetMotion:
-    """How a target moves through a stack, or an edge about a straight line.
+    """Motion of a target through a stack, or deviation of an edge from a straight line.
 
     Parameters
     ----------
     rms_px
-        Root mean square of its places about their mean, noise taken off, px.
+        Root mean square displacement, noise subtracted, px.
     chance
-        Probability of places so far apart if it stands still, or is straight.
+        Probability of such displacements without motion.
     """
 
     rms_px: float = 0.0
@@ -41,14 +31,14 @@ class TargetMotion:
 
     @property
     def moves(self) -> bool:
-        """Whether noise alone hardly makes so much."""
-        return self.chance < CHANCE and self.rms_px > 0
+        """Whether the motion is significant."""
+        return self.chance < LIMITS.motion_p_value and self.rms_px > 0
 
     def mtf_loss(self, frequency_cy_per_px: float) -> float:
-        """Return the share by which it lowers the MTF at a frequency, and about that of an MTF50.
+        """Return the relative loss of the MTF at a frequency, and approximately that of MTF50.
 
-        What is averaged is blurred by exp(-2 (pi f s)^2); where the MTF is one half its logarithm falls by about as
-        much as that of the frequency rises.
+        The mean frame is blurred by exp(-2 (pi f s)^2). Near MTF50 ln MTF and ln frequency change by about the same
+        amount.
         """
         return 2.0 * (np.pi * frequency_cy_per_px * self.rms_px) ** 2
 
@@ -56,7 +46,7 @@ class TargetMotion:
 def measure_line_motion(
     frames: Sequence[Array], across: Array, line: NDArray[np.int64], used: NDArray[np.bool_]
 ) -> TargetMotion:
-    """Return how lines of one profile move from frame to frame.
+    """Return the motion of a target whose lines have one common profile.
 
     Parameters
     ----------
@@ -65,14 +55,14 @@ def measure_line_motion(
     across
         Distance of every pixel across the lines, shape (row, col), px.
     line
-        Which of its lines a pixel is on, from 0, shape (row, col).
+        Index of each pixel's line, from 0, shape (row, col).
     used
-        Which pixels count, shape (row, col).
+        Pixels that count, shape (row, col).
 
     Notes
     -----
-    With the mean profile m of all lines as template a line's displacement is least squares on -m'(d), its own level
-    and contrast free: light that flickers does not move it.
+    The displacement of a line is the least-squares coefficient of -m'(d), m the mean profile of all lines, with the
+    line's level and contrast free (lamp flicker).
     """
     if len(frames) < 2 or not used.any():
         return TargetMotion()
@@ -80,32 +70,27 @@ def measure_line_motion(
     mean, where = values.mean(axis=0), line[used]
     template, rise = _profile(mean, across[used])
     weight, holds = _weights(np.stack([rise, template - template.mean(), np.ones_like(rise)]), where)
-    places = np.stack([np.bincount(where, weight * (one - mean), minlength=holds.size) for one in values])
-    return measure_target_motion(np.asarray(places[:, holds], np.float64))
+    positions = np.stack([np.bincount(where, weight * (one - mean), minlength=holds.size) for one in values])
+    return measure_target_motion(np.asarray(positions[:, holds], np.float64))
 
 
 def _profile(value: Array, across: Array) -> tuple[Array, Array]:
-    """Return the smoothed mean of all lines and its slope at every pixel."""
+    """Return the smoothed mean profile of all lines and its slope at every pixel."""
     from scipy.ndimage import gaussian_filter1d
 
-    cell = np.floor((across - across.min()) * CELLS_PER_PX).astype(np.intp)
-    blur = BLUR_PX * CELLS_PER_PX
+    cell = np.floor((across - across.min()) * ACCURACY.profile_cells_per_px).astype(np.intp)
+    blur = ACCURACY.profile_smoothing_px * ACCURACY.profile_cells_per_px
     sums, counts = (gaussian_filter1d(np.bincount(cell, one), blur) for one in (value, np.ones_like(value)))
     profile = sums / np.maximum(counts, 1e-12)
-    place = across.min() + (np.arange(profile.size) + 0.5) / CELLS_PER_PX
-    slope = np.gradient(profile) * CELLS_PER_PX if profile.size > 1 else np.zeros(1)
-    return np.interp(across, place, profile), np.interp(across, place, slope)
+    position = across.min() + (np.arange(profile.size) + 0.5) / ACCURACY.profile_cells_per_px
+    slope = np.gradient(profile) * ACCURACY.profile_cells_per_px if profile.size > 1 else np.zeros(1)
+    return np.interp(across, position, profile), np.interp(across, position, slope)
 
 
 def _weights(shapes: Array, line: NDArray[np.int64]) -> tuple[Array, NDArray[np.bool_]]:
-    """Return what each pixel weighs in its line's displacement, and which lines tell theirs.
+    """Return the weight of each pixel in its line's displacement, and the usable lines.
 
-    Parameters
-    ----------
-    shapes
-        Slope, contrast and level at every pixel, shape (3, pixel).
-    line
-        Shape (pixel,).
+    `shapes` are slope, contrast and level at every pixel, shape (3, pixel).
     """
     scale = np.sqrt(np.maximum(np.mean(shapes**2, axis=1), 1e-300))
     shapes = shapes / scale[:, None]
@@ -113,33 +98,32 @@ def _weights(shapes: Array, line: NDArray[np.int64]) -> tuple[Array, NDArray[np.
     size = np.maximum(np.bincount(line), 1)[:, None, None]
     inverse = np.linalg.inv(normal / size + 1e-9 * np.eye(3)) / size
     power = np.where(np.bincount(line) > 0, 1.0 / inverse[:, 0, 0], 0.0)
-    holds = power > MIN_POWER * np.median(power[power > 0])
+    holds = power > LIMITS.min_line_power * np.median(power[power > 0])
     return -np.einsum("pk,kp->p", inverse[line, 0], shapes) / scale[0], holds
 
 
 def measure_target_motion(places: Array) -> TargetMotion:
-    """Return how a target moves from frame to frame.
+    """Return the motion from line positions.
 
     Parameters
     ----------
     places
-        Where each line of the target stands in each frame, shape (frame, line), px; what is the same in all frames
-        does not matter.
+        Position of each line in each frame, shape (frame, line), px; a constant offset of a line has no effect.
 
     Notes
     -----
-    Parts of a few lines each have noise of their own; what all of them share in a frame is motion. A two-way analysis
-    of variance of frames and parts compares the means of frames with what is left over (Fisher's F). The mean of K
-    frames is blurred by their own mean square about their mean, (K - 1)/K of the variance.
+    Groups of lines have independent noise; a displacement common to all groups of a frame is motion. A two-way analysis
+    of variance compares frame means with the residual (Fisher's F). The mean of K frames is blurred by (K - 1)/K of the
+    variance.
     """
     from scipy.special import fdtrc
 
     frames, lines = places.shape
-    size = min(max(lines // PARTS, MIN_LINES), MAX_LINES)
+    size = min(max(lines // ACCURACY.line_groups, ACCURACY.min_group_lines), ACCURACY.max_group_lines)
     parts = lines // size
-    if frames < 2 or parts < MIN_PARTS:
+    if frames < 2 or parts < ACCURACY.min_line_groups:
         return TargetMotion()
-    kept = size - (2 if size >= WIDE_FROM else 1)
+    kept = size - (2 if size >= ACCURACY.wide_gap_lines else 1)
     means = places[:, : parts * size].reshape(frames, parts, size)[:, :, :kept].mean(axis=2)
     means = means - means.mean(axis=0)
     of_frame = means.mean(axis=1)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from labdata.parameter import Parameter
+from labdata.camera_description import Parameter
 from labdata.sensor import Photocathode
 
 Array = NDArray[np.float64]

@@ -1,4 +1,4 @@
-"""Posterior draws that may be trusted: a maximum with its curvature, weighted draws, a chain that must prove itself."""
+"""Posterior sampling: Laplace approximation, importance sampling, MCMC and predictive checks."""
 
 from charact.posterior.chain import sample
 from charact.posterior.diagnostics import has_several_peaks

@@ -18,7 +18,7 @@ from charact.posterior.diagnostics import (
     mixes_well,
     split_r_hat,
 )
-from charact.posterior.ensembles import Ensembles, first_places
+from charact.posterior.ensembles import Ensembles, first_places, walker_moves
 from charact.posterior.laplace import (
     Vectorised,
     bounds_of,
@@ -27,9 +27,7 @@ from charact.posterior.laplace import (
     laplace,
     truncated_gaussian_draws,
 )
-from charact.posterior.moves import walker_moves
-from charact.posterior.normal_scores import NormalScores
-from charact.posterior.probit_transform import ProbitTransform
+from charact.posterior.probit_transform import NormalScores, ProbitTransform
 from labdata.errors import BadInput
 from labdata.measurement import Posterior
 
@@ -38,7 +36,7 @@ TAU_CHANGE = 0.1
 R_HAT = 1.01
 # Single walkers have only some tens of autocorrelation times each: this bound tells those that never leave a peak.
 WALKER_R_HAT = 1.15
-# Climbs in search of other peaks, shared out over the parameters: a climb costs as their square.
+# Number of optimisations in search of other modes, divided by the number of parameters: the cost of each is quadratic.
 CLIMBS = 30
 # Steps of the first round of learning, how alike two rounds must be, and the steps before the first judgement.
 LEARNING_STEPS = 60
@@ -46,10 +44,10 @@ ALIKE = 1.5
 FIRST_STEPS = 150
 # Differences of fewer walkers than these, four in each half, are too few to choose from.
 LEAST_WALKERS = 8
-# A second peak is further than this from the first and not lower than this in log-probability.
+# A second mode is further than this from the first and not lower than this in log-probability.
 FAR_SD = 6.0
 LOWEST_PEAK = 8.0
-# How far from the start climbs begin where a parameter has no bound.
+# Distance from the start at which optimisations begin where a parameter has no bound.
 FAR_AROUND_SD = 50.0
 
 
@@ -159,9 +157,14 @@ def _walkers(asked: int | None, parameters: int) -> int:
 
 
 def _start_ensembles(
-    log_probability: Vectorised, unbounded: Vectorised, open_space: ProbitTransform, places: NDArray, covariance: NDArray,
-    shape: tuple[int, int], seed: int,
-) -> Ensembles:  # fmt: skip
+    log_probability: Vectorised,
+    unbounded: Vectorised,
+    open_space: ProbitTransform,
+    places: NDArray,
+    covariance: NDArray,
+    shape: tuple[int, int],
+    seed: int,
+) -> Ensembles:
     """Start the ensembles around their places, in coordinates without walls."""
     ensembles, walkers = shape
     generators = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(ensembles)]
@@ -278,7 +281,7 @@ def _peaks(
 
 
 def _far_around(place: NDArray, covariance: NDArray, walls: NDArray, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return where to climb from: anywhere between bounds, or `FAR_AROUND_SD` about the start where there are none."""
+    """Return start points: anywhere between bounds, or within `FAR_AROUND_SD` of the start without bounds."""
     reach = FAR_AROUND_SD * np.sqrt(np.diag(covariance))
     low = np.where(np.isfinite(walls[:, 0]), walls[:, 0], place - reach)
     high = np.where(np.isfinite(walls[:, 1]), walls[:, 1], place + reach)

@@ -81,7 +81,7 @@ def mixes_well(acceptance: NDArray[np.float64], local_acceptance: float) -> bool
     acceptance
         Share of the steps in which each walker moved, shape (walker,).
     local_acceptance
-        Share of the local proposals taken; where nearly all are, their steps are small beside the posterior.
+        Share of the local proposals taken; where nearly all are, their steps are small compared with the posterior.
 
     Notes
     -----

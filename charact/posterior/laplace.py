@@ -1,21 +1,61 @@
-"""The peak of a log-probability and the Gaussian that its curvature draws there.
-
-Derivatives are differences over a whole stencil, evaluated in one vectorised call; steps are damped Newton steps
-with all dampings tried at once. No optimiser has to be imported, which keeps quick estimates quick.
-"""
+"""Maximum of a log-probability, and draws of its Laplace approximation."""
 
 from collections.abc import Callable
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtri
 
 from charact.posterior.diagnostics import crowds_at_bound
-from charact.posterior.quasi_random import quasi_random_normals
 from labdata.measurement import Posterior
+
+Array = NDArray[np.float64]
+
+# Bases of the sequence's columns; further parameters are drawn at random, since large bases are correlated.
+BASES = (2, 3, 5, 7, 11, 13)
+# Length of the sequence; further points are the same with another shift.
+LONGEST = 8192
+
+
+def quasi_random_normals(rng: np.random.Generator, count: int, parameters: int) -> Array:
+    """Return quasi-random standard normal numbers, shape (count, parameter), most uniform in the first columns.
+
+    Parameters
+    ----------
+    rng
+        Generator of the shift of each column and of the random columns.
+
+    Notes
+    -----
+    Halton's sequence (Halton 1960, doi 10.1007/BF01386213), shifted modulo one (Cranley & Patterson 1976, doi
+    10.1137/0713071), through the inverse of the normal distribution. Any initial part of it is quasi-random as well.
+    """
+    if count > LONGEST:
+        parts = [quasi_random_normals(rng, min(LONGEST, count - done), parameters) for done in range(0, count, LONGEST)]
+        return np.concatenate(parts)
+    even = min(parameters, len(BASES))
+    shares = (_halton()[:count, :even] + rng.random(even)) % 1.0
+    normal = ndtri(np.maximum(shares, np.finfo(float).tiny))
+    return np.concatenate([normal, rng.standard_normal((count, parameters - even))], axis=1)
+
+
+@lru_cache(maxsize=1)
+def _halton() -> Array:
+    """Return the sequence, shape (point, base): the digits of 1, 2, 3... in a base, mirrored at the point."""
+    out = np.zeros((LONGEST, len(BASES)))
+    for column, base in enumerate(BASES):
+        rest, place = np.arange(1, LONGEST + 1), 1.0
+        while rest.any():
+            place /= base
+            rest, digit = np.divmod(rest, base)
+            out[:, column] += place * digit
+    return out
+
 
 Vectorised = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
-# A finite difference spans about this many standard deviations: small against the peak, large against rounding.
+# Span of a finite difference in standard deviations: small against the optimum's width, large against rounding.
 STENCIL_SD = 0.1
 DAMPINGS = np.concatenate([[0.0], 10.0 ** np.arange(-4.0, 7.0)])
 
@@ -23,25 +63,25 @@ DAMPINGS = np.concatenate([[0.0], 10.0 ** np.arange(-4.0, 7.0)])
 def find_maximum(
     log_probability: Vectorised, start: ArrayLike, bounds: ArrayLike | None = None, *, iterations: int = 60
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Climb to the peak of a log-probability near a start.
+    """Find the maximum of a log-probability near a start.
 
     Parameters
     ----------
     log_probability
         Vectorised: points (n, parameter) -> (n,), -inf outside the bounds.
     start
-        Where to begin, shape (parameter,); must have a finite log-probability.
+        Start point, shape (parameter,); must have a finite log-probability.
     bounds
         Lower and upper bound of each parameter, shape (parameter, 2), infinite where there is none.
     iterations
-        Most Newton steps.
+        Maximum number of Newton steps.
 
     Returns
     -------
     point
-        The peak, shape (parameter,); on a bound where the probability still rises there.
+        Optimum, shape (parameter,); on a bound if the probability still rises there.
     covariance
-        Inverse of the negative curvature at the peak, shape (parameter, parameter).
+        Inverse of the negative curvature at the optimum, shape (parameter, parameter).
 
     Raises
     ------
@@ -84,7 +124,7 @@ def laplace(
     draws: int = 1000,
     flags: tuple[str, ...] = (),
 ) -> Posterior:
-    """Draw from the Gaussian approximation of a posterior at its peak, cut at the bounds.
+    """Draw from the Laplace approximation of a posterior, truncated at the bounds.
 
     Parameters
     ----------
@@ -93,22 +133,21 @@ def laplace(
     names, units
         Name and unit of each parameter.
     start
-        The peak, shape (parameter,).
+        Optimum, shape (parameter,).
     covariance
         Covariance there, shape (parameter, parameter); None: the inverse of the negative curvature.
     seed
         Seed of the draws.
     bounds
-        Shape (parameter, 2); draws outside are drawn anew.
+        Shape (parameter, 2); draws outside are repeated.
     draws
         Number of draws.
     flags
-        Reasons to distrust it that are known already.
+        Known flags.
 
     Notes
     -----
-    Laplace's approximation: the posterior is as Gaussian as its logarithm is parabolic over a few standard
-    deviations.
+    The posterior is Gaussian as far as its logarithm is parabolic over a few standard deviations.
     """
     peak = np.asarray(start, float)
     walls = bounds_of(bounds, peak.size)
@@ -125,9 +164,9 @@ def laplace(
 def truncated_gaussian_draws(
     rng: np.random.Generator, peak: NDArray, covariance: NDArray, walls: NDArray, draws: int, *, even: bool = False
 ) -> NDArray[np.float64]:
-    """Draw from a Gaussian cut at walls, shape (draw, parameter); a Gaussian beyond its walls piles up on them.
+    """Draw from a Gaussian truncated at its bounds, shape (draw, parameter).
 
-    Even draws fill their space evenly, the first parameters most, so that few tell quantiles; others are independent.
+    Quasi-random draws, most uniform in the first parameters, give quantiles from few draws; others are independent.
     """
     root = covariance_root(covariance)
     if even:
@@ -166,7 +205,7 @@ def _steps(
     offsets = np.einsum("pf,pq->pfq", sizes, np.eye(point.size)).reshape(-1, point.size)
     both = np.concatenate([point + offsets, point - offsets])
     change = log_probability(np.clip(both, walls[:, 0], walls[:, 1])) - value
-    # The mean of both sides is the curvature's part; near a wall one side alone moves, and that serves as well.
+    # The mean of both sides is the curvature; at a bound only one side changes, which is sufficient.
     bend = np.abs(change.reshape(2, *sizes.shape).mean(0))
     bend = np.where(np.isfinite(bend), bend, np.inf)
     wanted = 0.5 * STENCIL_SD**2
@@ -176,7 +215,7 @@ def _steps(
 
 
 def _rescale_steps(steps: NDArray, hessian: NDArray, walls: NDArray) -> NDArray[np.float64]:
-    """Return steps of `STENCIL_SD` standard deviations after a Hessian in units of the last ones."""
+    """Return steps of `STENCIL_SD` standard deviations from a Hessian in units of the last ones."""
     bend = np.maximum(np.abs(np.diag(hessian)), 1e-12)
     wanted = steps * np.clip(STENCIL_SD / np.sqrt(bend), 0.1, 10.0)
     ranges = walls[:, 1] - walls[:, 0]
@@ -188,7 +227,7 @@ def _derivatives(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return gradient and Hessian at the point in units of the steps, from one call over a central stencil.
 
-    Near a wall the stencil is moved inside; the gradient is then carried back to the point by the Hessian.
+    At a bound the stencil is moved inside; the Hessian extrapolates the gradient back to the point.
     """
     size = point.size
     centre = np.clip(point, walls[:, 0] + steps, walls[:, 1] - steps)
@@ -211,7 +250,7 @@ def _derivatives(
 def _candidates(
     point: NDArray, gradient: NDArray, hessian: NDArray, steps: NDArray, walls: NDArray
 ) -> NDArray[np.float64]:
-    """Return the points that Newton steps of all dampings reach, kept inside the walls."""
+    """Return the points of Newton steps with all dampings, inside the bounds."""
     blocked = ((point <= walls[:, 0]) & (gradient < 0)) | ((point >= walls[:, 1]) & (gradient > 0))
     free = np.flatnonzero(~blocked)
     if not free.size:
@@ -221,7 +260,7 @@ def _candidates(
     floor = np.maximum(np.abs(values), 1e-12)
     scale = max(float(np.max(np.abs(values))), 1e-12)
     moves = (along / (floor + DAMPINGS[:, None] * scale)) @ vectors.T * steps[free]
-    # Shorter and longer moves along Newton's own direction, for peaks that are no parabola.
+    # Shorter and longer moves along Newton's direction, for optima that are not parabolic.
     moves = np.concatenate([moves, moves[:1] * np.array([[0.5], [0.25], [2.0], [4.0]])])
     reached = np.tile(point, (len(moves), 1))
     reached[:, free] += moves
@@ -229,9 +268,9 @@ def _candidates(
 
 
 def _covariance(hessian: NDArray, steps: NDArray, walls: NDArray) -> NDArray[np.float64]:
-    """Return the covariance of the curvature; where it leaves a parameter its whole range, that of its bounds counts.
+    """Return the inverse curvature; bounds act as a Gaussian prior where a parameter is undetermined.
 
-    Bounds count as a Gaussian of the variance of their range: what is seen of several parameters together stays seen.
+    Bounds act as a Gaussian with the variance of their range: combinations of parameters remain determined.
     """
     values, vectors = np.linalg.eigh(-hessian)
     ranges = (walls[:, 1] - walls[:, 0]) / steps

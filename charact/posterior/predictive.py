@@ -1,8 +1,4 @@
-"""Posterior predictive checks: whether data look like what the model, with its own posterior, would have given.
-
-A chain that has converged says nothing about the model. Chi squared tells noise larger than stated; runs of one sign
-and residuals like their neighbours tell a mean of the wrong shape, long before chi squared does.
-"""
+"""Posterior predictive checks: comparison of data with replicates from the posterior."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,26 +10,24 @@ from labdata.errors import BadInput
 
 Array = NDArray[np.float64]
 
-# Below this probability, shared out over the three signs, the model is called wrong.
+# Probability of rejecting a correct model, divided between the three discrepancies.
 MISFIT_LEVEL = 0.01
-# Numbers replicated at a time, for memory's sake.
-BLOCK = 1 << 20
 
 
 @dataclass(frozen=True, kw_only=True)
 class PredictiveCheck:
-    """Probabilities of residuals at least as odd as these, were the model right; each uniform between 0 and 1 then.
+    """Posterior predictive p-values of three discrepancies, uniform between 0 and 1 under the model.
 
     Parameters
     ----------
     chi_squared
-        Of a sum of squares as large: noise beyond what was stated, or any misfit.
+        p-value of the sum of squares: excess noise, or any misfit.
     runs
-        Of as few runs of one sign along the data: a mean of the wrong shape.
+        p-value of the number of runs of one sign: a wrong mean.
     neighbours
-        Of residuals as like their neighbours, over lags up to the root of their number: a mean of the wrong shape.
+        p-value of the correlation of neighbouring residuals, over lags up to the root of their number: a wrong mean.
     level
-        Chance of calling a right model wrong.
+        Probability of rejecting a correct model.
     """
 
     chi_squared: float
@@ -43,12 +37,12 @@ class PredictiveCheck:
 
     @property
     def probability(self) -> float:
-        """Probability of the least likely of the three signs, allowing for there being three (Bonferroni)."""
+        """Smallest p-value, corrected for three tests (Bonferroni)."""
         return min(1.0, 3.0 * min(self.chi_squared, self.runs, self.neighbours))
 
     @property
     def flags(self) -> tuple[str, ...]:
-        """`model-misfit` where the model is wrong, else nothing."""
+        """`model-misfit` where the model is rejected."""
         return ("model-misfit",) if self.probability < self.level else ()
 
 
@@ -66,17 +60,17 @@ def predictive_check(
     Parameters
     ----------
     data
-        What was measured, along its natural order, shape (datum,).
+        Measured data in their natural order, shape (datum,).
     predictions
-        The model's mean of the data at each posterior draw, shape (draw, datum).
+        Predicted mean of the data at each posterior draw, shape (draw, datum).
     noise
         Standard deviation of the noise, shape (datum,), or its covariance, shape (datum, datum).
     rng
         Generator of the replicates.
     replicates
-        How many data sets are replicated; probabilities are no finer than their inverse.
+        Number of replicated data sets, which limits the resolution of the p-values.
     level
-        Chance of calling a right model wrong.
+        Probability of rejecting a correct model.
 
     Raises
     ------
@@ -85,10 +79,10 @@ def predictive_check(
 
     Notes
     -----
-    Whitened residuals at the posterior's mean prediction, z = L^-1 (y - m), have covariance 1 - H under the model,
-    H the posterior covariance of L^-1 times the prediction: exactly so for Gaussian noise and a mean linear in the
-    parameters with a Gaussian prior, where H is the hat matrix. Replicates are drawn from that law, so that the data
-    are not used twice, which would pull the probabilities towards 1/2 (Meng 1994, doi 10.1214/aos/1176325622).
+    Whitened residuals at the posterior's mean prediction, z = L^-1 (y - m), have covariance 1 - H under the model, with
+    H the posterior covariance of L^-1 times the prediction: exact for Gaussian noise and a mean linear in the
+    parameters with a Gaussian prior, where H is the hat matrix. Replicates are drawn from that distribution, so that
+    the data are not used twice, which would bias the p-values towards 1/2 (Meng 1994, doi 10.1214/aos/1176325622).
     """
     measured, mean = np.asarray(data, float), np.asarray(predictions, float)
     if measured.ndim != 1 or mean.ndim != 2 or mean.shape[1] != measured.size or len(mean) < 2 or measured.size < 4:
@@ -99,7 +93,7 @@ def predictive_check(
     spread = whiten((mean - mean.mean(axis=0)).T).T / np.sqrt(len(mean) - 1)
     residual = whiten((measured - mean.mean(axis=0))[:, None])[:, 0]
     ours = _discrepancies(residual[None])
-    blocks = np.array_split(np.arange(replicates), -(-replicates * measured.size // BLOCK))
+    blocks = np.array_split(np.arange(replicates), -(-replicates * measured.size // (1 << 20)))
     theirs = [
         _discrepancies(_shrink_by_fit(rng.standard_normal((len(block), measured.size)), spread)) for block in blocks
     ]
@@ -115,23 +109,23 @@ def predictive_probability(
     *,
     rng: np.random.Generator,
 ) -> float:
-    """Return the share of replicated data that lie further from the model than the data, for noise of any law.
+    """Return the posterior predictive p-value of a discrepancy, for noise of any distribution.
 
     Parameters
     ----------
     draws
         Posterior draws, shape (draw, parameter).
     data
-        What was measured, any shape.
+        Measured data, any shape.
     replicate
-        Maps draws (draw, parameter) and a generator to data of their own, shape (draw, *data).
+        Function of draws (draw, parameter) and a generator that returns replicates, shape (draw, *data).
     discrepancy
-        Maps data (draw, *data) and draws to how far each lies from the model, shape (draw,).
+        Function of data (draw, *data) and draws that returns discrepancies, shape (draw,).
 
     Notes
     -----
-    Gelman, Meng & Stern 1996: P(T(y_rep, theta) >= T(y, theta)). It uses the data twice and so lies nearer to 1/2
-    than a uniform probability: one below alpha comes at most about as often as alpha, mostly more seldom.
+    Gelman, Meng & Stern 1996: P(T(y_rep, theta) >= T(y, theta)). The data are used twice, so that the p-value is closer
+    to 1/2 than a uniform one: values below alpha occur with at most about the probability alpha.
     """
     drawn = np.atleast_2d(np.asarray(draws, float))
     measured = np.asarray(data, float)
@@ -156,10 +150,9 @@ def _whitener(noise: Array, size: int) -> Callable[[Array], Array]:
 
 
 def _shrink_by_fit(white: Array, spread: Array) -> Array:
-    """Return white noise (replicate, datum) as it is left after the fit: each direction shrunk to variance 1 - H.
+    """Return white noise (replicate, datum) after a fit: each direction has variance 1 - H.
 
-    A direction of which the posterior knows no more than its noise allows has H = 1 at most; scatter of the draws
-    beyond that is cut.
+    A direction that the noise alone determines has H = 1 at most; excess scatter of the draws is clipped.
     """
     _, values, directions = np.linalg.svd(spread, full_matrices=False)
     left = np.sqrt(np.clip(1.0 - values**2, 0.0, 1.0))
@@ -167,7 +160,7 @@ def _shrink_by_fit(white: Array, spread: Array) -> Array:
 
 
 def _discrepancies(residual: Array) -> Array:
-    """Return the three signs of white residuals (data set, datum), shape (sign, data set)."""
+    """Return the three discrepancies of white residuals (data set, datum), shape (discrepancy, data set)."""
     return np.array([_chi_squared(residual), _few_runs(residual), _neighbours(residual)])
 
 
@@ -181,7 +174,7 @@ def _few_runs(residual: Array) -> Array:
 
 
 def _neighbours(residual: Array) -> Array:
-    """Sum of the autocorrelations up to a lag of the root of the number of data, each weighed by 1 - lag/(last + 1)."""
+    """Sum of the autocorrelations up to the root of the number of data, weighted by 1 - lag/(last + 1)."""
     count = residual.shape[1]
     last = max(1, round(np.sqrt(count)))
     products = [np.einsum("rn,rn->r", residual[:, lag:], residual[:, :-lag]) for lag in range(1, last + 1)]

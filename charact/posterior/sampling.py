@@ -1,4 +1,4 @@
-"""Draws of a posterior by importance, and by Markov chain where draws by importance are too few to tell it."""
+"""Posterior draws by importance sampling, or by MCMC where the effective sample size is too small."""
 
 from dataclasses import replace
 
@@ -10,8 +10,8 @@ from charact.posterior.importance import importance_sample
 from charact.posterior.laplace import Vectorised
 from labdata.measurement import Posterior
 
-# Effective draws by importance that are wanted: 95 % intervals of a hundred edges are then as wide as at nine thousand,
-# within half a percent. Fewer than the others tell no posterior.
+# Requested effective sample size: 95 % intervals of a hundred edges are within 0.5 % of those at nine thousand. Below
+# the second number the posterior is not determined.
 WANTED, ENOUGH = 2000.0, 1000.0
 
 
@@ -28,26 +28,26 @@ def sample_posterior(
     max_steps: int = 20000,
     effort: float = 1.0,
 ) -> Posterior:
-    """Draw from a posterior of one peak or several near each other, by importance where that is enough.
+    """Draw from a posterior of one mode, or of several close ones, by importance sampling where sufficient.
 
     Parameters
     ----------
     log_probability, names, units, start, covariance, seed, bounds, draws
-        As of `charact.posterior.importance_sample`.
+        As of `importance_sample`.
     max_steps
-        Steps of each ensemble after which a Markov chain is given up.
+        Maximum number of steps of each ensemble of the Markov chain.
     effort
-        Share of the effective draws by importance that are wanted: of a form of little evidence few draws count.
+        Fraction of the requested effective sample size: low for models of small weight.
 
     Returns
     -------
     Posterior
-        Its sampler says how it was drawn; `several-modes` where its draws have several peaks.
+        Its sampler is recorded; `several-modes` if its draws have several modes.
 
     Notes
     -----
-    Importance meets the peaks into which draws from about the first one fall. Others, far away, only a chain's climbs
-    look for.
+    Importance sampling finds the modes near the first one. Distant modes are found only by the optimisations of a
+    Markov chain.
     """
     asked = {
         "names": names, "units": units, "start": start, "covariance": covariance, "seed": seed, "bounds": bounds,

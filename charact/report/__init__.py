@@ -1,4 +1,4 @@
-"""The report of a session: one self-contained HTML file, and the truth beside the measured where it is known."""
+"""Report of a session as one self-contained HTML file, with a comparison to the truth where it is known."""
 
 from charact.report.page import fragment, page, write
 from charact.report.truth import Truth, TruthComparison, compare_with_truth

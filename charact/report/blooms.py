@@ -1,22 +1,34 @@
-"""Figures behind halo and blooming: radial profiles with their fit, diameters against the light."""
+"""Figures of halo and blooming: radial profiles with fits, diameters against light."""
 
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from charact.report.plot_helpers import first_array, has_all, plot_line, plot_points
-from charact.report.style import COLOURS, DATA, FOURTH, INK, MODEL, THIRD, WARN, panels, write_note
+from charact.report.style import (
+    COLOURS,
+    DATA,
+    FOURTH,
+    INK,
+    MODEL,
+    THIRD,
+    WARN,
+    first_array,
+    has_all,
+    panels,
+    plot_line,
+    plot_points,
+    write_note,
+)
 
 Data = Mapping[str, Any]
-MOST_PROFILES = 6
 
 
 def plot_point_profile(data: Data) -> Any:
-    """Radial profiles of a point series with the joint fit, and below what is left over in standard errors.
+    """Plot the radial profiles of a point series with the joint fit, and the residuals in standard errors.
 
-    Reads `label`, and for each of these a list per level: `radius_px`, `mean_dn`, `sd_dn`, `used` (rings that are
-    fitted), and where there is a fit `model_dn` and `residual_sd`. `halo_diameter_px` is marked, `full_scale_dn` too.
+    Reads `label`, and for each of these a list per level: `radius_px`, `mean_dn`, `sd_dn`, `used` (fitted
+    rings), and with a fit `model_dn` and `residual_sd`. `halo_diameter_px` and `full_scale_dn` are marked.
     """
     fitted = has_all(data, "model_dn")
     rows = 2 if fitted else 1
@@ -42,11 +54,11 @@ def plot_point_profile(data: Data) -> Any:
         if data.get("halo_diameter_px") is not None:
             one.axvline(data["halo_diameter_px"] / 2, color=INK, linestyle="--", linewidth=0.9, label="halo radius")
     if data.get("full_scale_dn"):
-        axes.axhline(data["full_scale_dn"], color=WARN, linestyle=":", linewidth=0.9, label="highest code")
+        axes.axhline(data["full_scale_dn"], color=WARN, linestyle=":", linewidth=0.9, label="full scale")
     means = np.concatenate([np.asarray(mean, float) for mean in data["mean_dn"]])
     low, high = float(np.nanmin(means)), float(np.nanmax(means))
     axes.set(ylabel="mean of the ring (DN)")
-    # A halo is a small step on a long slope: a logarithmic scale shows both.
+    # A halo is a small step on a long slope; a logarithmic scale shows both.
     axes.set_yscale("log" if low > 0 else "linear")
     axes.set_ylim(0.93 * low if low > 0 else low - 0.05 * high, 1.3 * high)
     axes.legend(ncols=2)
@@ -61,7 +73,7 @@ def plot_point_profile(data: Data) -> Any:
 
 
 def _largest(data: Data, fitted: bool) -> float:
-    """Largest residual of the rings that are fitted, in standard errors, at most 12."""
+    """Return the largest residual of the fitted rings in standard errors, at most 12."""
     if not fitted or not has_all(data, "residual_sd"):
         return 4.0
     pairs = zip(data["residual_sd"], data["used"], strict=True)
@@ -70,7 +82,7 @@ def _largest(data: Data, fitted: bool) -> float:
 
 
 def plot_point_spread(data: Data) -> Any:
-    """A point source along its row and column and its rings further out, with the model."""
+    """Plot the profiles of a point source along row and column and its rings, with the model."""
     figure, grid = panels(1, 2, size=(5.8, 3.4), width_ratios=(1.2, 1))
     core, rings = grid[0]
     for colour, way, place in ((DATA, "row", "column_px"), (THIRD, "column", "row_px")):
@@ -90,14 +102,14 @@ def plot_point_spread(data: Data) -> Any:
 
 
 def _pick_levels(count: int) -> list[int]:
-    """At most six levels, evenly chosen."""
-    return sorted({int(n) for n in np.linspace(0, count - 1, min(count, MOST_PROFILES)).round()})
+    """Return at most six level indices at equal intervals."""
+    return sorted({int(n) for n in np.linspace(0, count - 1, min(count, 6)).round()})
 
 
 def exposure(data: Data) -> tuple[np.ndarray, str]:
-    """What rises from stack to stack: the overload where it is known, else the light dose, else the stack's number."""
+    """Return the abscissa of a point series and its label: overload, else light dose, else the stack number."""
     if data.get("overload_known"):
-        return first_array(data, "overload"), "overload: light over what meets full scale (1)"
+        return first_array(data, "overload"), "overload: signal over full scale (1)"
     gate = [1.0 if value is None else value for value in data.get("gate_ns", [])]
     light = [None if value is None else value for value in data.get("illuminance_lux", [])]
     if light and all(value is not None and value > 0 for value in light):
@@ -106,7 +118,7 @@ def exposure(data: Data) -> tuple[np.ndarray, str]:
 
 
 def plot_illuminated_edge(data: Data) -> Any:
-    """Brightness across the edge of a lit area at every level, with the model; where the halo ends is marked.
+    """Plot the profile across the edge of an illuminated area at every source level, with the model and the halo end.
 
     Reads `label`, and for each of these a list per level: `distance_px`, `mean_dn`, `sd_dn`, `used`, `model_dn`;
     `edge_px`, the true edge on the scale of the distances, and `halo_diameter_px`.
@@ -133,28 +145,28 @@ def plot_illuminated_edge(data: Data) -> Any:
     return figure
 
 
-# Quantity: what the level is, colour and marker.
+# Quantity: threshold, colour and marker.
 EXTENTS = {
     "bloom_diameter": ("half of full scale", DATA, "o"),
     "bloom_diameter_background": ("twice the background", FOURTH, "^"),
-    "bloom_diameter_clip": ("highest code", THIRD, "v"),
+    "bloom_diameter_clip": ("full scale", THIRD, "v"),
     "streak_length": ("streak", MODEL, "s"),
 }
 
 
 def plot_bloom_series(data: Data) -> Any:
-    """Bloom diameters at three levels and streak length against the light, 95 % intervals, and the halo's diameter.
+    """Plot bloom diameters at three thresholds, streak length and halo diameter against light, with 95 % intervals.
 
-    Reads `label` and what rises (see `exposure`); `measured`, by quantity and label [value, low, high] of 95 %, and
-    without it the lists `bloom_diameter_px` and `streak_length_px`; `halo_px` [value, low, high], else each level's
-    `halo_diameter_px`; `foretold`, the diameters that the fitted spread makes at each level of signal: `overload`, and
-    by quantity [low, middle, high] lists, drawn as lines; `truth`, by quantity a list for the stacks.
+    Reads `label` and the data of `exposure`; `measured`, by quantity and label [value, low, high] of 95 %, and without
+    it the lists `bloom_diameter_px` and `streak_length_px`; `halo_px` [value, low, high], else each level's
+    `halo_diameter_px`; `foretold`, the diameters predicted by the fitted spread: `overload`, and by quantity
+    [low, median, high] lists, shown as lines; `truth`, by quantity a list for the stacks.
     """
     figure, grid = panels(size=(5.8, 4.2))
     axes = grid[0, 0]
     x, label = exposure(data)
-    foretold = data.get("foretold") if data.get("overload_known") else None
-    shown = [_extent(axes, data, x, quantity, foretold) for quantity in EXTENTS]
+    predicted = data.get("foretold") if data.get("overload_known") else None
+    shown = [_extent(axes, data, x, quantity, predicted) for quantity in EXTENTS]
     if data.get("halo_px"):
         value, low, high = data["halo_px"]
         axes.axhspan(low, high, color=INK, alpha=0.15, linewidth=0)
@@ -164,21 +176,21 @@ def plot_bloom_series(data: Data) -> Any:
             axes, *zip(*own, strict=True), color=INK, markersize=5, marker="D", mfc="none", label="halo, before blur"
         )
     if not any(shown):
-        write_note(axes, "No stack reaches any of the levels.")
+        write_note(axes, "No stack exceeds any of the thresholds.")
     if not label.startswith("stack"):
         axes.set_xscale("log")
     axes.set(xlabel=label, ylabel="diameter or length (column pitches, rows; px)")
     _set_height(axes, data)
-    lines = ", lines: foretold by the fit" if foretold else ""
+    lines = ", lines: predicted by the fit" if predicted else ""
     axes.legend(title=f"diameter at{lines}" if any(shown) else None, alignment="left")
     return figure
 
 
 def _set_height(axes: Any, data: Data) -> None:
-    """A linear scale shows step and plateau; where one level reaches far beyond the others, a logarithmic one does."""
-    told = data.get("measured", {})
-    values = [one[0] for quantity in told.values() for one in quantity.values()]
-    usual = [one[0] for one in told.get("bloom_diameter", {}).values()] + [(data.get("halo_px") or [0.0])[0]]
+    """Set a linear ordinate, or a logarithmic one if one diameter is far larger than the others."""
+    measured = data.get("measured", {})
+    values = [one[0] for quantity in measured.values() for one in quantity.values()]
+    usual = [one[0] for one in measured.get("bloom_diameter", {}).values()] + [(data.get("halo_px") or [0.0])[0]]
     if values and max(values) > 2.0 * max(usual):
         axes.set_yscale("log")
         axes.set_ylim(2.0, 1.3 * max(values))
@@ -186,16 +198,16 @@ def _set_height(axes: Any, data: Data) -> None:
         axes.set_ylim(bottom=0.0)
 
 
-def _extent(axes: Any, data: Data, x: np.ndarray, quantity: str, foretold: Any) -> bool:
-    """One quantity of every stack, what the fit foretells of it, and its truth."""
+def _extent(axes: Any, data: Data, x: np.ndarray, quantity: str, predicted: Any) -> bool:
+    """Plot one quantity of every stack, its prediction by the fit, and its truth; return whether it has points."""
     words, colour, marker = EXTENTS[quantity]
-    told = data.get("measured", {}).get(quantity, {})
-    points = [(at, *told[label]) for at, label in zip(x, data["label"], strict=True) if told.get(label)]
-    if not told and f"{quantity}_px" in data:
+    measured = data.get("measured", {}).get(quantity, {})
+    points = [(at, *measured[label]) for at, label in zip(x, data["label"], strict=True) if measured.get(label)]
+    if not measured and f"{quantity}_px" in data:
         points = [(at, d, d, d) for at, d in zip(x, first_array(data, f"{quantity}_px"), strict=True) if d > 0]
-    if foretold is not None and quantity in foretold and points:
-        low, middle, high = (np.asarray(one, float) for one in foretold[quantity])
-        at = np.asarray(foretold["overload"], float)
+    if predicted is not None and quantity in predicted and points:
+        low, middle, high = (np.asarray(one, float) for one in predicted[quantity])
+        at = np.asarray(predicted["overload"], float)
         axes.fill_between(at, low, high, color=colour, alpha=0.2, linewidth=0)
         axes.plot(at, middle, color=colour, linewidth=1)
     if points:
@@ -209,9 +221,9 @@ def _extent(axes: Any, data: Data, x: np.ndarray, quantity: str, foretold: Any) 
 
 
 def plot_spread_models(data: Data) -> Any:
-    """The forms of a source's light that were tried: by how much the criterion prefers the best, the best at the top.
+    """Plot the BIC of every halo model above that of the best one, the best at the top.
 
-    Reads `table`, a list of rows with `form`, `parameters`, `bic_over_best` and, where it was cross-validated,
+    Reads `table`, a list of rows with `form`, `parameters`, `bic_over_best` and, if cross-validated,
     `foretold_chi2_per_ring`.
     """
     table = data["table"]
@@ -223,23 +235,23 @@ def plot_spread_models(data: Data) -> Any:
     axes.set_xscale("symlog", linthresh=10)
     axes.set_xlim(0.0, 2.0 * max(10.0, float(over.max())))
     axes.set_yticks(place, [str(row["form"]) for row in table])
-    axes.set(xlabel="BIC over that of the best form (1):\nbeyond 10 the form is out")
+    axes.set(xlabel="BIC above that of the best model (1):\nmodels beyond 10 are excluded")
     axes.grid(axis="y", alpha=0)
-    told = axes.secondary_yaxis("right")
-    told.set_yticks(place, [_criteria(row) for row in table], fontsize=7.0)
-    told.tick_params(length=0)
+    criteria = axes.secondary_yaxis("right")
+    criteria.set_yticks(place, [_criteria(row) for row in table], fontsize=7.0)
+    criteria.tick_params(length=0)
     return figure
 
 
 def _criteria(row: Mapping[str, Any]) -> str:
-    """What is said of a form beside its bar."""
+    """Return the label of a model, to the right of its bar."""
     first = f"{row['bic_over_best']:.0f}; parameters: {row['parameters']}"
     cross = row.get("foretold_chi2_per_ring")
-    return first if cross is None else f"{first}\nlevels held back: χ² {cross:.3g} a ring"
+    return first if cross is None else f"{first}\ncross-validation: χ² {cross:.3g} per ring"
 
 
 def plot_smear(data: Data) -> Any:
-    """Even light of the source's columns against the light that they gather: smear is the slope.
+    """Plot the uniform signal of the source's columns against their collected light; the slope is the smear.
 
     Reads `light_per_row_dn`, `level_dn`, `level_sd_dn` and `label`, a list per stack.
     """
@@ -247,17 +259,17 @@ def plot_smear(data: Data) -> Any:
     axes = grid[0, 0]
     light, level, sd = (first_array(data, key) for key in ("light_per_row_dn", "level_dn", "level_sd_dn"))
     axes.errorbar(light, level, yerr=1.96 * sd, fmt="o", color=DATA, markersize=4.5, linewidth=1, label="stack, 95 %")
-    share = float((light * level / sd**2).sum() / (light**2 / sd**2).sum())
+    smear = float((light * level / sd**2).sum() / (light**2 / sd**2).sum())
     ends = np.geomspace(light.min(), light.max(), 50)
-    axes.plot(ends, share * ends, color=MODEL, label=f"smear {share:.2g} of the column's light")
-    axes.set(xscale="log", xlabel="light of the columns over their rows (DN)", ylabel="even level of the columns (DN)")
-    # Smear rises with the light: it leaves this corner free.
+    axes.plot(ends, smear * ends, color=MODEL, label=f"smear {smear:.2g} of the column's light")
+    axes.set(xscale="log", xlabel="light of the columns per row (DN)", ylabel="uniform signal of the columns (DN)")
+    # Smear rises with the light, so this corner is free.
     axes.legend(loc="upper left")
     return figure
 
 
 def plot_halo_uniformity(data: Data) -> Any:
-    """Halo diameter of every level on its own, with 95 %: geometry fixes it, so it must not change with the light."""
+    """Plot the halo diameter of every source level with 95 % intervals; geometry requires it to be constant."""
     figure, grid = panels(size=(5.6, 3.2))
     axes = grid[0, 0]
     seen = [n for n, diameter in enumerate(data["halo_diameter_px"]) if diameter is not None]
@@ -274,14 +286,15 @@ def plot_halo_uniformity(data: Data) -> Any:
 
 
 def plot_series_stability(data: Data) -> Any:
-    """Background of every stack over dark with 95 %, and how far the source wanders in the frames of each.
+    """Plot the background of every stack with 95 % intervals, and the source position frame by frame.
 
     Reads `label`, `background_dn`, `background_sd_dn`, and `row_px` and `col_px`, a list per stack by frame.
     """
     figure, grid = panels(1, 2, size=(6.4, 3.0))
     level, place = grid[0]
     numbers = np.arange(len(data["label"]))
-    level.errorbar(numbers, first_array(data, "background_dn"), yerr=1.96 * first_array(data, "background_sd_dn"), fmt="o",
+    background, sd = first_array(data, "background_dn"), first_array(data, "background_sd_dn")
+    level.errorbar(numbers, background, yerr=1.96 * sd, fmt="o",
                    color=DATA, markersize=4.5, linewidth=1, label="stack, 95 %")  # fmt: skip
     level.set_xticks(numbers, [str(label) for label in data["label"]], rotation=40, ha="right")
     level.set(xlabel="stack", ylabel="background over dark (DN)")

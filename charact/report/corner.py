@@ -1,4 +1,4 @@
-"""A posterior seen from every pair of its parameters: regions of 68 and 95 %, marginals on the diagonal."""
+"""Corner plot of a posterior: joint regions of 68 and 95 %, marginals on the diagonal."""
 
 import math
 from typing import Any
@@ -11,21 +11,20 @@ from charact.report.style import DATA, INK, MODEL, as_svg, panels, report_style,
 from labdata.measurement import QUANTILES, Posterior
 from labdata.quantity import QUANTITIES
 
-MOST_PARAMETERS = 5
 BINS = 22
-# A name that ends in its unit need not say it twice.
+# Suffixes of parameter names that repeat the unit.
 UNIT_SUFFIXES = {"cy/px": "_cy_per_px", "DN": "_dn", "px": "_px", "deg": "_deg", "e-": "_e", "DN2": "_dn2", "pe": "_pe"}
 
 
 def corner_svg(posterior: Posterior, title: str) -> str:
-    """Draw the corner plot of a posterior.
+    """Return the corner plot of a posterior as SVG.
 
     Parameters
     ----------
     posterior
-        The draws; at most five parameters are shown, those that vary, in their order.
+        The posterior; at most five parameters that vary are shown.
     title
-        What it is the posterior of.
+        Title of the posterior.
     """
     shown = varying(posterior)
     count = max(len(shown), 1)
@@ -40,17 +39,17 @@ def corner_svg(posterior: Posterior, title: str) -> str:
 
 
 def varying(posterior: Posterior) -> tuple[int, ...]:
-    """Indices of the parameters that vary and are finite, at most five, those that are quantities first."""
+    """Return the indices of at most five finite parameters that vary, quantities first."""
     draws = posterior.draws
     good = (
         np.isfinite(draws).all(axis=0) & (np.ptp(draws, axis=0) > 0) if len(draws) else np.zeros(draws.shape[1], bool)
     )
     order = sorted(np.flatnonzero(good).tolist(), key=lambda index: posterior.names[index] not in QUANTITIES)
-    return tuple(sorted(order[:MOST_PARAMETERS]))
+    return tuple(sorted(order[:5]))
 
 
 def _cell(axes: Any, posterior: Posterior, shown: tuple[int, ...], line: int, column: int) -> None:
-    """One panel: nothing above the diagonal, a marginal on it, a joint region below."""
+    """Plot one panel: empty above the diagonal, a marginal on it, joint regions below."""
     if column > line:
         axes.set_visible(False)
         return
@@ -73,7 +72,7 @@ def _limits(values: NDArray[np.float64]) -> tuple[float, float]:
 
 
 def _marginal(axes: Any, values: NDArray[np.float64]) -> None:
-    """Histogram of one parameter with the ends of both intervals."""
+    """Plot the histogram of one parameter with the limits of both intervals."""
     axes.hist(values, bins=BINS, range=_limits(values), color=DATA, alpha=0.6, histtype="stepfilled")
     for quantile, style in zip(QUANTILES, (":", "--", "-", "--", ":"), strict=True):
         axes.axvline(float(np.quantile(values, quantile)), color=INK, linewidth=0.8, linestyle=style)
@@ -82,10 +81,10 @@ def _marginal(axes: Any, values: NDArray[np.float64]) -> None:
 
 
 def _joint(axes: Any, x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
-    """Regions of highest density that hold 68 and 95 % of the draws."""
+    """Plot the highest-density regions of 68 and 95 % of the draws."""
     counts, x_edges, y_edges = np.histogram2d(x, y, bins=BINS, range=(_limits(x), _limits(y)))
     density = _smooth_counts(counts)
-    levels = _levels_holding(density, (0.95, 0.68))
+    levels = _density_levels(density, (0.95, 0.68))
     middles = (x_edges[:-1] + x_edges[1:]) / 2, (y_edges[:-1] + y_edges[1:]) / 2
     if levels[0] < levels[1] < density.max():
         axes.contourf(*middles, density.T, levels=[*levels, density.max()], colors=[(DATA, 0.25), (DATA, 0.6)])
@@ -95,22 +94,22 @@ def _joint(axes: Any, x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
 
 
 def _smooth_counts(counts: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Blur a histogram by one bin, for draws are few."""
+    """Smooth a histogram by about one bin, because the draws are few."""
     kernel = np.array([0.05, 0.25, 0.4, 0.25, 0.05])
     for axis in (0, 1):
         counts = np.apply_along_axis(np.convolve, axis, counts, kernel, "same")
     return counts
 
 
-def _levels_holding(density: NDArray[np.float64], shares: tuple[float, ...]) -> list[float]:
-    """Density above which each share of the draws lies."""
+def _density_levels(density: NDArray[np.float64], shares: tuple[float, ...]) -> list[float]:
+    """Return the densities above which the given fractions of the draws lie."""
     ordered = np.sort(density.ravel())[::-1]
     held = np.cumsum(ordered) / ordered.sum()
     return [float(ordered[min(int(np.searchsorted(held, share)), held.size - 1)]) for share in shares]
 
 
 def _label(axes: Any, posterior: Posterior, shown: tuple[int, ...], line: int, column: int) -> None:
-    """Names with units along the left and lower rim only."""
+    """Label the left and lower panels only."""
     last = line == len(shown) - 1
     _ticks(axes.xaxis, posterior.draws[:, shown[column]])
     axes.tick_params(labelsize=6.5, labelbottom=last, labelleft=column == 0 and line > 0, length=2)
@@ -126,7 +125,7 @@ def _label(axes: Any, posterior: Posterior, shown: tuple[int, ...], line: int, c
 
 
 def _ticks(axis: Any, draws: NDArray[np.float64]) -> None:
-    """Few ticks, in full digits but for the power of ten that stands with the unit."""
+    """Set few ticks, with the power of ten moved to the label."""
     from matplotlib.ticker import MaxNLocator
 
     power = _power(draws)
@@ -135,13 +134,13 @@ def _ticks(axis: Any, draws: NDArray[np.float64]) -> None:
 
 
 def _power(draws: NDArray[np.float64]) -> int:
-    """Power of ten that is taken out of a parameter's ticks; 0 for numbers that are read as they are."""
+    """Return the power of ten removed from the ticks of a parameter."""
     exponent = math.floor(math.log10(np.abs(_limits(draws)).max()))
     return 0 if -3 <= exponent <= 3 else exponent
 
 
 def parameter_label(posterior: Posterior, index: int) -> str:
-    """Name of a parameter with its unit and the power of ten of its ticks."""
+    """Return the name of a parameter with unit and power of ten of its ticks."""
     name, unit = posterior.names[index], posterior.units[index]
     words = name.removesuffix(UNIT_SUFFIXES.get(unit, "")).replace("_", " ")
     power = _power(posterior.draws[:, index])

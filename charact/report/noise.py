@@ -1,18 +1,29 @@
-"""Figures behind gain and noise: variance and covariance against the signal, and how far noise is shared."""
+"""Figures of gain and noise: photon transfer, noise power, correlation, SNR, and pulse heights."""
 
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from charact.report.plot_helpers import first_array, has_all, plot_line, plot_points
-from charact.report.style import COLOURS, DATA, INK, MODEL, THIRD, panels
+from charact.report.style import (
+    COLOURS,
+    DATA,
+    INK,
+    MODEL,
+    THIRD,
+    WARN,
+    first_array,
+    has_all,
+    panels,
+    plot_line,
+    plot_points,
+)
 
 Data = Mapping[str, Any]
 
 
 def plot_photon_transfer(data: Data) -> Any:
-    """Temporal variance and covariance sum above the dark's, against the signal above the dark's."""
+    """Plot temporal variance and summed covariance against signal, all above dark."""
     figure, grid = panels(size=(5.6, 3.8))
     axes = grid[0, 0]
     signal, dark = first_array(data, "signal_dn"), np.zeros(len(first_array(data, "signal_dn")))
@@ -32,7 +43,7 @@ def plot_photon_transfer(data: Data) -> Any:
 
 
 def _series(axes: Any, x: Any, y: Any, sd: Any, fitted: Any, colour: str, label: str) -> None:
-    """Points of one kind: full where fitted, hollow where left out of the fit."""
+    """Plot points: filled if fitted, else hollow."""
     sd = np.zeros(len(x)) if sd is None else np.asarray(sd, float)
     plot_points(axes, x[fitted], y[fitted], sd[fitted], color=colour, label=f"{label}, ± 1 sd", markersize=4.5)
     if not fitted.all():
@@ -43,7 +54,7 @@ def _series(axes: Any, x: Any, y: Any, sd: Any, fitted: Any, colour: str, label:
 
 
 def _slopes(axes: Any, data: Data, signal: Any) -> None:
-    """Straight lines of the gains found."""
+    """Plot lines of the measured gains."""
     reach = np.array([0.0, float(np.max(signal))])
     covariance, blur = data.get("covariance_gain_dn"), data.get("blur_factor")
     if covariance is not None:
@@ -58,7 +69,7 @@ def _slopes(axes: Any, data: Data, signal: Any) -> None:
 
 
 def plot_noise_spectrum(data: Data) -> Any:
-    """Noise power over signal against frequency: it meets frequency 0 at the covariance gain."""
+    """Plot noise power over signal against frequency; its limit at frequency 0 is the covariance gain."""
     figure, grid = panels(size=(5.6, 3.8))
     axes = grid[0, 0]
     radius, angle = first_array(data, "radius_cy_per_px"), np.abs(first_array(data, "angle_deg"))
@@ -83,7 +94,7 @@ def plot_noise_spectrum(data: Data) -> Any:
 
 
 def plot_post_gain_noise(data: Data) -> Any:
-    """Noise power of the light over the whole band along rows and columns, and what was fitted to it."""
+    """Plot the noise power spectrum along rows and columns with its fit."""
     figure, grid = panels(size=(5.6, 3.8))
     axes = grid[0, 0]
     column, row = np.abs(first_array(data, "column_cy_per_px")), np.abs(first_array(data, "row_cy_per_px"))
@@ -104,7 +115,7 @@ def plot_post_gain_noise(data: Data) -> Any:
 
 
 def plot_autocorrelation(data: Data) -> Any:
-    """Correlation of neighbouring pixels at each level, and of exposures one after the other."""
+    """Plot the correlation of neighbouring pixels in each flat, and of successive exposures."""
     figure, grid = panels(1, 2, size=(5.8, 3.2))
     pixels, exposures = grid[0]
     neighbour = first_array(data, "neighbour_correlation")
@@ -115,14 +126,14 @@ def plot_autocorrelation(data: Data) -> Any:
     lag, value = first_array(data, "lag_exposures"), first_array(data, "lag_correlation")
     if len(lag):
         plot_points(exposures, lag, value, first_array(data, "lag_correlation_sd"), color=THIRD, markersize=4)
-    exposures.set(xlabel="exposures apart (1)", ylabel="correlation in time (1)")
+    exposures.set(xlabel="correlation lag (exposures)", ylabel="correlation in time (1)")
     for axes in (pixels, exposures):
         axes.axhline(0, color=INK, linewidth=0.8)
     return figure
 
 
 def plot_three_dimensional_noise(data: Data) -> Any:
-    """Means of frames, rows and columns about their own mean, and the spectrum of the frames' means."""
+    """Plot the means of frames, rows and columns about their mean, and the spectrum of the frame means."""
     figure, grid = panels(2, 2, size=(5.8, 4.6))
     for axes, name, what in (
         (grid[0, 0], "exposure_mean_dn", "exposure"),
@@ -141,13 +152,13 @@ def plot_three_dimensional_noise(data: Data) -> Any:
 
 
 def plot_predictive_checks(data: Data) -> Any:
-    """How far each sign of the flats lies from that of frames drawn from the posterior, in standard deviations."""
+    """Plot posterior predictive checks: each statistic of the flats minus its prediction, in standard deviations."""
     figure, grid = panels(size=(5.8, 3.6))
     axes = grid[0, 0]
     signs = list(dict.fromkeys(data["sign"]))
     away = (first_array(data, "measured") - first_array(data, "expected")) / first_array(data, "sd")
     row = np.array([signs.index(sign) for sign in data["sign"]], float)
-    axes.axvspan(-2.0, 2.0, color=MODEL, alpha=0.15, linewidth=0, label="95 % of frames drawn")
+    axes.axvspan(-2.0, 2.0, color=MODEL, alpha=0.15, linewidth=0, label="95 % of predicted frames")
     stacks = list(dict.fromkeys(data["stack"]))
     for number, stack in enumerate(stacks):
         own = np.array([one == stack for one in data["stack"]])
@@ -160,7 +171,181 @@ def plot_predictive_checks(data: Data) -> Any:
     axes.set(xlim=(-1.3 * max(most, 3.0), 1.3 * max(most, 3.0)))
     axes.xaxis.set_major_formatter("{x:g}")
     axes.set_yticks(range(len(signs)), signs)
-    axes.set(xlabel="measured less expected (standard deviations)", ylim=(len(signs) - 0.5, -0.5))
+    axes.set(xlabel="measured minus expected (standard deviations)", ylim=(len(signs) - 0.5, -0.5))
     axes.axvline(0, color=INK, linewidth=0.8)
     axes.legend(fontsize=7)
+    return figure
+
+
+def plot_noise_against_gain(data: Data) -> Any:
+    """Plot covariance gain, and scintillation and read noise at a stated signal, against the gain setting."""
+    figure, grid = panels(1, 2, size=(7.2, 3.8))
+    gains, noises = grid[0]
+    setting, gain = first_array(data, "setting"), first_array(data, "gain_dn")
+    law, middle = first_array(data, "law_setting"), first_array(data, "law_gain_dn")
+    low, high = np.asarray(data["law_interval95_dn"], float)
+    gains.fill_between(law, low, high, color=MODEL, alpha=0.25, linewidth=0)
+    plot_line(gains, law, middle, color=MODEL, label="fit, 95 %")
+    plot_points(
+        gains,
+        setting,
+        gain,
+        gain * first_array(data, "gain_relative_sd"),
+        color=DATA,
+        markersize=4.5,
+        label="each, ± 1 sd",
+    )
+    joint = np.asarray(data["joint_interval95_dn"], float)
+    gains.vlines(setting, joint[0], joint[1], color=INK, linewidth=2.2, alpha=0.5, label="by all settings, 95 %")
+    gains.set(ylabel="covariance gain (DN)")
+    scintillation = np.asarray(data["stated_noise_dn"], float)
+    noises.fill_between(law, scintillation[0], scintillation[2], color=MODEL, alpha=0.25, linewidth=0)
+    pe = float(data["stated_signal_pe"])
+    plot_line(noises, law, scintillation[1], color=MODEL, label=f"scintillation noise at {pe:g} photoelectron/px")
+    dark = [(s, d) for s, d in zip(setting, data["dark_noise_dn"], strict=True) if d is not None]
+    if dark:
+        plot_points(noises, *np.array(dark).T, color=THIRD, marker="s", markersize=4.5, label="dark frames")
+    _knee(noises, data)
+    noises.set(ylabel="temporal noise (DN)")
+    unit = "" if data["knob_unit"] == "1" else data["knob_unit"]
+    for axes in (gains, noises):
+        axes.set(yscale="log", xlabel=f"{data['knob']} ({unit or '1'})")
+        if data["logarithmic"]:
+            axes.set_xscale("log")
+            _few_ticks(axes, setting)
+        axes.legend(fontsize=7)
+    return figure
+
+
+def _few_ticks(axes: Any, places: Any) -> None:
+    """Set ticks at data positions; a logarithmic axis of less than a decade has too few."""
+    from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+
+    axes.xaxis.set_major_locator(FixedLocator(places[:: max(1, -(-len(places) // 5))]))
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.3g}"))
+
+
+def _knee(axes: Any, data: Data) -> None:
+    """Plot the read noise and the setting at which the scintillation noise equals it."""
+    if data.get("read_noise_dn") is None:
+        return
+    read = float(data["read_noise_dn"])
+    axes.axhline(read, color=INK, linewidth=0.9, linestyle=":", label=f"read noise {read:.3g} DN")
+    low, middle, high = data["knee_setting"]
+    if not min(data["law_setting"]) <= middle <= max(data["law_setting"]):
+        return
+    axes.errorbar([middle], [read], xerr=[[middle - low], [high - middle]], color=WARN, marker="D", mfc="none",
+                  markersize=6, linestyle="", label="knee, 95 %")  # fmt: skip
+
+
+def plot_noise_by_gain(data: Data) -> Any:
+    """Plot noise against signal and, if the light is known, signal against light; one colour for each setting."""
+    lights = [light for light in data["light"] if light is not None]
+    figure, grid = panels(1, 2 if lights else 1, size=(7.2 if lights else 5.0, 3.8))
+    for number, name in enumerate(data["setting"]):
+        colour = COLOURS[number % len(COLOURS)]
+        signal, noise = np.asarray(data["signal_dn"][number], float), np.asarray(data["noise_dn"][number], float)
+        own = {"color": colour, "marker": "o", "markersize": 3.5, "linewidth": 0.9}
+        grid[0, 0].plot(signal, noise, label=name, **own)
+        if lights and data["light"][number] is not None:
+            grid[0, 1].plot(np.asarray(data["light"][number], float), signal, **own)
+    grid[0, 0].set(xscale="log", yscale="log", xlabel="signal above the dark (DN)", ylabel="temporal noise (DN)")
+    grid[0, 0].legend(fontsize=7)
+    if lights:
+        unit = {"photon": "photons/px"}.get(data["light_unit"], data["light_unit"])
+        grid[0, 1].set(xscale="log", yscale="log", xlabel=f"light ({unit})", ylabel="signal above the dark (DN)")
+        _few_ticks(grid[0, 1], np.unique(np.concatenate([np.asarray(light, float) for light in lights])))
+    return figure
+
+
+LIGHT_AXES = {"lux": "illuminance as recorded (lux)", "photons/px": "photons as recorded (1/px)", "DN": "signal (DN)"}
+
+
+def plot_snr(data: Data) -> Any:
+    """Plot the SNR of a pixel and of an area against light; dashed: a pixel with fixed-pattern noise."""
+    names = [scope["name"] for scope in data["gains"][0]["scopes"]]
+    figure, grid = panels(1, len(names), size=(5.8, 3.9), sharex=True)
+    level, several = float(data["least_snr"]), len(data["gains"]) > 1
+    for axes, name in zip(grid[0], names, strict=True):
+        for number, gain in enumerate(data["gains"]):
+            colour = COLOURS[number % len(COLOURS)]
+            for scope in gain["scopes"]:
+                if scope["name"] == name:
+                    _plot_snr_law(axes, gain, scope, level, colour, named=several)
+        axes.axhline(level, color=INK, linewidth=0.8, linestyle=":")
+        unit = data["gains"][0]["unit"] if data["unit"] else "each in its unit"
+        axes.set(xscale="log", yscale="log", xlabel=LIGHT_AXES.get(unit, unit), ylabel=f"signal over noise, {name} (1)")
+    handles, labels = grid[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize=7)
+    return figure
+
+
+def _plot_snr_law(axes: Any, gain: Data, scope: Data, level: float, colour: str, *, named: bool) -> None:
+    """Plot the SNR of the stacks, the fit with its 95 % band, and the minimum illumination."""
+    amount, fitted = first_array(gain, "amount"), np.asarray(gain["fitted"], bool)
+    snr, sd = first_array(scope, "snr"), first_array(scope, "snr_sd")
+    label = gain["gain"] if named else "levels, ± 1 sd"
+    plot_points(axes, amount[fitted], snr[fitted], sd[fitted], color=colour, label=label, markersize=3.5)
+    if not fitted.all():
+        plot_points(axes, amount[~fitted], snr[~fitted], sd[~fitted], color=colour, mfc="none", markersize=3.5)
+    light = first_array(scope, "law_amount")
+    axes.fill_between(
+        light, first_array(scope, "law_low"), first_array(scope, "law_high"), color=colour, alpha=0.25, linewidth=0
+    )
+    plot_line(axes, light, first_array(scope, "law_snr"), color=colour, label=None if named else "read and shot noise")
+    if scope["name"] == "pixel":
+        label = None if named else "with fixed-pattern noise"
+        plot_line(
+            axes,
+            light,
+            first_array(scope, "law_with_pattern"),
+            color=colour,
+            linestyle="--",
+            linewidth=0.9,
+            label=label,
+        )
+    if scope.get("minimum") is not None:
+        _minimum(axes, scope, level, colour, named)
+
+
+def _minimum(axes: Any, scope: Data, level: float, colour: str, named: bool) -> None:
+    low, high = scope["minimum_interval95"]
+    middle = float(scope["minimum"])
+    label = None if named else "minimum illumination, 95 %"
+    axes.errorbar([middle], [level], xerr=[[middle - low], [high - middle]], color=colour, marker="D", markersize=5,
+                  mfc="none", linestyle="", label=label)  # fmt: skip
+
+
+def plot_pulse_heights(data: Data) -> Any:
+    """Plot the distribution of filtered dark pixels: measured, fitted pulse-height distribution, and noise only."""
+    figure, grid = panels(1, 1, size=(5.8, 3.8))
+    axes = grid[0, 0]
+    edge, measured = first_array(data, "edge_dn"), first_array(data, "density_per_dn")
+    seen = measured > 0
+    middle = 0.5 * (edge[1:] + edge[:-1])
+    axes.plot(middle[seen], measured[seen], ".", color=DATA, markersize=4, label="measured")
+    plot_line(
+        axes,
+        first_array(data, "value_dn"),
+        first_array(data, "law_per_dn"),
+        color=MODEL,
+        label="fitted pulse-height distribution",
+    )
+    plot_line(
+        axes,
+        first_array(data, "value_dn"),
+        first_array(data, "noise_per_dn"),
+        color=INK,
+        linestyle="--",
+        label="noise only",
+    )
+    response = float(data["response_to_mean_pulse_dn"])
+    axes.axvline(response, color=WARN, linewidth=0.9, linestyle=":", label="mean pulse, centred on its pixel")
+    # Lower limit: a tenth of one counted value.
+    least = 0.1 / float(data["values"]) / float(edge[1] - edge[0])
+    high, broad = (int(size) for size in np.asarray(data["filter_px"]))
+    axes.set(yscale="log", ylim=(least, 5.0 * float(measured.max())), ylabel="density of the values (1/DN)",
+             xlabel=f"sum of {high} x {broad} px minus the row level (DN)")  # fmt: skip
+    axes.legend()
     return figure

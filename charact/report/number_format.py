@@ -1,4 +1,4 @@
-"""A number as a reader should see it: rounded to its uncertainty, never more digits than are known."""
+"""Number format: values rounded to their uncertainty."""
 
 import math
 
@@ -10,21 +10,21 @@ SUPERSCRIPTS = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 
 
 def round_to_spread(value: float, spread: float | None = None) -> str:
-    """Return a number with two digits of its spread, or four significant digits where the spread is unknown.
+    """Return a number with two digits of its uncertainty, or four significant digits if that is unknown.
 
     Parameters
     ----------
     value
         The number.
     spread
-        A positive uncertainty in the same unit; None, 0 or not finite: unknown.
+        Standard uncertainty in the same unit; None, 0 or not finite: unknown.
     """
     exponent, digits = _format(value, spread)
     return _with_power(_mantissa_text(value, exponent, digits), exponent)
 
 
 def _format(value: float, spread: float | None) -> tuple[int, int]:
-    """Power of ten to take out (0: none) and digits after the point, for a value known to within a spread."""
+    """Return the power of ten to factor out (0: none) and the digits after the point, for a value and uncertainty."""
     if not math.isfinite(value):
         return 0, 0
     known = spread if spread is not None and math.isfinite(spread) and spread > 0 else None
@@ -36,12 +36,12 @@ def _format(value: float, spread: float | None) -> tuple[int, int]:
 
 
 def _exponent(value: float) -> int:
-    """Decimal exponent of a number; 0 of zero."""
+    """Return the decimal exponent of a number; 0 for zero."""
     return math.floor(math.log10(abs(value))) if value else 0
 
 
 def _mantissa_text(value: float, exponent: int, digits: int) -> str:
-    """A number in units of a power of ten."""
+    """Return a number divided by a power of ten, as text."""
     if math.isnan(value):
         return "not a number"
     if math.isinf(value):
@@ -50,12 +50,12 @@ def _mantissa_text(value: float, exponent: int, digits: int) -> str:
 
 
 def _with_power(text: str, exponent: int) -> str:
-    """Text times a power of ten."""
+    """Return the text with a power of ten."""
     return text if exponent == 0 else f"{text} × 10{str(exponent).translate(SUPERSCRIPTS)}"
 
 
 def spread_of(measurement: Measurement) -> float | None:
-    """Half the 68 % interval (of the 95 % one where only that is known), in the unit of the value."""
+    """Return the standard uncertainty: half the 68 % interval, else a quarter of the 95 % interval."""
     for interval, scale in ((measurement.interval68, 2.0), (measurement.interval95, 4.0)):
         if interval is not None:
             return (interval[1] - interval[0]) / scale
@@ -63,7 +63,7 @@ def spread_of(measurement: Measurement) -> float | None:
 
 
 def quantity_title(m: Measurement) -> str:
-    """A quantity in words, with its frequency where it has one."""
+    """Return the title of a quantity with its frequency, if any."""
     title = QUANTITIES[m.quantity].title
     return (
         title if m.frequency_cy_per_px is None else title.replace("one frequency", f"{m.frequency_cy_per_px:.4g} cy/px")
@@ -71,12 +71,12 @@ def quantity_title(m: Measurement) -> str:
 
 
 def value_text(measurement: Measurement) -> str:
-    """The value of a measurement; an em dash where it was refused."""
+    """Return the value of a measurement as text; an em dash if refused."""
     return "—" if measurement.value is None else round_to_spread(measurement.value, spread_of(measurement))
 
 
 def interval_text(measurement: Measurement, interval: Interval | None) -> str:
-    """Both ends of an interval with the digits of the value; "unknown" where there is none."""
+    """Return the limits of an interval with the digits of the value; "unknown" without interval."""
     if measurement.value is None:
         return "—"
     if interval is None:
@@ -87,7 +87,7 @@ def interval_text(measurement: Measurement, interval: Interval | None) -> str:
 
 
 def plus_minus(measurement: Measurement) -> str:
-    """Value with the arms of its 95 % interval."""
+    """Return the value ± its 95 % interval as text."""
     if measurement.value is None or measurement.interval95 is None:
         return value_text(measurement)
     exponent, digits = _format(measurement.value, spread_of(measurement))
@@ -101,7 +101,7 @@ def plus_minus(measurement: Measurement) -> str:
 
 
 def short_text(value: object) -> str:
-    """Any value of a setting or condition in a few characters."""
+    """Return a setting or condition as short text."""
     if isinstance(value, bool) or value is None:
         return {True: "yes", False: "no", None: "unknown"}[value]
     if isinstance(value, float):

@@ -1,17 +1,19 @@
-"""The report: one HTML file that holds every number, its evidence and its making, and asks nothing of the network."""
+"""The report page: one HTML file without network requests, also as PDF."""
 
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from charact.report import figure_registry, tables
+from charact.report.bloom_images import add_extent_data
 from charact.report.corner import corner_svg, varying
 from charact.report.curves import mtf_svgs
-from charact.report.emva import emva_summary
-from charact.report.extent_figure_data import add_extent_data
 from charact.report.report_images import aspect_of, representative
+from charact.report.style import PAPER_INK
+from charact.report.tables import emva_summary
 from charact.report.truth import Truth, compare_with_truth
-from labdata.atomic_write import write_atomically
+from labdata.errors import BadInput
+from labdata.file_io import write_atomically
 from labdata.limits import OVERRIDDEN
 from labdata.measurement import Posterior, Result
 from labdata.session import Session
@@ -36,16 +38,15 @@ def write(
     session
         The session: its frames, conditions and sensor.
     result
-        What was measured.
+        The measurements.
     out
         The HTML file.
     validation
-        A `charact.validation.Validation`, for simulated frames beside measured ones; None: the section says it is
-        missing.
+        A `charact.validation.Validation`, or None.
     truth
-        True values by quantity where they are known (a virtual bench); see `charact.report.compare_with_truth`.
+        True values by quantity (of a virtual bench), or None; see `charact.report.compare_with_truth`.
     pdf
-        Also write a PDF beside the HTML.
+        Also write a PDF.
 
     Returns
     -------
@@ -55,9 +56,8 @@ def write(
     Raises
     ------
     BadInput
-        If a PDF is asked for and the library that writes it is missing.
+        If a PDF is requested and WeasyPrint is missing.
     """
-    from charact.report.pdf import write_pdf
 
     out = Path(out)
     html = page(session, result, validation=validation, truth=truth)
@@ -79,7 +79,7 @@ def page(
         verdicts=tables.verdicts(result),
         headlines=tables.headlines(result),
         groups=tables.quantity_groups(result),
-        beside=compare_with_truth(result, truth or {}),
+        comparison=compare_with_truth(result, truth or {}),
         mtf_figures=mtf_svgs(session, result, truth),
         figures={part: [f for f in figures if f.section == part] for part in ("mtf", "noise", "bloom", "other")},
         emva=emva_summary(result),
@@ -97,7 +97,7 @@ def page(
 
 
 def _validation_part(validation: "Validation | None", session: Session) -> Any:
-    """The section on validation, or None where there was none."""
+    """Return the validation section, or None."""
     if validation is None:
         return None
     from charact.report.validation import validation_section
@@ -113,7 +113,7 @@ def fragment(result: Result) -> str:
 
 
 def _template(name: str) -> Any:
-    """A template of this package, everything escaped that does not say otherwise."""
+    """Return a template of this package, with escaping."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     loader = PackageLoader("charact.report", "templates")
@@ -124,7 +124,7 @@ def _template(name: str) -> Any:
 
 
 def posteriors(result: Result) -> list[dict[str, Any]]:
-    """Corner plot and health of every posterior behind the measurements, each once."""
+    """Return corner plot and sampling diagnostics of every distinct posterior of the measurements."""
     owners: dict[tuple[Any, ...], tuple[str, Posterior]] = {}
     for m in result.measurements:
         if m.posterior is not None and len(m.posterior.draws):
@@ -147,7 +147,7 @@ def _posterior(title: str, posterior: Posterior) -> dict[str, Any]:
 
 
 def _health(p: Posterior) -> str:
-    """One sentence on why the draws may be trusted."""
+    """Return the sampling diagnostics of a posterior."""
     parts = [f"{len(p.draws)} draws by {p.sampler}, seed {p.seed}"]
     if p.acceptance is not None:
         parts.append(f"acceptance {p.acceptance:.2f}")
@@ -161,5 +161,32 @@ def _health(p: Posterior) -> str:
 
 
 def session_notes(session: Session) -> tuple[str, ...]:
-    """What the session says of itself: wires left out, effects left out, what readers should know of the frames."""
+    """Return the notes of the session, without those on overridden limits."""
     return tuple(dict.fromkeys(note for note in session.notes if not note.startswith(OVERRIDDEN)))
+
+
+def write_pdf(html: str, out: Path) -> Path:
+    """Write a report as PDF with WeasyPrint.
+
+    Parameters
+    ----------
+    html
+        The page.
+    out
+        The PDF file.
+
+    Raises
+    ------
+    BadInput
+        If WeasyPrint or Pango is not installed.
+    """
+    try:
+        from weasyprint import HTML
+    except (ImportError, OSError) as error:
+        raise BadInput(
+            f"--pdf needs WeasyPrint and Pango (pip install 'charact[pdf]'; apt install libpango-1.0-0 "
+            f"libpangoft2-1.0-0), got: {str(error).splitlines()[0]}"
+        ) from error
+    # Expand all folds.
+    HTML(string=html.replace("<details", "<details open").replace("currentColor", PAPER_INK)).write_pdf(str(out))
+    return out

@@ -1,4 +1,4 @@
-"""Frames as pictures: one of each kind as the camera gave it, the measured region drawn, the grey scale stated."""
+"""Report images: one frame of each stack kind with measured regions and grey scale."""
 
 import base64
 from collections.abc import Sequence
@@ -12,13 +12,12 @@ from labdata.conditions import Conditions
 from labdata.measurement import Measurement
 from labdata.session import Session, StackEntry
 
-MOST_PX = 720
 COLOURS = {"ok": "#35c46a", "suspect": "#f0a020", "refused": "#ff4d4d"}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Box:
-    """A rectangle in a picture: row, column, height and width in px, with its verdict and a few words."""
+    """A rectangle in an image: row, column, height and width in px, with status and label."""
 
     region: tuple[int, int, int, int]
     status: str
@@ -26,18 +25,18 @@ class Box:
 
     @property
     def colour(self) -> str:
-        """Colour of the verdict."""
+        """Colour of the status."""
         return COLOURS.get(self.status, "#ffffff")
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReportImage:
-    """A frame ready for the page.
+    """A frame for the page.
 
     Parameters
     ----------
     title, caption
-        What it is and what its grey scale means.
+        Title, and caption with the grey scale.
     data
         JPEG as base64.
     rows, cols
@@ -45,7 +44,7 @@ class ReportImage:
     aspect
         Row pitch over column pitch.
     boxes
-        Regions to draw over it.
+        Regions to show.
     """
 
     title: str
@@ -58,13 +57,13 @@ class ReportImage:
 
 
 def grey_limits(frame: NDArray) -> tuple[float, float]:
-    """Levels shown as black and white: the 0.5 and 99.8 percentiles, at least one code apart."""
+    """Return the grey values shown as black and white: percentiles 0.5 and 99.8, at least 1 DN apart."""
     low, high = np.percentile(frame, [0.5, 99.8])
     return float(low), float(max(high, low + 1))
 
 
 def as_jpeg(frame: NDArray, limits: tuple[float, float], quality: int = 72) -> str:
-    """Return a frame (row, col) as a grey JPEG in base64, shrunk by whole pixels if it is large.
+    """Return a frame (row, col) as a grey JPEG in base64; a large frame is averaged over blocks of pixels.
 
     Parameters
     ----------
@@ -75,7 +74,7 @@ def as_jpeg(frame: NDArray, limits: tuple[float, float], quality: int = 72) -> s
     """
     from PIL import Image
 
-    step = -(-max(frame.shape) // MOST_PX)
+    step = -(-max(frame.shape) // 720)
     rows, cols = (size // step * step for size in frame.shape)
     small = np.asarray(frame, float)[:rows, :cols].reshape(rows // step, step, cols // step, step).mean(axis=(1, 3))
     low, high = limits
@@ -85,8 +84,8 @@ def as_jpeg(frame: NDArray, limits: tuple[float, float], quality: int = 72) -> s
     return base64.b64encode(held.getvalue()).decode("ascii")
 
 
-def picture_of(frame: NDArray, title: str, caption: str = "", *, unit: str = "DN", aspect: float = 1.0) -> ReportImage:
-    """Return a picture of one frame, shape (row, col), with its grey scale in the caption."""
+def image_of(frame: NDArray, title: str, caption: str = "", *, unit: str = "DN", aspect: float = 1.0) -> ReportImage:
+    """Return an image of one frame, shape (row, col), with its grey scale in the caption."""
     low, high = grey_limits(frame)
     scale = f"Black {low:.4g} {unit}, white {high:.4g} {unit}."
     rows, cols = frame.shape
@@ -97,27 +96,23 @@ def picture_of(frame: NDArray, title: str, caption: str = "", *, unit: str = "DN
 
 
 def representative(session: Session, measurements: Sequence[Measurement]) -> tuple[ReportImage, ...]:
-    """Return the middle frame of the most exposed stack of each kind."""
+    """Return the central frame of the brightest stack of each kind."""
     kinds = dict.fromkeys(entry.kind for entry in session.stacks)
     chosen = [_brightest_stack([entry for entry in session.stacks if entry.kind == kind]) for kind in kinds]
     return tuple(_picture(session, entry, measurements) for entry in chosen)
 
 
 def _brightest_stack(entries: Sequence[StackEntry]) -> StackEntry:
-    """The stack with the most light by its stated conditions, else by the level of its frames; of equals the first."""
-    for light in (_photons, _lux_s):
+    """Return the first stack with the most light by its conditions, else by the mean of its frames."""
+    for light in (lambda conditions: conditions.photons_per_px, _lux_s):
         stated = [light(entry.conditions) for entry in entries]
         if all(amount is not None for amount in stated):
             return entries[int(np.argmax(np.array(stated, float)))]
     return max(entries, key=lambda entry: entry.read().mean_dn) if len(entries) > 1 else entries[0]
 
 
-def _photons(conditions: Conditions) -> float | None:
-    return conditions.photons_per_px
-
-
 def _lux_s(conditions: Conditions) -> float | None:
-    """Illuminance times the time that light is gathered, lux s; None where either is unknown."""
+    """Return illuminance times exposure or gate time, lux s; None if unknown."""
     open_s = conditions.exposure_s if conditions.gate_ns is None else 1e-9 * conditions.gate_ns
     return None if conditions.illuminance_lux is None or open_s is None else conditions.illuminance_lux * open_s
 
@@ -130,18 +125,18 @@ def _picture(session: Session, entry: StackEntry, measurements: Sequence[Measure
     frame, caption = stack.data[middle], f"Frame {middle + 1} of {len(stack)}."
     row, col, height, width = (0, 0, *frame.shape)
     if entry.kind in ("bars", "point"):
-        row, col, height, width = around_the_light(stack.data.mean(axis=0))
-        caption += f" Cut to rows {row}–{row + height - 1}, cols {col}–{col + width - 1}."
+        row, col, height, width = bright_region(stack.data.mean(axis=0))
+        caption += f" Rows {row}–{row + height - 1}, cols {col}–{col + width - 1}."
     cut = frame[row : row + height, col : col + width]
-    found = picture_of(cut, f"{entry.label} ({entry.kind})", caption, unit=stack.unit, aspect=aspect_of(session))
+    found = image_of(cut, f"{entry.label} ({entry.kind})", caption, unit=stack.unit, aspect=aspect_of(session))
     whole = (height, width) == frame.shape
     return replace(found, boxes=_boxes(entry, measurements) if whole else ())
 
 
-def around_the_light(mean: NDArray) -> tuple[int, int, int, int]:
-    """Return ROW, COL, HEIGHT, WIDTH around the bright part of a frame, shape (row, col), with room for its blur.
+def bright_region(mean: NDArray) -> tuple[int, int, int, int]:
+    """Return ROW, COL, HEIGHT, WIDTH around the bright part of a frame, shape (row, col), with a margin.
 
-    Bright is what lies above half way from the median to the 99.99 percentile; the cut keeps the frame's proportions.
+    Bright pixels exceed the mean of the median and the 99.99 percentile; the region has the frame's proportions.
     """
     half = (np.median(mean) + np.percentile(mean, 99.99)) / 2
     rows, cols = (np.flatnonzero((mean > half).any(axis=axis)) for axis in (1, 0))
@@ -155,14 +150,14 @@ def around_the_light(mean: NDArray) -> tuple[int, int, int, int]:
 
 
 def aspect_of(session: Session) -> float:
-    """Row pitch over column pitch; 1 where the sensor is unknown."""
+    """Return row pitch over column pitch; 1 without sensor description."""
     if session.sensor is None:
         return 1.0
     return float(session.sensor.ccd.pitch_y_um) / float(session.sensor.ccd.pitch_x_um)
 
 
 def _boxes(entry: StackEntry, measurements: Sequence[Measurement]) -> tuple[Box, ...]:
-    """One box for each region measured in the stack, with the worst verdict of its numbers."""
+    """Return one box for each measured region of the stack, with the worst status of its measurements."""
     worst: dict[tuple[int, int, int, int], Measurement] = {}
     order = ("ok", "suspect", "refused")
     for m in measurements:

@@ -1,7 +1,7 @@
-"""The look of every figure: inline SVG that takes the page's ink, text kept as text, no address of the outside."""
+"""Style and plot functions common to all figures: inline SVG in the text colour of the page."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from html import escape
 from io import StringIO
@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-# Stands for the page's text colour, so that a figure is legible on light and dark paper alike.
+# Placeholder of the page's text colour, so that figures suit light and dark backgrounds.
 INK = "#123457"
 PAPER_INK = "#1b1f24"
-# Differ in lightness as well as in hue, and stand out on white and on black.
+# Colours differ in lightness and hue, and are visible on white and black.
 DATA, MODEL, THIRD, FOURTH, WARN = "#2b83ba", "#e0701a", "#2a9d6f", "#a06cd5", "#d7263d"
 COLOURS = (DATA, MODEL, THIRD, FOURTH, "#b8860b", "#17a2b8", "#c2557a", "#7a8b2f")
 SETTINGS: dict[str, Any] = {
@@ -50,7 +50,7 @@ SETTINGS: dict[str, Any] = {
 
 @contextmanager
 def report_style() -> Iterator[None]:
-    """Draw in the report's style, whatever the reader's own settings are."""
+    """Plot in the report's style, independent of the user's matplotlib settings."""
     from matplotlib import style
 
     with style.context(["default", SETTINGS]):
@@ -59,7 +59,7 @@ def report_style() -> Iterator[None]:
 
 @contextmanager
 def white_style() -> Iterator[None]:
-    """Draw in the report's style on white, for a file of its own."""
+    """Plot in the report's style on white, for a separate file."""
     from matplotlib import style
 
     inks = [name for name, value in SETTINGS.items() if value == INK]
@@ -71,7 +71,7 @@ def white_style() -> Iterator[None]:
 def panels(
     rows: int = 1, cols: int = 1, *, size: tuple[float, float] = (5.6, 3.4), **options: Any
 ) -> tuple[Any, NDArray[Any]]:
-    """Return a figure and its axes, shape (rows, cols), without any screen or global state."""
+    """Return a figure and its axes, shape (rows, cols), without global state."""
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
 
@@ -86,34 +86,34 @@ def as_svg(figure: Any, description: str) -> str:
     Parameters
     ----------
     figure
-        A matplotlib figure drawn in this style.
+        A matplotlib figure.
     description
-        What it shows, for a reader who cannot see it.
+        Text alternative.
     """
     text = StringIO()
-    # The layout does not see every label, such as a tick's at the very end of an axis.
+    # The layout ignores some labels, such as ticks at the end of an axis.
     figure.savefig(text, format="svg", metadata={"Date": None}, bbox_inches="tight", pad_inches=0.04)
     svg = _lean(text.getvalue()).replace(INK, "currentColor")
     return svg.replace("<svg", f'<svg role="img" aria-label="{escape(description, quote=True)}"', 1)
 
 
 def _lean(svg: str) -> str:
-    """Strip what an HTML page does not need: prologue, metadata, name spaces, group names, idle digits and space."""
+    """Strip prologue, metadata, name spaces, group names, superfluous digits and space."""
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", svg, flags=re.S)
     svg = re.sub(r' xmlns(:\w+)?="[^"]*"', "", svg).replace("xlink:href", "href")
     svg = re.sub(r' (width|height)="[\d.]+pt"', "", svg, count=2)
     svg = re.sub(r"'DejaVu Sans'[^;\"]*", "sans-serif", svg)
-    # Names of groups would repeat from figure to figure; definitions keep theirs, made from their content.
+    # Group names repeat between figures; names of definitions are hashes of their content.
     svg = re.sub(r'<g id="[^"]*"', "<g", svg)
-    # Only inside tags: what a reader reads keeps its digits.
+    # Only inside tags; visible text keeps its digits.
     svg = re.sub(r"<[^>]*>", lambda tag: re.sub(r"(\d\.\d)\d+", r"\1", " ".join(tag.group().split())), svg)
     svg = re.sub(r">\s+<", "><", svg)
     return re.sub(r"(<g/>)|(<g></g>)", "", svg)
 
 
 def subsample(*columns: ArrayLike, most: int = 300) -> tuple[NDArray[np.float64], ...]:
-    """Return arrays of equal length with at most so many points, evenly chosen: a figure need not hold more."""
+    """Return arrays of equal length with at most `most` points at equal intervals."""
     arrays = [np.asarray(column, float) for column in columns]
     length = min(len(array) for array in arrays)
     keep = np.unique(np.linspace(0, length - 1, min(length, most)).round().astype(int)) if length else np.arange(0)
@@ -121,6 +121,37 @@ def subsample(*columns: ArrayLike, most: int = 300) -> tuple[NDArray[np.float64]
 
 
 def write_note(axes: Any, sentence: str) -> None:
-    """Write a sentence across an empty panel."""
+    """Write a sentence in an empty panel."""
     axes.text(0.5, 0.5, sentence, ha="center", va="center", transform=axes.transAxes, wrap=True)
     axes.grid(False)
+
+
+MAX_POINTS = 160
+
+
+def first_array(data: Mapping[str, Any], *names: str) -> NDArray[np.float64]:
+    """Return the first array found under one of the names; KeyError if there is none."""
+    for name in names:
+        if data.get(name) is not None:
+            return np.asarray(data[name], float)
+    raise KeyError(" or ".join(names))
+
+
+def has_all(data: Mapping[str, Any], *names: str) -> bool:
+    """Whether all names have data."""
+    return all(data.get(name) is not None and np.size(data[name]) > 0 for name in names)
+
+
+def plot_line(axes: Any, x: ArrayLike, y: ArrayLike, **options: Any) -> None:
+    """Plot a line of at most 300 points."""
+    axes.plot(*subsample(x, y), **options)
+
+
+def plot_points(axes: Any, x: ArrayLike, y: ArrayLike, sd: ArrayLike | None = None, **options: Any) -> None:
+    """Plot points with error bars of one standard uncertainty."""
+    options = {"markersize": 2.8, "linestyle": "", "marker": "o", **options}
+    if sd is None:
+        axes.plot(*subsample(x, y, most=MAX_POINTS), **options)
+        return
+    horizontal, vertical, arm = subsample(x, y, sd, most=MAX_POINTS)
+    axes.errorbar(horizontal, vertical, yerr=np.abs(arm), elinewidth=0.8, **options)

@@ -1,4 +1,4 @@
-"""The tables of a report: quantities, stacks, the sensor's parameters, provenance, each row ready to print."""
+"""Tables of a report: quantities, EMVA 1288 summary, stacks, sensor parameters, provenance."""
 
 import platform
 import shlex
@@ -19,10 +19,10 @@ from charact.report.number_format import (
     short_text,
     value_text,
 )
+from labdata.camera_description import Parameter
 from labdata.conditions import Conditions
 from labdata.flags import FLAGS
 from labdata.measurement import Measurement, Result
-from labdata.parameter import Parameter
 from labdata.quantity import QUANTITIES
 from labdata.sensor import Sensor
 from labdata.session import Session
@@ -33,13 +33,13 @@ HEADLINES = (
     "halo_diameter",
 )  # fmt: skip
 
-# A method that measured more stacks than this gets one table for all of them.
+# A method with more stacks than this has one table for all of them.
 SERIES = 4
 
 
 @dataclass(frozen=True, kw_only=True)
 class QuantityRow:
-    """One measurement as the table of quantities prints it."""
+    """One measurement of the table of quantities."""
 
     title: str
     name: str
@@ -57,18 +57,18 @@ class QuantityRow:
 
 @dataclass(frozen=True, kw_only=True)
 class QuantityGroup:
-    """What one method found in one stack.
+    """Measurements of one method in one stack.
 
     Parameters
     ----------
     title
-        Stack, method, and the time, direction and region where all rows share them.
+        Stack, method, and the time, direction and region common to all rows.
     rows
         The measurements.
     flags
-        Each flag of a row with its sentence and the quantities, of which stacks, it concerns ("" if it concerns all).
+        Each flag with its sentence and the quantities and stacks it concerns ("" if all).
     notes
-        Each note with what it concerns.
+        Each note with the quantities and stacks it concerns.
     """
 
     title: str
@@ -78,7 +78,7 @@ class QuantityGroup:
 
 
 def quantity_row(m: Measurement, where: str = "") -> QuantityRow:
-    """Return the row of a measurement, and where in its stack it applies."""
+    """Return the row of a measurement; `where`: direction, region and time."""
     return QuantityRow(
         title=quantity_title(m),
         name=m.quantity,
@@ -96,7 +96,7 @@ def quantity_row(m: Measurement, where: str = "") -> QuantityRow:
 
 
 def places(m: Measurement) -> dict[str, str]:
-    """Where and how fast a measurement was made, in words: stack, direction, region, time."""
+    """Return stack, direction, region and time of a measurement as text."""
     found = {"stack": m.stack} if m.stack else {}
     if m.orientation_deg is not None:
         found["direction"] = f"{m.orientation_deg:.4g}° to the rows"
@@ -109,7 +109,7 @@ def places(m: Measurement) -> dict[str, str]:
 
 
 def quantity_groups(result: Result) -> tuple[QuantityGroup, ...]:
-    """All measurements by stack and method, quantities in the order of the vocabulary; a series of stacks together."""
+    """Return all measurements by stack and method in the order of the vocabulary; a series of stacks is one group."""
     order = list(QUANTITIES)
     stacks: dict[str, set[str]] = {}
     for m in result.measurements:
@@ -123,7 +123,7 @@ def quantity_groups(result: Result) -> tuple[QuantityGroup, ...]:
 
 
 def _group(stack: str, method: str, own: list[Measurement]) -> QuantityGroup:
-    """Say once what several rows share."""
+    """Return a group with the attributes common to all rows in its title."""
     where = [places(m) for m in own]
     common = {key: text for key, text in where[0].items() if all(at.get(key) == text for at in where)}
     rest = ["; ".join(text for key, text in at.items() if key not in common) for at in where]
@@ -138,7 +138,7 @@ def _group(stack: str, method: str, own: list[Measurement]) -> QuantityGroup:
 
 
 def _scope_text(own: list[Measurement], those: list[Measurement]) -> str:
-    """Names of the quantities and stacks that something is said of; "" where it is said of all that carry a number."""
+    """Return the quantities and stacks of some measurements; "" if these are all with a value."""
     if len(those) >= sum(m.value is not None for m in own) > 1:
         return ""
     quantities = ", ".join(dict.fromkeys(m.quantity for m in those))
@@ -150,7 +150,7 @@ def _scope_text(own: list[Measurement], those: list[Measurement]) -> str:
 
 
 def headlines(result: Result) -> tuple[QuantityRow, ...]:
-    """The first trusted measurement (else the first with a number) of each headline quantity."""
+    """Return the first measurement with status ok, else the first with a value, of each headline quantity."""
     chosen = []
     for quantity in HEADLINES:
         found = [m for m in result.find(quantity) if m.value is not None]
@@ -160,13 +160,13 @@ def headlines(result: Result) -> tuple[QuantityRow, ...]:
 
 
 def verdicts(result: Result) -> dict[str, int]:
-    """How many measurements are ok, suspect and refused."""
+    """Return the number of ok, suspect and refused measurements."""
     return {status: sum(m.status == status for m in result.measurements) for status in ("ok", "suspect", "refused")}
 
 
 CONDITION_UNITS = {
     "exposure_s": ("Exposure", "s"),
-    "mcp_v": ("Microchannel plate", "V"),
+    "mcp_v": ("MCP voltage", "V"),
     "luminous_gain": ("Luminous gain by calibration", "lm/lm"),
     "luminous_gain_relative_sd": ("Relative uncertainty of the luminous gain", "1"),
     "gate_ns": ("Gate", "ns"),
@@ -184,7 +184,7 @@ CONDITION_UNITS = {
 
 
 def stack_table(session: Session) -> dict[str, Any]:
-    """Columns and rows of the session's stacks: only those conditions that some stack knows."""
+    """Return columns and rows of the session's stacks, for conditions known in at least one stack."""
     known = [name for name in CONDITION_UNITS if any(getattr(s.conditions, name) is not None for s in session.stacks)]
     rows = [
         {
@@ -208,15 +208,15 @@ def _target_parts(target: Any) -> list[str]:
     return parts if target.contrast is None else [*parts, f"contrast {short_text(target.contrast)}"]
 
 
-def _condition(got: Conditions, asked: Conditions | None, name: str) -> str:
-    """What was read back, and what had been asked where it differs."""
-    value, wanted = getattr(got, name), None if asked is None else getattr(asked, name)
+def _condition(got: Conditions, set_points: Conditions | None, name: str) -> str:
+    """Return the read-back of a condition, and the set-point if it differs."""
+    value, wanted = getattr(got, name), None if set_points is None else getattr(set_points, name)
     text = short_text(value)
-    return text if wanted is None or wanted == value else f"{text} (asked {short_text(wanted)})"
+    return text if wanted is None or wanted == value else f"{text} (requested {short_text(wanted)})"
 
 
 def sensor_rows(sensor: Sensor) -> list[dict[str, str]]:
-    """Every parameter of the sensor with its 95 % bounds, standing and source."""
+    """Return every sensor parameter with 95 % bounds, basis and source."""
     return [_parameter_row(path, parameter) for path, parameter in sensor.parameters().items()]
 
 
@@ -239,7 +239,7 @@ def _parameter_row(path: str, p: Parameter) -> dict[str, str]:
 
 
 def sensor_facts(sensor: Sensor) -> list[tuple[str, str]]:
-    """What a sensor is, beside its parameters: materials, size and video."""
+    """Return the sensor attributes other than parameters: materials, size and video."""
     facts = []
     for stage in fields(sensor):
         part = getattr(sensor, stage.name)
@@ -251,10 +251,7 @@ def sensor_facts(sensor: Sensor) -> list[tuple[str, str]]:
 
 
 def chart_rows(result: Result) -> list[dict[str, str]]:
-    """Measured error and time of every method, for each quantity of the result that was ever charted.
-
-    These are the rows by which `auto` chose; a method that measured something here is marked.
-    """
+    """Return the chart rows of `auto`: measured error and time of every method for each quantity of the result."""
     used = {m.method for m in result.measurements}
     quantities = dict.fromkeys(m.quantity for m in result.measurements)
     return [
@@ -273,7 +270,7 @@ def chart_rows(result: Result) -> list[dict[str, str]]:
 
 
 def provenance(measurements: Iterable[Measurement]) -> dict[str, Any]:
-    """Versions, seeds, settings of each method and the SHA-256 of every input, as the measurements recorded them."""
+    """Return versions, seeds, settings and SHA-256 of inputs recorded in the measurements."""
     kept = [(m.method, m.provenance) for m in measurements if m.provenance is not None]
     settings: dict[str, dict[str, str]] = {}
     for method, record in kept:
@@ -292,7 +289,7 @@ def provenance(measurements: Iterable[Measurement]) -> dict[str, Any]:
 
 
 def _libraries() -> list[tuple[str, str]]:
-    """Installed versions of the libraries that numbers depend on."""
+    """Return the installed versions of the libraries that affect results."""
     found = []
     for name in LIBRARIES:
         try:
@@ -300,3 +297,72 @@ def _libraries() -> list[tuple[str, str]]:
         except PackageNotFoundError:
             found.append((name, "not installed"))
     return found
+
+
+# Quantity, unit, name and symbol of EMVA 1288, and the section of its Release 3.1 that defines it.
+NAMES = (
+    ("quantum_efficiency", "%", "Quantum efficiency η", "2.1"),
+    ("system_gain", "DN/e-", "Overall system gain K", "2.2"),
+    ("read_noise", "e-", "Temporal dark noise σ_d", "2.2"),
+    ("read_noise", "DN", "Temporal dark noise σ_y.dark", "2.2"),
+    ("snr_max", "1", "Largest signal-to-noise ratio SNR_max", "2.3"),
+    ("saturation_capacity", "e-", "Saturation capacity μ_e.sat", "2.4"),
+    ("dynamic_range", "1", "Dynamic range DR", "2.4"),
+    ("linearity_error", "%", "Linearity error LE", "6.7"),
+    ("dark_current", "e-/s", "Dark current μ_I.mean", "3.1"),
+    ("dark_doubling_temperature", "K", "Doubling temperature T_d", "3.2"),
+    ("dsnu", "e-", "Dark signal non-uniformity DSNU_1288", "4.1"),
+    ("prnu", "%", "Photoresponse non-uniformity PRNU_1288", "4.1"),
+    ("defect_pixels", "px", "Defect pixels, by the rule in the notes", "4.3"),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class EmvaSummary:
+    """Quantities of EMVA 1288, or the reason why it does not apply.
+
+    Parameters
+    ----------
+    rows
+        Name in the standard, section, and measurement.
+    left_out
+        Names of quantities not measured.
+    reason
+        Why the standard does not apply; "" if it does.
+    """
+
+    rows: tuple[tuple[str, str, QuantityRow], ...] = ()
+    left_out: tuple[str, ...] = ()
+    reason: str = ""
+
+
+def emva_summary(result: Result) -> EmvaSummary | None:
+    """Return the EMVA 1288 summary; None for a result without gain.
+
+    The standard assumes white noise. With correlated noise, as of an intensifier, the variance does not count
+    electrons, and no quantity is given.
+    """
+    gains = (*result.find("system_gain"), *result.find("covariance_gain"))
+    if not any(m.value is not None for m in gains):
+        return None
+    white = [m for m in result.find("system_gain") if m.value is not None and "correlated-noise" not in m.flags]
+    if not white:
+        return EmvaSummary(
+            reason="EMVA 1288 assumes white noise; the noise of this camera is correlated between pixels (as of an "
+            "intensifier). The photon transfer curve would give a gain too low by the blur factor, and wrong values in "
+            "electrons. Use the covariance gain above."
+        )
+    rows, left_out = [], []
+    for quantity, unit, name, section in NAMES:
+        found = _best(result.find(quantity, unit=unit))
+        if found is None:
+            left_out.append(name)
+        else:
+            rows.append((name, section, quantity_row(found, found.stack or "")))
+    return EmvaSummary(rows=tuple(rows), left_out=tuple(left_out))
+
+
+def _best(found: tuple[Measurement, ...]) -> Measurement | None:
+    """Return the first measurement with status ok, else the first with a value."""
+    known = [m for m in found if m.value is not None]
+    return next((m for m in known if m.status == "ok"), known[0] if known else None)

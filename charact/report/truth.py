@@ -1,4 +1,4 @@
-"""Truth beside measured: on a bench whose truth is known, how many standard errors each number is off."""
+"""Comparison of measurements with a known truth: z-scores."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -9,25 +9,23 @@ import numpy as np
 from charact.report.number_format import plus_minus, quantity_title, round_to_spread, spread_of
 from labdata.measurement import Measurement, Result
 
-# Half the width of a 95 % interval in standard errors.
-HALF_95 = 1.959964
-# A true number; or a function of frequency (cycles per pixel) and direction (degrees), for the quantity "mtf".
+# True values, or functions of frequency (cy/px) and direction (degrees).
 Truth = Mapping[str, float | Callable[..., Any]]
 
 
 @dataclass(frozen=True, kw_only=True)
 class TruthComparison:
-    """One measured number beside its truth.
+    """A measurement compared with its true value.
 
     Parameters
     ----------
     measurement
-        The measurement, one that carries a number.
+        The measurement, with a value.
     truth
         The true value, in the unit of the measurement.
     z
-        (value - truth) over the standard error, which is the arm of the 95 % interval on the truth's side over 1.96;
-        infinite where that arm is empty.
+        (value - truth) over the standard uncertainty, which is the half of the 95 % interval on the truth's side over
+        1.96; infinite for an empty interval.
     """
 
     measurement: Measurement
@@ -36,30 +34,30 @@ class TruthComparison:
 
     @property
     def title(self) -> str:
-        """The quantity in words, and where it was measured."""
+        """Title of the quantity."""
         return quantity_title(self.measurement)
 
     @property
     def truth_text(self) -> str:
-        """The truth with the digits of the measurement."""
+        """The true value with the digits of the measurement."""
         return round_to_spread(self.truth, spread_of(self.measurement))
 
     @property
     def value_text(self) -> str:
-        """The value with the arms of its 95 % interval."""
+        """The value ± its 95 % interval."""
         return plus_minus(self.measurement)
 
 
 def compare_with_truth(result: Result, truth: Truth) -> tuple[TruthComparison, ...]:
-    """Return every measured number whose truth is known, beside it.
+    """Return the comparison of every measured value with a known truth.
 
     Parameters
     ----------
     result
-        What was measured.
+        The measurements.
     truth
-        True values by quantity, in the unit of the quantity's measurements. A function is called with the
-        measurement's frequency (cycles per pixel) and direction (degrees), for the MTF at one frequency.
+        True values by quantity, in the unit of the measurements. A function is called with the measurement's frequency
+        (cy/px) and direction (degrees).
     """
     found = [(m, truth[m.quantity]) for m in result.measurements if m.value is not None and m.quantity in truth]
     return tuple(_comparison(m, _at(known, m)) for m, known in found)
@@ -74,7 +72,8 @@ def _at(known: float | Callable[..., Any], measurement: Measurement) -> float:
 def _comparison(measurement: Measurement, truth: float) -> TruthComparison:
     value, interval = float(measurement.value or 0.0), measurement.interval95
     low, high = interval if interval is not None else (value, value)
-    sd = ((high - value) if truth > value else (value - low)) / HALF_95
+    # Half a 95 % interval in standard uncertainties.
+    sd = ((high - value) if truth > value else (value - low)) / 1.959964
     off = value - truth
     z = off / sd if sd > 0 else float(np.copysign(np.inf, off)) if off else 0.0
     return TruthComparison(measurement=measurement, truth=truth, z=z)

@@ -1,4 +1,4 @@
-"""The validation as the page shows it: pictures side by side, overlays, statistics with their two controls."""
+"""Validation section of the page: image pairs, overlays, and statistics with their two controls."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,9 +8,8 @@ import numpy as np
 
 from charact.report.figure_registry import Figure
 from charact.report.number_format import short_text
-from charact.report.plot_helpers import has_all
 from charact.report.report_images import ReportImage, as_jpeg
-from charact.report.style import DATA, INK, MODEL, WARN, as_svg, panels, report_style, subsample
+from charact.report.style import DATA, INK, MODEL, WARN, as_svg, has_all, panels, report_style, subsample
 from charact.validation import FramePair, Statistic, Validation, ValidationControl
 
 CONTROL_WORDS = {"null": "must pass", "negative": "must fail"}
@@ -18,7 +17,7 @@ CONTROL_WORDS = {"null": "must pass", "negative": "must fail"}
 
 @dataclass(frozen=True, kw_only=True)
 class StatisticRow:
-    """One statistic as the table prints it, its p-values in the controls beside it."""
+    """One statistic of the table, with its p-values in the controls."""
 
     cells: tuple[str, ...]
     status: str
@@ -26,22 +25,22 @@ class StatisticRow:
 
 @dataclass(frozen=True, kw_only=True)
 class Section:
-    """What the page says of a validation.
+    """Validation section of the page.
 
     Parameters
     ----------
     status
-        "ok" where all statistics passed and both controls held, else "refused".
+        "ok" if all statistics and both controls passed, else "refused".
     headline, summary
-        One clause for the top of the page, and a paragraph.
+        A clause for the top of the page, and a paragraph.
     pairs
-        Measured and simulated pictures.
+        Measured and simulated images.
     figures
-        Overlays, and how far each number lies from its prediction.
+        Overlays, and the deviation of each value from its prediction.
     columns, rows
         The table of statistics.
     notes
-        What a reader should know.
+        Notes.
     """
 
     status: str
@@ -55,17 +54,19 @@ class Section:
 
 
 def validation_section(validation: Validation, aspect: float = 1.0) -> Section:
-    """Return what the page shows of a validation.
+    """Return the validation section.
 
     Parameters
     ----------
     validation
-        Statistics, controls, overlays and pictures.
+        Statistics, controls, overlays and images.
     aspect
-        Row pitch over column pitch of the pictures.
+        Row pitch over column pitch of the images.
     """
     good = sum(one.passed for one in validation.statistics)
-    words = [f"{control.name} control {'held' if control.held else 'did not hold'}" for control in validation.controls]
+    words = [
+        f"{control.name} control {'held' if control.passed else 'did not hold'}" for control in validation.controls
+    ]
     verdict = "agrees" if validation.passed else "does not agree"
     headline = f"Simulation {verdict}: {good} of {len(validation.statistics)} statistics pass; {', '.join(words)}"
     return Section(
@@ -82,11 +83,12 @@ def validation_section(validation: Validation, aspect: float = 1.0) -> Section:
 
 def _summary(validation: Validation) -> str:
     controls = " ".join(
-        f"The {c.name} control ({CONTROL_WORDS[c.name]}) {'held' if c.held else 'did not hold'}: {c.title.rstrip('.')}."
+        f"The {c.name} control ({CONTROL_WORDS[c.name]}) {'held' if c.passed else 'did not hold'}: "
+        f"{c.title.rstrip('.')}."
         for c in validation.controls
     )
     return (
-        f"The sensor {validation.sensor}, and nothing else, was simulated under the conditions of the session "
+        f"The sensor {validation.sensor} was simulated under the conditions of the session "
         f"{validation.session}: {validation.draws} posterior draws, seed {validation.seed}, "
         f"{validation.seconds:.0f} s. A statistic fails where its p-value is below its level. {controls}"
     )
@@ -98,17 +100,17 @@ def _columns(validation: Validation) -> tuple[str, ...]:
 
 
 def _row(one: Statistic, controls: tuple[ValidationControl, ...]) -> StatisticRow:
-    """A statistic with its p-value in each control; a dash where the control does not hold it."""
-    told = []
+    """Return the row of a statistic with its p-value in each control, a dash without one."""
+    p_values = []
     for control in controls:
         same = [other for other in control.statistics if other.name == one.name]
-        told.append(f"{short_text(same[0].p_value)} ({'passes' if same[0].passed else 'fails'})" if same else "—")
-    cells = (one.title, f"{one.distance:.3g}", short_text(one.p_value), short_text(one.level), *told)
+        p_values.append(f"{short_text(same[0].p_value)} ({'passes' if same[0].passed else 'fails'})" if same else "—")
+    cells = (one.title, f"{one.distance:.3g}", short_text(one.p_value), short_text(one.level), *p_values)
     return StatisticRow(cells=cells, status="ok" if one.passed else "refused")
 
 
 def _pictures(pair: FramePair, aspect: float) -> tuple[ReportImage, ReportImage]:
-    """Both frames under one stretch."""
+    """Return both frames with the same grey scale."""
     caption = f"Black {pair.low_dn:.4g} DN, white {pair.high_dn:.4g} DN."
     measured, simulated = (
         ReportImage(
@@ -125,7 +127,7 @@ def _pictures(pair: FramePair, aspect: float) -> tuple[ReportImage, ReportImage]
 
 
 def _overlay(name: str, data: Mapping[str, Any]) -> Figure:
-    """Measured curve over the simulated one with its 95 % band."""
+    """Plot the measured curve over the simulated one with its 95 % band."""
     title = str(data.get("title", name))
     with report_style():
         figure, grid = panels(size=(5.6, 3.6))
@@ -145,13 +147,13 @@ def _overlay(name: str, data: Mapping[str, Any]) -> Figure:
 
 
 def _with_unit(title: str) -> str:
-    """An axis title "quantity, unit" as "quantity (unit)"; a bare number has the unit 1."""
+    """Return an axis title "quantity, unit" as "quantity (unit)"; without unit (1)."""
     quantity, comma, unit = title.rpartition(", ")
     return f"{quantity} ({unit})" if comma else f"{title} (1)"
 
 
 def _pulls(validation: Validation) -> tuple[Figure, ...]:
-    """How far each compared number lies from the middle of its prediction, in half-widths of the 95 % interval."""
+    """Plot the deviation of each value from its prediction, in half-widths of the 95 % interval."""
     named = [one for one in validation.statistics if one.measured and len(one.measured) == len(one.low95)]
     if not named:
         return ()
@@ -170,7 +172,7 @@ def _pulls(validation: Validation) -> tuple[Figure, ...]:
         axes.axvline(0, color=INK, linewidth=0.8)
         axes.set_yticks(range(len(labels)), labels, fontsize=6.5)
         axes.set(xlim=(-4.2, 4.2), ylim=(len(labels) - 0.5, -0.5))
-        axes.set_xlabel("measured less predicted\n(half-widths of the 95 % interval)")
+        axes.set_xlabel("measured minus predicted\n(half-widths of the 95 % interval)")
         axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0))
-        title = "Every compared number against its prediction"
+        title = "Deviation of each value from its prediction"
         return (Figure(section="validation", title=title, svg=as_svg(figure, title)),)

@@ -1,4 +1,4 @@
-"""Simulated beside measured frames: the fitted sensor alone must reproduce the session, by statistics that can fail."""
+"""Validation of a fitted sensor by comparison of simulated with measured frames."""
 
 from charact.validation.side_by_side import validate
 from charact.validation.validation_result import (

@@ -1,4 +1,4 @@
-"""What is compared of one set of frames, measured or simulated, and the comparison of one with many."""
+"""Features of measured or simulated frames, and their comparison with an ensemble."""
 
 from dataclasses import dataclass
 
@@ -6,15 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.validation import flats, histogram, mtf_features
 from charact.validation.frames import MatchedStacks
 from charact.validation.predictive import REPLICATES, Features, compare
 from charact.validation.validation_result import Statistic
+from labdata.frames import FrameStack
 
 Array = NDArray[np.float64]
-
-# Probability that a right sensor fails any one of the statistics.
-FAMILY_LEVEL = 0.005
 
 
 TITLES = {
@@ -26,7 +23,7 @@ TITLES = {
 
 @dataclass(frozen=True, kw_only=True)
 class FrameFeatures:
-    """Numbers of one set of frames.
+    """Features of one set of frames.
 
     Parameters
     ----------
@@ -50,46 +47,46 @@ class FrameFeatures:
 def portrait_of(
     frames: dict[str, NDArray], chosen: MatchedStacks, *, context: Context, rng: np.random.Generator
 ) -> FrameFeatures:
-    """Return the numbers of frames given by label."""
-    dark = flats.tiles_of(frames[chosen.dark.label])
-    lit = [flats.tiles_of(frames[shot.label]) for shot in chosen.flats]
+    """Return the features of frames given by label."""
+    dark = tiles_of(frames[chosen.dark.label])
+    lit = [tiles_of(frames[shot.label]) for shot in chosen.flats]
     return FrameFeatures(
-        noise=flats.noise_features(lit, dark),
-        correlation=flats.correlation_features(lit[-1]),
-        mtf=mtf_features.mtf_features(frames[chosen.edge.label], context) if chosen.edge is not None else None,
+        noise=noise_features(lit, dark),
+        correlation=correlation_features(lit[-1]),
+        mtf=mtf_features(frames[chosen.edge.label], context) if chosen.edge is not None else None,
         mean_dn=np.array([one.mean.mean() - dark.mean.mean() for one in lit]),
         variance_dn2=np.array([one.variance - dark.variance for one in lit]),
         covariance_dn2=np.array([one.covariance_sum - dark.covariance_sum for one in lit]),
-        grey_dn=histogram.sample_of(frames[chosen.flats[-1].label], rng),
+        grey_dn=sample_of(frames[chosen.flats[-1].label], rng),
     )
 
 
 def statistics(
     one: FrameFeatures, many: list[FrameFeatures], chosen: MatchedStacks, *, rng: np.random.Generator
 ) -> tuple[Statistic, ...]:
-    """Return the statistics of one portrait against simulated ones, each at its share of the family's level.
+    """Compare one set of features with simulated ones, each statistic at its part of the family-wise level.
 
     Parameters
     ----------
     one, many
-        The portrait in question and those of the posterior draws.
+        Features in question and those of the posterior draws.
     chosen
-        The stacks, for their names.
+        Stacks, for their labels.
     rng
         Draws of the null distributions.
     """
     curves = [other.mtf for other in many if other.mtf is not None]
     sharp = one.mtf if len(curves) > len(many) // 2 else None
-    level = FAMILY_LEVEL / (3 if sharp is None else 4)
+    level = 0.005 / (3 if sharp is None else 4)
     noise_names = tuple(
         f"{what} of {shot.label}" for shot in chosen.flats for what in ("ln variance/signal", "ln covariance/signal")
     )
     vectors: dict[str, tuple[tuple[str, ...], Features, list[Features]]] = {
         "mean-variance": (noise_names, one.noise, [other.noise for other in many]),
-        "autocorrelation": (flats.LAG_NAMES, one.correlation, [other.correlation for other in many]),
+        "autocorrelation": (LAG_NAMES, one.correlation, [other.correlation for other in many]),
     }
     if sharp is not None:
-        points = tuple(f"{frequency:.2f} cy/px" for frequency in mtf_features.FREQUENCY_CY_PER_PX)
+        points = tuple(f"{frequency:.2f} cy/px" for frequency in FREQUENCY_CY_PER_PX)
         vectors["mtf"] = (points, sharp, curves)
     found = [_of_vector(name, *vector, level, rng) for name, vector in vectors.items()]
     return (*found[:2], _histogram(one, many, level), *found[2:])
@@ -114,7 +111,7 @@ def _of_vector(
 
 
 def _histogram(one: FrameFeatures, many: list[FrameFeatures], level: float) -> Statistic:
-    found = histogram.distance(one.grey_dn, np.concatenate([other.grey_dn for other in many]))
+    found = distance(one.grey_dn, np.concatenate([other.grey_dn for other in many]))
     return Statistic(
         name="histogram",
         title="Grey levels of independent pixels of the brightest flat about their mean",
@@ -122,7 +119,179 @@ def _histogram(one: FrameFeatures, many: list[FrameFeatures], level: float) -> S
         p_value=found.p_value,
         level=level,
         note=(
-            f"histogram: Kolmogorov-Smirnov on {one.grey_dn.size} pixels at least {histogram.STRIDE // 2} px and "
+            f"histogram: Kolmogorov-Smirnov on {one.grey_dn.size} pixels at least {STRIDE // 2} px and "
             f"a frame apart; Wasserstein distance {found.wasserstein_sd:.3f} standard deviations"
         ),
     )
+
+
+TILES = 4
+REACH = 6
+# Lags (row, col) whose correlation is compared.
+LAGS = ((0, 1), (0, 2), (0, 3), (1, 0), (2, 0), (3, 0), (4, 0))
+LAG_NAMES = ("h1", "h2", "h3", "v1", "v2", "v3", "v4")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TileStatistics:
+    """Sums over tiles of a stack's frame-to-frame changes.
+
+    Parameters
+    ----------
+    mean
+        Mean level of each tile, shape (tile,), DN.
+    autocovariance
+        Autocovariance of the changes in each tile, DN^2, lag zero at the centre; shape (tile, lag, lag).
+    """
+
+    mean: Array
+    autocovariance: Array
+
+    def without(self, tile: int) -> "TileStatistics":
+        """Return all tiles but one."""
+        return TileStatistics(
+            mean=np.delete(self.mean, tile), autocovariance=np.delete(self.autocovariance, tile, axis=0)
+        )
+
+    @property
+    def variance(self) -> float:
+        """Temporal variance, DN^2."""
+        return float(self.autocovariance[:, REACH, REACH].mean())
+
+    @property
+    def covariance_sum(self) -> float:
+        """Covariance summed over all lags, DN^2."""
+        return float(self.autocovariance.sum(axis=(1, 2)).mean())
+
+    def correlation(self, lag: tuple[int, int]) -> float:
+        """Correlation of pixels a lag (row, col) apart, dimensionless."""
+        return float(self.autocovariance[:, REACH + lag[0], REACH + lag[1]].mean()) / self.variance
+
+
+def tiles_of(frames: NDArray) -> TileStatistics:
+    """Return the sums over TILES x TILES tiles of frames (frame, row, col); at least two frames."""
+    change = frames.astype(np.float32)
+    change -= change.mean(axis=0)
+    count, rows, cols = change.shape
+    height, width = rows // TILES, cols // TILES
+    corners = [(height * r, width * c) for r in range(TILES) for c in range(TILES)]
+    cut = [np.s_[:, row : row + height, col : col + width] for row, col in corners]
+    scale = count / (count - 1.0)
+    return TileStatistics(
+        mean=np.array([float(frames[place].mean()) for place in cut]),
+        autocovariance=np.array([scale * _autocovariance(change[place]) for place in cut]),
+    )
+
+
+def noise_features(lit: list[TileStatistics], dark: TileStatistics) -> Features:
+    """Return ln(variance/signal) and ln(covariance sum/signal) of every flat."""
+
+    def numbers(lit: list[TileStatistics], dark: TileStatistics) -> list[float]:
+        signal = [float(one.mean.mean() - dark.mean.mean()) for one in lit]
+        pairs = zip(lit, signal, strict=True)
+        return [np.log(max(part, 1e-9) / s) for one, s in pairs for part in _above(one, dark)]
+
+    out = [numbers([one.without(tile) for one in lit], dark.without(tile)) for tile in range(TILES**2)]
+    return _jackknife(np.array(numbers(lit, dark)), np.array(out))
+
+
+def correlation_features(flat: TileStatistics) -> Features:
+    """Return the correlations of a flat at LAGS."""
+    out = [[flat.without(tile).correlation(lag) for lag in LAGS] for tile in range(TILES**2)]
+    return _jackknife(np.array([flat.correlation(lag) for lag in LAGS]), np.array(out))
+
+
+def _above(lit: TileStatistics, dark: TileStatistics) -> tuple[float, float]:
+    return lit.variance - dark.variance, lit.covariance_sum - dark.covariance_sum
+
+
+def _jackknife(value: Array, left_out: Array) -> Features:
+    """Return features with jackknife covariance, (n - 1)/n sum (t_i - mean)(t_i - mean)^T."""
+    count = len(left_out)
+    away = left_out - left_out.mean(axis=0)
+    return Features(value=value, covariance=(count - 1.0) / count * away.T @ away, freedom=count - 1)
+
+
+def _autocovariance(change: NDArray[np.float32]) -> Array:
+    """Return the autocovariance of changes (frame, row, col), averaged over frames and pairs of pixels."""
+    from scipy.fft import irfft2, next_fast_len, rfft2
+
+    count, rows, cols = change.shape
+    shape = (next_fast_len(rows + REACH), next_fast_len(cols + REACH))
+    spectrum = np.asarray(rfft2(change, s=shape))
+    full = np.asarray(irfft2((np.abs(spectrum) ** 2).sum(axis=0), s=shape))
+    lags = np.arange(-REACH, REACH + 1)
+    pairs = np.outer(rows - np.abs(lags), cols - np.abs(lags)) * count
+    return full[np.ix_(lags, lags)] / pairs
+
+
+STRIDE = 8
+
+
+@dataclass(frozen=True, kw_only=True)
+class Distance:
+    """Distance of two samples of grey values.
+
+    Parameters
+    ----------
+    kolmogorov
+        Largest difference of the distribution functions, dimensionless.
+    wasserstein_sd
+        Mean shift that converts one sample into the other, in standard deviations of the measured one.
+    p_value
+        Probability of a Kolmogorov distance at least as large, dimensionless.
+    """
+
+    kolmogorov: float
+    wasserstein_sd: float
+    p_value: float
+
+
+def sample_of(frames: NDArray, rng: np.random.Generator) -> Array:
+    """Return independent pixels (n,) without quantisation, less their mean, DN.
+
+    Every second frame contributes a lattice of pixels, interleaved between frames, so that neither blur, phosphor decay
+    nor fixed pattern correlate them.
+    """
+    row, col = (int(rng.integers(STRIDE)) for _ in range(2))
+    parts = []
+    for place, frame in enumerate(frames[::2]):
+        shift = STRIDE // 2 * (place % 2)
+        top, left = (row + shift) % STRIDE, (col + STRIDE // 2 * (place // 2 % 2)) % STRIDE
+        parts.append(frame[top::STRIDE, left::STRIDE].astype(float).ravel())
+    apart = np.concatenate(parts)
+    apart += rng.uniform(-0.5, 0.5, apart.size)
+    return apart - apart.mean()
+
+
+def distance(measured: Array, simulated: Array) -> Distance:
+    """Return the distance of two samples with equal means (two-sample Kolmogorov-Smirnov test)."""
+    from scipy.stats import ks_2samp, wasserstein_distance
+
+    found = ks_2samp(measured, simulated)
+    return Distance(
+        kolmogorov=float(found.statistic),  # type: ignore[union-attr]
+        wasserstein_sd=float(wasserstein_distance(measured, simulated) / measured.std()),
+        p_value=float(found.pvalue),  # type: ignore[union-attr]
+    )
+
+
+METHOD = "edge-slanted"
+# Frequencies up to 0.8 of the sampling limit.
+FREQUENCY_CY_PER_PX = np.arange(0.05, 0.4001, 0.05)
+
+
+def mtf_features(frames: NDArray, context: Context) -> Features | None:
+    """Return the MTF at FREQUENCY_CY_PER_PX with the method's own errors, or None where the method refuses."""
+    from charact import mtf
+
+    found = mtf.measure("edge", FrameStack(data=frames), method=METHOD, context=context)
+    line = next(iter(found.curves.values()), None)
+    if line is None or line.interval68 is None:
+        return None
+    value, low, high = (
+        np.interp(FREQUENCY_CY_PER_PX, line.frequency_cy_per_px, y) for y in (line.value, *line.interval68)
+    )
+    sd = np.maximum((high - low) / (2.0 * 0.994458), 1e-4)
+    apart = np.abs(FREQUENCY_CY_PER_PX[:, None] - FREQUENCY_CY_PER_PX[None, :])
+    return Features(value=value, covariance=np.outer(sd, sd) * np.exp(-apart / 0.08), freedom=9)

@@ -1,4 +1,4 @@
-"""Measured frames and frames of a sensor description under the same conditions, cut to the same size."""
+"""Measured and simulated frames under the same conditions, cropped to the same size."""
 
 from dataclasses import dataclass, replace
 
@@ -12,32 +12,27 @@ from labdata.sensor import Sensor
 from labdata.session import Kind, Session, StackEntry
 from labdata.target import Target
 
-# Frames are cut to this size about the middle: enough for every statistic, and quickly simulated many times.
+# Size of a centred crop: sufficient for every statistic, and fast to simulate.
 SHAPE = (192, 256)
-# An edge is cut narrowly: what lies far beside it adds its noise and little light.
+# Size of an edge crop: pixels far from the edge add noise and little signal.
 ALONG_EDGE, ACROSS_EDGE = 192, 72
-FRAMES, EDGE_FRAMES = 8, 16
 FEWEST_FRAMES = 3
-FLATS = 3
-# Levels of flats that are compared, as shares of full scale, and the most pixels that may stand at either end.
-HIGHEST_SHARE = 0.8
-MOST_CLIPPED_SHARE = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
 class MatchedFrames:
-    """One stack that is laid side by side.
+    """One stack that is compared.
 
     Parameters
     ----------
     label, kind, conditions, target
         As in the session.
     frames
-        Number of frames taken of it.
+        Number of frames used.
     corner
-        First row and column of the cut.
+        First row and column of the crop.
     shape
-        Rows and columns of the cut.
+        Rows and columns of the crop.
     """
 
     label: str
@@ -51,18 +46,18 @@ class MatchedFrames:
 
 @dataclass(frozen=True, kw_only=True)
 class MatchedStacks:
-    """The stacks that a validation uses.
+    """Stacks of a validation.
 
     Parameters
     ----------
     dark, flats, edge
-        Their shots; no edge: the MTF is not compared.
+        Stacks; without an edge the MTF is not compared.
     others
-        Shots of which only a picture is shown.
+        Stacks for display only.
     measured
         Measured frames by label, shape (frame, row, col), DN.
     notes
-        What was left out, and why.
+        Excluded stacks with reasons.
     """
 
     dark: MatchedFrames
@@ -74,7 +69,7 @@ class MatchedStacks:
 
 
 def choose(session: Session) -> MatchedStacks:
-    """Choose a dark, up to three flats over the straight part of the range, an edge and pictures of the rest.
+    """Select a dark, up to three flats within the linear range, an edge, and stacks for display.
 
     Raises
     ------
@@ -108,9 +103,9 @@ def choose(session: Session) -> MatchedStacks:
 
 
 def simulate_frames(sensor: Sensor, shots: tuple[MatchedFrames, ...], *, seed: int) -> dict[str, NDArray]:
-    """Return frames of a sensor under the shots' conditions by label, shape (frame, row, col), DN.
+    """Simulate frames of a sensor under the stacks' conditions by label, shape (frame, row, col), DN.
 
-    The chip is as small as the cut, and its fixed patterns follow from the sensor's name.
+    The sensor is as small as the crop, and its fixed patterns follow from the sensor's name.
     """
     from simulate.lab import LabBench
 
@@ -126,7 +121,7 @@ def simulate_frames(sensor: Sensor, shots: tuple[MatchedFrames, ...], *, seed: i
 
 
 def _shots(session: Session, kind: Kind) -> list[tuple[MatchedFrames, StackEntry]]:
-    """Return the stacks of a kind that have frames enough, as shots."""
+    """Return the stacks of a kind with enough frames."""
     out = []
     for entry in session.of_kind(kind):
         if kind != "dark" and entry.conditions.illuminance_lux is None:
@@ -137,7 +132,7 @@ def _shots(session: Session, kind: Kind) -> list[tuple[MatchedFrames, StackEntry
             continue
         height, width = _cut_shape(entry)
         shape = (min(height, rows - rows % 2), min(width, columns))
-        most = EDGE_FRAMES if kind == "edge" else FRAMES
+        most = 16 if kind == "edge" else 8
         out.append(
             (
                 MatchedFrames(
@@ -156,7 +151,7 @@ def _shots(session: Session, kind: Kind) -> list[tuple[MatchedFrames, StackEntry
 
 
 def _cut_shape(entry: StackEntry) -> tuple[int, int]:
-    """Return the rows and columns of a cut."""
+    """Return the rows and columns of a crop."""
     if entry.kind != "edge":
         return SHAPE
     upright = abs(np.cos(np.deg2rad(entry.target.angle_deg or 0.0))) > np.sqrt(0.5)
@@ -164,7 +159,7 @@ def _cut_shape(entry: StackEntry) -> tuple[int, int]:
 
 
 def _corner(target: Target, whole: tuple[int, int], shape: tuple[int, int]) -> tuple[int, int]:
-    """Return the first row and column of a cut about the target's middle; an even row, so that fields keep theirs."""
+    """Return the first row and column of a crop centred on the target; an even row keeps the field parity."""
     row, col, height, width = target.region or (0, 0, *whole)
     top = int(np.clip(round(row + (height - shape[0]) / 2), 0, whole[0] - shape[0]))
     left = int(np.clip(round(col + (width - shape[1]) / 2), 0, whole[1] - shape[1]))
@@ -176,7 +171,7 @@ def _cut(shot: MatchedFrames, stack: FrameStack) -> NDArray:
 
 
 def _flats(session: Session, measured: dict[str, NDArray]) -> tuple[list[MatchedFrames], list[str]]:
-    """Return flats of low, middle and high level, and keep their frames."""
+    """Select flats of low, medium and high signal, and store their frames."""
     sensor = session.sensor
     if sensor is None:
         raise BadInput(f"a validation needs a session of a described sensor, got none in {session.name!r}")
@@ -185,14 +180,14 @@ def _flats(session: Session, measured: dict[str, NDArray]) -> tuple[list[Matched
     for shot, entry in _shots(session, "flat"):
         frames = _cut(shot, entry.read())
         clipped = float(np.mean((frames >= full) | (frames <= 0)))
-        if frames.mean() > HIGHEST_SHARE * full or clipped > MOST_CLIPPED_SHARE:
-            notes.append(f"{shot.label} is beyond the straight part of the range")
+        if frames.mean() > 0.8 * full or clipped > 1e-3:
+            notes.append(f"{shot.label} is outside the linear range")
             continue
         usable.append((float(frames.mean()), shot, frames))
     if not usable:
         raise BadInput(f"a validation needs a flat inside the range with {FEWEST_FRAMES} frames or more, got none")
     usable.sort(key=lambda item: item[0])
-    picked = sorted({round(place) for place in np.linspace(0, len(usable) - 1, min(FLATS, len(usable)))})
+    picked = sorted({round(place) for place in np.linspace(0, len(usable) - 1, min(3, len(usable)))})
     for place in picked:
         measured[usable[place][1].label] = usable[place][2]
     return [usable[place][1] for place in picked], notes

@@ -1,4 +1,4 @@
-"""Is the measured vector one of the simulated ones? A chi-squared with honest uncertainty of the prediction itself."""
+"""Comparison of a measured vector with simulated ones by a bootstrapped chi-squared test."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ REPLICATES = 4000
 
 @dataclass(frozen=True, kw_only=True)
 class Features:
-    """Numbers taken of one set of frames, with their sampling errors.
+    """Numbers from one set of frames, with their sampling covariance.
 
     Parameters
     ----------
@@ -52,14 +52,14 @@ class Comparison:
 def compare(
     measured: Features, simulated: list[Features], *, rng: np.random.Generator, replicates: int = REPLICATES
 ) -> Comparison:
-    """Compare one measured vector with simulated ones, each of its own posterior draw.
+    """Compare one measured vector with simulated ones, each from its own posterior draw.
 
     Parameters
     ----------
     measured
-        The vector in question.
+        Measured vector.
     simulated
-        Vectors of frames simulated from different posterior draws, two at least.
+        Vectors of frames simulated from different posterior draws, at least two.
     rng
         Draws of the null distribution.
     replicates
@@ -67,12 +67,11 @@ def compare(
 
     Notes
     -----
-    Simulated vectors scatter with S = W + P: sampling W, and the spread P of the posterior. W is pooled from within
-    the sets, S from between them, and P is what S has over W, where it has. The distance of the measured vector from
-    the mean of D draws has the covariance (W + P)(1 + 1/D). W and above all P are uncertain themselves, so that the
-    squared distance in its units has no table: the whole procedure is repeated on vectors drawn with the W and P found,
-    and the p-value is the share of repetitions that lie as far out (a parametric bootstrap; Davison & Hinkley 1997,
-    section 4.2).
+    Simulated vectors scatter with S = W + P: sampling W, and the posterior P. W is pooled from within the sets, S from
+    between them, and P is the positive part of S - W. The distance of the measured vector from the mean of D draws has
+    the covariance (W + P)(1 + 1/D). Since W and P are estimates, the squared distance has no tabulated distribution:
+    the procedure is repeated on vectors drawn with the estimated W and P, and the p-value is the fraction of
+    repetitions at least as distant (a parametric bootstrap; Davison & Hinkley 1997, section 4.2).
     """
     values = np.array([one.value for one in simulated])
     within, freedom = _pool_covariance([*simulated, measured])
@@ -110,7 +109,7 @@ def _pool_covariance(sets: list[Features]) -> tuple[Array, int]:
 
 
 def _above(between: Array, within: Array) -> Array:
-    """Return the part of covariances (..., k, k) that exceeds others in the directions where it does."""
+    """Return the excess of covariances (..., k, k) over others, in the directions where it is positive."""
     root = _root(within)
     inverse = np.linalg.inv(root)
     white = inverse @ between @ np.swapaxes(inverse, -1, -2)

@@ -1,4 +1,4 @@
-"""What a validation found: statistics that can fail, two controls, overlays and pictures; kept as JSON and arrays."""
+"""Result of a validation: statistics, controls, overlays and frame pairs, stored as JSON and arrays."""
 
 import json
 from dataclasses import asdict, dataclass, field
@@ -22,18 +22,17 @@ class Statistic:
     Parameters
     ----------
     name, title
-        Short name, and in words what is compared.
+        Short name, and description.
     distance
-        How far the measured value is from the simulated ones, in units that 1 is usual.
+        Distance of the measured value from the simulated ones, about 1 if they agree.
     p_value
         Probability of a distance at least as large if the sensor is right, dimensionless.
     level
-        p-value below which it fails, several comparisons counted in.
+        p-value below which it fails, corrected for several comparisons.
     labels, measured, low95, high95
-        What was compared: names of the numbers, measured values, and the 95 % interval that the simulation predicts for
-        each.
+        Names of the numbers, measured values, and predicted 95 % intervals.
     note
-        What a reader should know of it.
+        Note for the reader.
     """
 
     name: str
@@ -55,7 +54,7 @@ class Statistic:
 
 @dataclass(frozen=True, kw_only=True)
 class ValidationControl:
-    """The same statistics on frames of which the verdict is known beforehand.
+    """The same statistics on frames with a known outcome.
 
     Parameters
     ----------
@@ -63,9 +62,9 @@ class ValidationControl:
         "null": frames of the fitted sensor itself, which must pass. "negative": of the fitted sensor with one stage
         removed, which must fail.
     title
-        What was done, in words.
+        Description.
     statistics
-        The statistics.
+        Statistics.
     """
 
     name: Literal["null", "negative"]
@@ -73,7 +72,7 @@ class ValidationControl:
     statistics: tuple[Statistic, ...]
 
     @property
-    def held(self) -> bool:
+    def passed(self) -> bool:
         """Whether the control came out as it must."""
         passed = all(statistic.passed for statistic in self.statistics)
         return passed if self.name == "null" else not passed
@@ -81,16 +80,16 @@ class ValidationControl:
 
 @dataclass(frozen=True, kw_only=True)
 class FramePair:
-    """A measured frame beside a simulated one under one stretch.
+    """Measured and simulated frame with a common display range.
 
     Parameters
     ----------
     kind, label
         Kind and label of the stack.
     measured, simulated
-        Pictures, shape (row, col), uint8.
+        Images, shape (row, col), uint8.
     low_dn, high_dn
-        Levels shown black and white, DN.
+        Grey values shown black and white, DN.
     """
 
     kind: str
@@ -103,12 +102,12 @@ class FramePair:
 
 @dataclass(frozen=True, kw_only=True)
 class Validation:
-    """A session beside its simulation.
+    """Comparison of a session with its simulation.
 
     Parameters
     ----------
     session, sensor
-        Names of the session and of the sensor that was simulated.
+        Names of the session and of the simulated sensor.
     seed, draws, seconds
         Seed, number of posterior draws simulated and time taken, s.
     statistics
@@ -116,12 +115,12 @@ class Validation:
     controls
         Null and negative controls under the same statistics.
     overlays
-        What a report draws, by name: JSON-ready mappings; "mtf", "photon-transfer", "autocorrelation", "histogram".
-        Each carries "x" with "x_title", "measured", "simulated", "low95" and "high95" and its "title".
+        Figure data by name, JSON-ready mappings: "mtf", "photon-transfer", "autocorrelation", "histogram". Each has "x"
+        with "x_title", "measured", "simulated", "low95", "high95" and "title".
     pairs
-        Pictures side by side.
+        Images for display.
     notes
-        What a reader should know.
+        Notes for the reader.
     """
 
     session: str
@@ -143,11 +142,11 @@ class Validation:
     @property
     def passed(self) -> bool:
         """Whether every statistic passed and both controls came out as they must."""
-        return all(s.passed for s in self.statistics) and all(c.held for c in self.controls)
+        return all(s.passed for s in self.statistics) and all(c.passed for c in self.controls)
 
 
 def as_json(validation: Validation) -> dict[str, Any]:
-    """Return all but the pictures as JSON-ready mappings, verdicts included."""
+    """Return all but the frame pairs as JSON-ready mappings."""
     plain = {name: value for name, value in vars(validation).items() if name not in ("pairs", "statistics", "controls")}
     return {
         **plain,
@@ -155,7 +154,12 @@ def as_json(validation: Validation) -> dict[str, Any]:
         "notes": list(validation.notes),
         "statistics": [_statistic(one) for one in validation.statistics],
         "controls": [
-            {"name": c.name, "title": c.title, "held": c.held, "statistics": [_statistic(one) for one in c.statistics]}
+            {
+                "name": c.name,
+                "title": c.title,
+                "held": c.passed,
+                "statistics": [_statistic(one) for one in c.statistics],
+            }
             for c in validation.controls
         ],
         "pairs": [
@@ -165,7 +169,7 @@ def as_json(validation: Validation) -> dict[str, Any]:
 
 
 def save(validation: Validation, folder: str | Path) -> Path:
-    """Keep a validation in a session's folder; return the file of its numbers."""
+    """Write a validation to a session's folder; return the JSON file."""
     folder = Path(folder)
     arrays = {}
     for index, pair in enumerate(validation.pairs):
@@ -177,7 +181,7 @@ def save(validation: Validation, folder: str | Path) -> Path:
 
 
 def load(folder: str | Path) -> Validation | None:
-    """Return the validation kept in a session's folder, or None where there is none.
+    """Return the validation stored in a session's folder, or None where there is none.
 
     Raises
     ------
@@ -188,20 +192,20 @@ def load(folder: str | Path) -> Validation | None:
     if not (folder / NUMBERS).is_file():
         return None
     try:
-        told = json.loads((folder / NUMBERS).read_text())
+        stored = json.loads((folder / NUMBERS).read_text())
         with np.load(folder / PICTURES) as arrays:
             pairs = tuple(
                 FramePair(**pair, measured=arrays[f"measured-{i}"], simulated=arrays[f"simulated-{i}"])
-                for i, pair in enumerate(told["pairs"])
+                for i, pair in enumerate(stored["pairs"])
             )
         return Validation(
-            session=told["session"], sensor=told["sensor"], seed=told["seed"], draws=told["draws"],
-            seconds=told["seconds"], statistics=_statistics(told["statistics"]),
+            session=stored["session"], sensor=stored["sensor"], seed=stored["seed"], draws=stored["draws"],
+            seconds=stored["seconds"], statistics=_statistics(stored["statistics"]),
             controls=tuple(
                 ValidationControl(name=c["name"], title=c["title"], statistics=_statistics(c["statistics"]))
-                for c in told["controls"]
+                for c in stored["controls"]
             ),
-            overlays=told["overlays"], pairs=pairs, notes=tuple(told["notes"]),
+            overlays=stored["overlays"], pairs=pairs, notes=tuple(stored["notes"]),
         )  # fmt: skip
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise BadInput(f"{folder / NUMBERS} must be a validation kept by charact, got {error}") from error
@@ -211,10 +215,10 @@ def _statistic(one: Statistic) -> dict[str, Any]:
     return {**asdict(one), "passed": one.passed}
 
 
-def _statistics(told: list[dict[str, Any]]) -> tuple[Statistic, ...]:
+def _statistics(stored: list[dict[str, Any]]) -> tuple[Statistic, ...]:
     lists = {"labels", "measured", "low95", "high95"}
     out = []
-    for one in told:
+    for one in stored:
         fields: dict[str, Any] = {key: tuple(value) if key in lists else value for key, value in one.items()}
         fields.pop("passed")
         out.append(Statistic(**fields))

@@ -1,1 +1,1 @@
-"""From a plan to a session: checked, forecast, run step by step, paused, stopped, resumed."""
+"""Acquisition of a plan's stacks into a session."""

@@ -1,23 +1,21 @@
-"""Acquisition: a plan becomes a session, step by step, and the tube is safe whichever way it ends."""
+"""Acquire a plan's stacks into a session and leave the tube in the safe state."""
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from typing import Self
 
-from drivers.acquisition.forecast import sentences_out_of_step
-from drivers.acquisition.plan_check import check_plan, picture_of, same_but_wires
+from drivers.acquisition.plan_check import check_plan, picture_of, same_but_wires, sentences_out_of_step
 from drivers.acquisition.run import Run, make_safe_after
 from drivers.acquisition.run_control import RunControl
 from drivers.interface import Bench, Camera, Operator
-from labdata.atomic_write import write_atomically
 from labdata.background import BackgroundWriter
-from labdata.calibrated_gain import gain_table_of, in_volts
 from labdata.capture import PIXEL_BITS, CameraSettings
 from labdata.errors import BadInput
 from labdata.event_log import EventLog
+from labdata.file_io import write_atomically
 from labdata.limits import limits_in_force
-from labdata.plan import Judge, Plan
+from labdata.plan import Judge, Plan, gain_table_of, in_volts
 from labdata.sensor import Sensor
 from labdata.sensors import load_sensor, save_sensor, sensor_names
 from labdata.serialiser import from_toml, to_toml
@@ -44,12 +42,12 @@ def acquire(
     progress: Callable[[str, float], None] = lambda sentence, share: None,
     requests: RunControl | None = None,
 ) -> Session:
-    """Take a plan's stacks into a session.
+    """Acquire a plan's stacks into a session.
 
-    The tube is made safe before anything else, and the plan checked in full before anything is switched on. Frames are
-    stored by a thread of their own; progress counts those that are on the disk. Whatever ends the run, an error of an
-    instrument or of the disk included, the gate is shut and the gain lowered first; the frames so far stay, and the
-    session's log says what happened.
+    The tube is made safe first, and the plan is checked completely before anything is switched on. Frames are
+    stored by a separate thread; progress counts those on the disk. Whatever ends the run, including errors of an
+    instrument or the disk, the gate is shut and the gain lowered first; acquired frames are kept, and the
+    session's log records the cause.
 
     Parameters
     ----------
@@ -58,20 +56,20 @@ def acquire(
     folder
         Folder of the session.
     camera
-        The camera, not yet open.
+        The camera, not yet opened.
     bench
-        Gate and gain, not yet open; opened first and left last. Both make the tube safe.
+        The bench, not yet opened; opened first and closed last. Both make the tube safe.
     operator
-        Puts targets and light before the camera.
+        Places targets and sets light.
     judge
-        Watches each stack while it is taken; its complaint becomes a note of the stack.
+        Assesses each stack during acquisition; its complaint becomes a note of the stack.
     resume
-        Go on with a run that was broken off: finished stacks are not repeated, a broken one is filled up, or taken
-        anew where the bench failed while it was taken.
+        Continue an interrupted run: finished stacks are not repeated, a partial one is completed, or acquired
+        again where the bench failed during it.
     progress
-        Told the step and the share done (0..1).
+        Called with the step and the completed fraction (0..1).
     requests
-        What a person asks of the run meanwhile; by default Ctrl-C and SIGUSR1.
+        Requests of the user; by default Ctrl-C and SIGUSR1.
 
     Returns
     -------
@@ -81,19 +79,19 @@ def acquire(
     Raises
     ------
     BadInput
-        If the plan breaks a rule, the folder holds a session, a resumed plan is not the one that was begun or reads
-        back other conditions, or the disk does not take the frames.
+        If the plan breaks a rule, the folder has a session, a resumed plan differs from the original one or reads
+        back other conditions, or the disk does not accept the frames.
     BenchError
-        If an instrument or the camera fails; the sentence says which and how.
+        If an instrument or the camera fails; the message names it.
     KeyboardInterrupt
-        If the run was stopped: after the first Ctrl-C when the present step is finished, after the second at once.
+        If the run was stopped: by the first Ctrl-C after the present step, by the second at once.
     """
     folder = Path(folder)
     asked = requests or RunControl()
     with ExitStack() as opened:
         report = opened.enter_context(_Reporter(progress))
-        opened.enter_context(asked.heard())
-        # First of all, whatever becomes of plan, folder and camera: the tube is made safe.
+        opened.enter_context(asked.listen())
+        # The bench makes the tube safe before plan, folder or camera can fail.
         tube = opened.enter_context(bench)
         asked.make_safe_at_once, asked.last_words = tube.safe_at_once, lambda: tube.last_words
         sensor = None if plan.sensor is None else load_sensor(plan.sensor)
@@ -109,7 +107,7 @@ def acquire(
         storage = opened.enter_context(Storage(writer))
         opened.callback(operator.darken)
         operator = tube.guard(operator)
-        log("bench opened", finished=writer.finished, broken_off=writer.partial, doubtful=writer.doubtful)
+        log("bench opened", finished=writer.finished_labels, broken_off=writer.partial, doubtful=writer.doubtful)
         run = Run(
             plan=plan,
             sensor=sensor,
@@ -133,7 +131,7 @@ def acquire(
 
 
 class _Reporter:
-    """Progress through a queue: a terminal that takes no more must not hold up the run."""
+    """Progress through a queue, so that a blocked terminal does not delay the run."""
 
     def __init__(self, progress: Callable[[str, float], None]) -> None:
         self._writer: BackgroundWriter[tuple[str, float]] = BackgroundWriter(
@@ -141,7 +139,7 @@ class _Reporter:
         )
 
     def __call__(self, sentence: str, share: float) -> None:
-        self._writer.put((sentence, share))
+        self._writer.enqueue((sentence, share))
 
     def __enter__(self) -> Self:
         return self
@@ -152,7 +150,7 @@ class _Reporter:
 
 @contextmanager
 def _safe_first(bench: Bench) -> Iterator[None]:
-    """Make the tube safe before anything else is left, however the steps end: a camera or a disk may take long."""
+    """Make the tube safe first when the steps end, since closing a camera or a disk may take long."""
     try:
         yield
     except BaseException as error:
@@ -162,12 +160,12 @@ def _safe_first(bench: Bench) -> Iterator[None]:
 
 
 def _bit_depth(sensor: Sensor | None, settings: CameraSettings) -> int:
-    """Return the bits of the digitiser: those of the sensor's description, else those of the camera's format."""
+    """Return the bits of the digitiser from the sensor description, else from the camera's format."""
     return sensor.video.bit_depth if sensor else PIXEL_BITS[settings.pixel_format or "Mono16"]
 
 
 def _keep_plan(plan: Plan, folder: Path, *, resume: bool) -> None:
-    """Keep the plan beside its session, or compare it with the one kept there."""
+    """Save the plan in the session folder, or compare it with the saved one."""
     kept = folder / PLAN
     if not resume:
         if kept.exists() or (folder / MANIFEST).exists():
@@ -182,7 +180,7 @@ def _keep_plan(plan: Plan, folder: Path, *, resume: bool) -> None:
 
 
 def _session_writer(plan: Plan, folder: Path, sensor: Sensor | None, settings: CameraSettings) -> SessionWriter:
-    """Begin the session in a folder, or go on with the one that is there."""
+    """Begin the session in a folder, or continue the existing one."""
     if (folder / MANIFEST).exists():
         return SessionWriter.resume(folder)
     order, table = settings.field_order, gain_table_of(plan, sensor)
@@ -206,7 +204,7 @@ def _session_writer(plan: Plan, folder: Path, sensor: Sensor | None, settings: C
 
 
 def _sensor_name(plan: Plan, folder: Path, sensor: Sensor | None) -> str | None:
-    """Return how the session names its sensor: a shipped one by name, any other by a copy inside the session."""
+    """Return the session's name of its sensor: a shipped one by name, any other as a copy in the session."""
     if sensor is None or plan.sensor in sensor_names():
         return plan.sensor
     save_sensor(sensor, folder / "sensor.toml")
@@ -216,19 +214,19 @@ def _sensor_name(plan: Plan, folder: Path, sensor: Sensor | None) -> str | None:
 def _require_judge(plan: Plan, judge: Judge | None) -> None:
     for step in plan.steps:
         if judge is None and (step.until or step.search):
-            raise BadInput(f"a step that looks at its own frames must have a judge, got none for {step.label!r}")
+            raise BadInput(f"an adaptive step must have a judge, got none for {step.label!r}")
 
 
 @contextmanager
 def _run_log(path: Path, *, plan: str, resume: bool, say: Callable[[str], None]) -> Iterator[EventLog]:
-    """Open the session's log; its last line says how the run ended, if anybody lived to write it."""
+    """Open the session's log; its last line records the end of the run."""
     log = EventLog(path)
     log("run begins", plan=plan, resume=resume)
     try:
         yield log
     except BaseException as error:
-        told = [str(error) or "interrupted", *getattr(error, "__notes__", ())]
-        log("run ends", whole=False, kind=type(error).__name__, reason=" - ".join(told))
+        sentences = [str(error) or "interrupted", *getattr(error, "__notes__", ())]
+        log("run ends", whole=False, kind=type(error).__name__, reason=" - ".join(sentences))
         raise
     else:
         log("run ends", whole=True)

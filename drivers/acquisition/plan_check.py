@@ -1,45 +1,47 @@
-"""What is checked of a plan before anything is switched on."""
+"""Check a plan before anything is switched on, and forecast its time, disk space and dose."""
 
 import shutil
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
+from drivers.acquisition.run import DISCARDED_FRAMES
 from drivers.bench.interlock import Interlock
 from drivers.bench.setup import FIELD_RATE_HZ
 from drivers.bench.state import Command, InterlockRefused, OpenGate, RaiseGain, SetLight, TubeState
+from labdata.calibration import GainTable, LampCalibration
 from labdata.capture import PIXEL_BITS, CameraSettings
 from labdata.errors import BadInput
-from labdata.gating import Gating
-from labdata.lamp_calibration import LampCalibration
+from labdata.gating import Gating, out_of_step
 from labdata.limits import LimitsInForce, limits_in_force
-from labdata.plan import Plan, Step
+from labdata.plan import Plan, Step, gain_table_of
 from labdata.sensor import Sensor
+from labdata.tube_dose import Dose, dose_of, total_dose
 
 _NEEDED = {"bars": ("bars", "frequency_cy_per_px"), "edge": (), "point": (), "flat": (), "dark": (), "scene": ()}
 _SPARE_BYTES = 64 << 20
-# Conditions that no driver sets or reads back: the record would repeat what was asked as if it had been in force.
-_READ_BESIDE = ("metered_w", "metered_lux", "metered_time_s", "temperature_time_s")
-_SET_BY_NOBODY = ("automatic_gain", "brightness_control", "em_gain", "gain_control", "lamp_a", *_READ_BESIDE)
+# Conditions that no driver sets or reads back: the record would contain a set-point that was never in force.
+_METERED = ("metered_w", "metered_lux", "metered_time_s", "temperature_time_s")
+_SET_BY_NOBODY = ("automatic_gain", "brightness_control", "em_gain", "gain_control", "lamp_a", *_METERED)
 
 
 def check_plan(plan: Plan, folder: Path, sensor: Sensor | None) -> None:
-    """Check a plan in full.
+    """Check a plan completely.
 
     Parameters
     ----------
     plan
         The plan.
     folder
-        Where the session will be.
+        Folder of the future session.
     sensor
-        The camera it is for, or None.
+        Sensor of the camera, or None.
 
     Raises
     ------
     BadInput
-        At the first rule broken: what the interlock would refuse, a limit above the tube's, a label that is no file
-        name, light on a dark, a target without its numbers, a gate wider than the exposure, a condition that no driver
-        sets, a picture that the sensor does not have, or a disk too small.
+        At the first broken rule: a command that the interlock refuses, a limit above the tube's, a label that is no
+        file name, light on a dark, an incomplete target, a gate wider than the exposure, a condition that no driver
+        sets, a frame format outside the sensor, or a full disk.
     """
     limits = limits_in_force(plan.limits, sensor, plan.overrides)
     for step in plan.steps:
@@ -52,12 +54,12 @@ def check_plan(plan: Plan, folder: Path, sensor: Sensor | None) -> None:
 
 
 def field_hz(sensor: Sensor | None) -> float:
-    """Fields of the camera a second, Hz, or of 525-line video if unknown."""
+    """Return the field rate of the camera, Hz, or of 525-line video if unknown."""
     return float(sensor.video.field_rate_hz) if sensor else FIELD_RATE_HZ
 
 
 def picture_of(plan: Plan, sensor: Sensor | None) -> CameraSettings:
-    """Ask for what the plan names, else for the whole sensor at its depth; the rest stays as it is."""
+    """Return the frame format of a plan, by default the full sensor at its bit depth."""
     whole = CameraSettings()
     if sensor is not None:
         rows, columns = sensor.ccd.rows, sensor.ccd.columns
@@ -67,14 +69,14 @@ def picture_of(plan: Plan, sensor: Sensor | None) -> CameraSettings:
 
 
 def bytes_of(plan: Plan, sensor: Sensor | None) -> int:
-    """Bytes that the frames of a plan will take; 0 where neither plan nor sensor states the size of a frame."""
+    """Return the bytes of the frames of a plan; 0 where neither plan nor sensor states the frame size."""
     picture = picture_of(plan, sensor)
     pixel_bytes = 1 if PIXEL_BITS[picture.pixel_format or "Mono16"] <= 8 else 2
     return sum(step.most_frames for step in plan.steps) * (picture.rows or 0) * (picture.columns or 0) * pixel_bytes
 
 
 def same_but_wires(plan: Plan, other: Plan) -> str | None:
-    """Return what differs between two plans besides their wires, in words; None if nothing does."""
+    """Return the first difference between two plans other than their wires; None if there is none."""
     names = tuple(item.name for item in fields(Plan) if item.name not in ("wires", "steps"))
     if plan.steps == other.steps:
         return next((name for name in names if getattr(plan, name) != getattr(other, name)), None)
@@ -98,7 +100,7 @@ def _check_step(step: Step, sensor: Sensor | None) -> None:
         if (value := getattr(asked, name)) is not None:
             raise BadInput(f"{name} must be left out of a plan, as no driver sets it, got {value} in {step.label!r}")
     exposure_s = asked.exposure_s or (1.0 / float(sensor.video.field_rate_hz) if sensor else None)
-    # A gate of one field time is written rounded; one per mille more than the exposure is still that.
+    # A gate of one field time is written rounded, so one per mille more than the exposure is allowed.
     if asked.gate_ns is not None and exposure_s is not None and asked.gate_ns > exposure_s * 1e9 * 1.001:
         raise BadInput(
             f"gate_ns must not exceed the exposure of {exposure_s * 1e9:g} ns, got {asked.gate_ns:g} in {step.label!r}"
@@ -106,7 +108,7 @@ def _check_step(step: Step, sensor: Sensor | None) -> None:
 
 
 def _check_light(step: Step, lamp: LampCalibration | None) -> None:
-    """Refuse a light that the lamp cannot make; a person at the bench is believed to find a way."""
+    """Require lights within the range of the lamp, if there is one."""
     for lux in {step.conditions.illuminance_lux, step.brightest.conditions.illuminance_lux}:
         if lamp is not None and lux:
             try:
@@ -116,7 +118,7 @@ def _check_light(step: Step, lamp: LampCalibration | None) -> None:
 
 
 def _check_rules(step: Step, limits: LimitsInForce, rate_hz: float) -> None:
-    """Let the interlock's own rules look at what the step will order, with nothing there to obey."""
+    """Check the commands of a step by the rules of the interlock, without instruments."""
     asked, point = step.conditions, step.kind == "point"
     commands: list[Command] = [SetLight(illuminance_lux=0.0, point=point, target=step.target)]
     if asked.mcp_v:
@@ -133,7 +135,7 @@ def _check_rules(step: Step, limits: LimitsInForce, rate_hz: float) -> None:
 
 
 def _check_phase(step: Step, gating: Gating, field_hz: float) -> None:
-    """A triggered gate must open inside the exposure, which ends with its field."""
+    """Require a triggered gate to open inside the exposure, which ends with its field."""
     asked = step.conditions
     if gating.sync != "triggered" or not asked.gate_ns:
         return
@@ -148,7 +150,7 @@ def _check_phase(step: Step, gating: Gating, field_hz: float) -> None:
 
 
 def _check_picture(plan: Plan, sensor: Sensor | None) -> None:
-    """Refuse (BadInput) a picture that the sensor does not have, parts its fields, or cuts its codes."""
+    """Require a frame format that lies within the sensor, keeps the field order and has all its bits."""
     if sensor is None:
         return
     asked = picture_of(plan, sensor)
@@ -173,3 +175,125 @@ def _check_disk(plan: Plan, folder: Path, sensor: Sensor | None) -> None:
     free, needed = shutil.disk_usage(there).free, bytes_of(plan, sensor) + _SPARE_BYTES
     if free < needed:
         raise BadInput(f"the disk must have {needed // 10**6} MB free for this plan, got {free // 10**6} MB")
+
+
+CHANGE_S = 0.3
+"""Time to set gate, camera and light of a step, s."""
+
+GAIN_SETTLES_S = 0.5
+"""Settle and read time of a supply after a ramp, s."""
+
+FALL_V_PER_S = 300.0
+"""Rate of fall of the unloaded high voltage, V/s."""
+
+FRAMES_PER_S = 30.0
+"""Frame rate assumed for an unknown camera, Hz."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StepForecast:
+    """Forecast of one step, with all its frames."""
+
+    step: Step
+    seconds: float
+    """Duration, s."""
+    anode_na_per_cm2: float
+    """MCP output current density without saturation, nA/cm2."""
+    share_of_limit: float
+    """Fraction of the allowed current density."""
+    dose: Dose
+
+
+@dataclass(frozen=True, kw_only=True)
+class Forecast:
+    """Forecast of a plan, in the order of its steps."""
+
+    steps: tuple[StepForecast, ...]
+    bytes: int
+    """Disk space of its frames; 0 where no sensor gives the frame size."""
+    limits: LimitsInForce
+    gain_table: GainTable | None
+    out_of_step: tuple[str, ...] = ()
+    """One sentence for each unsynchronised pair of gate and exposure."""
+
+    @property
+    def seconds(self) -> float:
+        """Duration of the plan, s."""
+        return sum(one.seconds for one in self.steps)
+
+    @property
+    def dose(self) -> Dose:
+        """Total dose of the tube."""
+        return total_dose(one.dose for one in self.steps)
+
+    @property
+    def hottest(self) -> StepForecast:
+        """The step nearest to the limit of current density."""
+        return max(self.steps, key=lambda one: one.share_of_limit)
+
+
+def forecast(plan: Plan, sensor: Sensor | None) -> Forecast:
+    """Return the forecast of a plan in volts that was checked by `check_plan`."""
+    limits = limits_in_force(plan.limits, sensor, plan.overrides)
+    befores = (None, *plan.steps[:-1])
+    steps = tuple(_step(plan, step, before, sensor, limits) for step, before in zip(plan.steps, befores, strict=True))
+    return Forecast(
+        steps=steps,
+        bytes=bytes_of(plan, sensor),
+        limits=limits,
+        gain_table=gain_table_of(plan, sensor),
+        out_of_step=sentences_out_of_step(plan, sensor),
+    )
+
+
+def sentences_out_of_step(plan: Plan, sensor: Sensor | None) -> tuple[str, ...]:
+    """Return one sentence for each pair of gate and exposure that is not synchronous with the fields."""
+    rate_hz = field_hz(sensor)
+    asked = (one.conditions for one in plan.steps)
+    pairs = dict.fromkeys((one.gate_ns or 0.0, one.exposure_s or 1.0 / rate_hz) for one in asked)
+    sentences = (
+        out_of_step(plan.gating, width_ns=gate_ns, exposure_s=exposure_s, field_hz=rate_hz)
+        for gate_ns, exposure_s in pairs
+    )
+    return tuple(dict.fromkeys(one for one in sentences if one is not None))
+
+
+def _step(plan: Plan, step: Step, before: Step | None, sensor: Sensor | None, limits: LimitsInForce) -> StepForecast:
+    asked, point = step.brightest.conditions, step.kind == "point"
+    settle_s = plan.settle.wait_s(None if before is None else before.conditions, step.conditions)
+    moving_s = CHANGE_S + _gain_moves_s(before, step, limits)
+    lit_s = settle_s + (step.most_frames + DISCARDED_FRAMES) * _frame_s(step, sensor)
+    lux, volts = asked.illuminance_lux or 0.0, asked.mcp_v or 0.0
+    duty = min(1.0, (asked.gate_ns or 0.0) * 1e-9 * plan.gating.most_hz(field_hz(sensor)))
+    anode = limits.load.anode_na_per_cm2(lux, volts, duty)
+    dose = dose_of(
+        delivered_na_per_cm2=limits.load.screen_na_per_cm2(lux, volts, duty),
+        lit_s=lit_s,
+        at_gain_s=(moving_s + lit_s) if volts else 0.0,
+        point=point,
+        log_sd=limits.load.log_sd(volts),
+    )
+    return StepForecast(
+        step=step,
+        seconds=moving_s + lit_s,
+        anode_na_per_cm2=anode,
+        share_of_limit=anode / limits.largest_anode_na_per_cm2(point=point),
+        dose=dose,
+    )
+
+
+def _gain_moves_s(before: Step | None, step: Step, limits: LimitsInForce) -> float:
+    present_v = 0.0 if before is None else before.conditions.mcp_v or 0.0
+    change_v = (step.conditions.mcp_v or 0.0) - present_v
+    if not change_v:
+        return 0.0
+    return GAIN_SETTLES_S + (change_v / limits.ramp_v_per_s if change_v > 0.0 else -change_v / FALL_V_PER_S)
+
+
+def _frame_s(step: Step, sensor: Sensor | None) -> float:
+    """Return the frame period, s: two fields of interlaced video, else one exposure."""
+    if sensor is None:
+        period_s = 1.0 / FRAMES_PER_S
+    else:
+        period_s = (2.0 if sensor.video.interlaced else 1.0) / float(sensor.video.field_rate_hz)
+    return max(period_s, step.conditions.exposure_s or 0.0)

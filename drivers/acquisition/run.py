@@ -1,4 +1,4 @@
-"""One run with everything open: each step set, filled and finished in the order that spares the tube."""
+"""Take the steps of a plan with camera, bench and storage open."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -13,13 +13,11 @@ from drivers.acquisition.run_control import RunControl
 from drivers.acquisition.run_progress import RunProgress, StepClock
 from drivers.errors import BenchError, CameraError
 from drivers.interface import Bench, Camera, FrameLevels, Operator
-from labdata.adaptive import SaturationSearch
-from labdata.calibrated_gain import by_calibration, gain_table_of
 from labdata.capture import PIXEL_BITS, CameraSettings, LostFrames
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.event_log import EventLog
-from labdata.plan import Judge, Plan, Step, Watcher
+from labdata.plan import Judge, Plan, SaturationSearch, Step, Watcher, by_calibration, gain_table_of
 from labdata.sensor import Sensor
 from labdata.session import open_session
 from labdata.store import SessionWriter
@@ -27,26 +25,26 @@ from labdata.store.storage_thread import Storage, StoredStack
 
 LOOK_S = 0.1
 DISK_S = 1.2
-"""Longest time in which the disk may take nothing while frames wait, s: a hot tube is not kept waiting for it."""
+"""Longest time without progress of the disk while frames are queued, s, since the tube is at gain meanwhile."""
 
 CAMERA_S = 15.0
-"""Longest time in which a camera may take its settings, the gate being shut, s."""
+"""Longest time for the settings of a camera, with the gate shut, s."""
 
 PROBE_SHARE, PROBE_NS = 0.01, 100.0
-"""Share of the gate's width at which a light that a person set is looked at first, in whole ns, and its least width."""
+"""Fraction of the gate width, and smallest width in ns, of the first frame in a light that a person set."""
 
 SAME, SAME_LIGHT = 1e-3, 0.02
-"""Relative difference within which an instrument, and a light meter, which repeats less well, reads back the same."""
+"""Largest relative difference of equal read-backs of an instrument, and of a light meter."""
 
 OBSERVED = ("temperature_c", "temperature_time_s", "metered_w", "metered_lux", "metered_time_s")
-"""What nobody set: it is recorded as it was, and need not be the same again."""
+"""Measured conditions without set-point; they may differ between runs."""
 
 DISCARDED_FRAMES = 3  # a frame in the grabber, a frame in the camera, and one for the phosphor
 
 
 @dataclass(kw_only=True)
 class Run:
-    """Takes the steps of a plan, in volts; made by `acquire` once camera, storage and bench are open."""
+    """Acquires the steps of a plan in volts; made by `acquire` when camera, storage and bench are open."""
 
     plan: Plan
     sensor: Sensor | None
@@ -64,13 +62,17 @@ class Run:
 
     def __post_init__(self) -> None:
         self._gain_table, self._before = gain_table_of(self.plan, self.sensor), None
-        self._finished, self._partial, self._doubtful = self.writer.finished, self.writer.partial, self.writer.doubtful
+        self._finished, self._partial, self._doubtful = (
+            self.writer.finished_labels,
+            self.writer.partial,
+            self.writer.doubtful,
+        )
         frames = {step.label: step.most_frames for step in self.plan.steps}
         done = sum(frames[label] for label in frames if label in self._finished)
         self._pace = RunProgress(frames=sum(frames.values()), done=done)
 
     def take_all(self, requests: RunControl) -> None:
-        """Take the stacks that are not finished, and search where a step asks for it; `requests` ends or pauses it."""
+        """Acquire the unfinished stacks and searches; `requests` stops or pauses the run."""
         for step in self.plan.steps:
             if step.search is not None:
                 self._search(step, step.search, requests)
@@ -79,7 +81,7 @@ class Run:
                 self._take(step)
 
     def _search(self, step: Step, wanted: SaturationSearch, requests: RunControl) -> None:
-        """Find the light that saturates, from the step's on, each level a stack; finished levels are read instead."""
+        """Search for the light that saturates, one stack per level; finished levels are read."""
         seen: list[tuple[float, bool]] = []
         is_new = False
         begin_lux = step.conditions.illuminance_lux or 0.0
@@ -88,7 +90,7 @@ class Run:
             if level.label in self._finished:
                 self._look_back(level, watcher := self._watcher(level))
                 self._pace.done += level.frames
-                seen.append((lux, watcher.saturated()))
+                seen.append((lux, watcher.is_saturated()))
                 continue
             self._between_steps(requests)
             seen.append((lux, self._take(level)))
@@ -99,14 +101,14 @@ class Run:
             self.storage.remark(sentence)
 
     def _between_steps(self, requests: RunControl) -> None:
-        """Stop or pause if that was asked; the gate is shut, and while the run pauses the light is out."""
+        """Stop or pause if requested; the gate is shut, and during a pause the light is off."""
         if requests.pause and not requests.stop:
             self.log("paused")
             self.operator.darken()
         requests.between_steps(self._look)
 
     def _take(self, step: Step) -> bool:
-        """Take one stack and return whether it is saturated."""
+        """Acquire one stack and return whether it is saturated."""
         clock = StepClock()
         self._pace.step_begins()
         self._tell(step, 0)
@@ -131,10 +133,10 @@ class Run:
             settling_s=round(clock.settling_s, 4),
             overhead_ms=round(1e3 * clock.overhead_s, 3),
         )
-        return watcher.saturated()
+        return watcher.is_saturated()
 
     def _set_aside(self, step: Step) -> str | None:
-        """Put the frames of an earlier run aside that may not show what their stack says, and say so."""
+        """Set doubtful frames of an earlier run aside, and return a note."""
         why = self._doubtful.get(step.label)
         if why is None:
             return None
@@ -144,9 +146,9 @@ class Run:
         return _Unwatched() if self.judge is None else self.judge.watch(step, self.full_scale_dn)
 
     def _set(self, step: Step, clock: StepClock) -> Conditions:
-        """Set what a step asks in the order that spares the tube, and return what was read back.
+        """Set the conditions of a step and return the read-backs.
 
-        Light goes out before gate and gain move and comes back after them.
+        The light is off while gate and gain change.
         """
         asked = step.conditions
         with clock.wire():
@@ -173,7 +175,7 @@ class Run:
         return _conditions_in_force(asked, tube, by_calibration(self._gain_table, tube.mcp_v), light, camera)
 
     def _read_meters(self, conditions: Conditions, clock: StepClock) -> tuple[Conditions, tuple[str, ...]]:
-        """Read the auxiliary meters once all has settled; one that keeps silent is noted."""
+        """Read the auxiliary meters after settling; a time-out is noted."""
         with clock.wire():
             read, silent = self.bench.read_meters()
         for sentence in silent:
@@ -181,7 +183,7 @@ class Run:
         return _conditions_in_force(conditions, read), silent
 
     def _look(self) -> None:
-        """Look after the bench and the disk, and show that the run lives."""
+        """Check bench and disk; this is also the heartbeat of the run."""
         self.bench.check()
         if self.storage.stall_s > DISK_S:
             raise BadInput(
@@ -190,7 +192,7 @@ class Run:
             )
 
     def _wait(self, seconds: float, clock: StepClock) -> None:
-        """Let gain and light settle, with an eye on the bench."""
+        """Let gain and light settle, checking the bench."""
         with clock.settling():
             until_s = time.monotonic() + seconds
             while (left_s := until_s - time.monotonic()) > 0.0:
@@ -198,12 +200,12 @@ class Run:
                 time.sleep(min(left_s, LOOK_S))
 
     def _require_dark(self) -> None:
-        """Before the first light: a frame through the open gate must be dark."""
+        """Require a dark frame through the open gate before the first light."""
         if not self.bench.dark_seen:
             self.bench.dark_frame_seen(self._one_frame(0.0))
 
     def _probe_light(self, step: Step) -> None:
-        """Show the bench a frame in a light that a person set, with the gate open for a hundredth of the time only."""
+        """Report a frame in a light that a person set, with a hundredth of the gate width."""
         asked = step.conditions
         gate_ns = asked.gate_ns or 0.0
         self.bench.set_conditions(replace(asked, gate_ns=max(round(PROBE_SHARE * gate_ns), min(gate_ns, PROBE_NS))))
@@ -216,7 +218,7 @@ class Run:
         return FrameLevels.of(frame.pixels, self.full_scale_dn, allowed=allowed)
 
     def _look_back(self, step: Step, watcher: Watcher) -> Conditions:
-        """Judge the frames of a stack that is gone on with, and return the conditions under which it was begun."""
+        """Pass the frames of a continued stack to the watcher, and return its original conditions."""
         entry = open_session(self.folder).stack(step.label)
         for pixels in entry.read().data:
             self._look()
@@ -233,7 +235,7 @@ class Run:
     def _fill(
         self, step: Step, stack: StoredStack, there: int, watcher: Watcher, clock: StepClock
     ) -> tuple[tuple[LostFrames, ...], str | None]:
-        """Take frames until the stack is full or holds enough; return which were lost, and why it holds enough."""
+        """Acquire frames until the stack is full or its criterion is met; return lost frames and the criterion."""
         taken, enough = there, watcher.enough() if there else None
         if taken >= step.frames or enough:
             self._shut(step, stack, clock)
@@ -250,7 +252,7 @@ class Run:
                         with clock.wire():
                             self._show(step, frame.pixels, allowed)
                             self._look()
-                        stack.put(frame)
+                        stack.enqueue(frame)
                         taken += 1
                         watcher.see(frame.pixels)
                         self._tell(step, stack.acknowledged)
@@ -258,7 +260,7 @@ class Run:
                             break
                 self._shut(step, stack, clock)
             except BaseException as error:
-                # The gate first: stopping a camera may take long.
+                # Shut the gate before the camera is stopped, which may take long.
                 make_safe_after(error, self.bench)
                 with suppress(BadInput):
                     stack.lose(capture.losses)
@@ -268,14 +270,14 @@ class Run:
         return capture.losses, enough
 
     def _show(self, step: Step, pixels: NDArray, allowed: float) -> None:
-        """Show the bench how bright a frame is."""
+        """Report the levels of a frame to the bench."""
         levels = FrameLevels.of(pixels, self.full_scale_dn, allowed=allowed)
         if step.kind == "dark" and not self.bench.dark_seen:
             self.bench.dark_frame_seen(levels)
         self.bench.frame_seen(levels)
 
     def _shut(self, step: Step, stack: StoredStack, clock: StepClock) -> None:
-        """Compare the tube with what was set, then shut the gate: no target moves before an open one."""
+        """Verify the settings of the tube, then shut the gate before any target moves."""
         with self._doubting(stack), clock.wire():
             self.bench.verify()
             self.bench.set_conditions(replace(step.conditions, gate_ns=None))
@@ -290,7 +292,7 @@ class Run:
 
     @contextmanager
     def _doubting(self, stack: StoredStack) -> Iterator[None]:
-        """Where the bench fails, doubt the frames so far: the gate may have been shut before it was told."""
+        """Mark the frames as doubtful if the bench fails: the gate may have closed before the error was reported."""
         try:
             yield
         except CameraError:
@@ -302,14 +304,14 @@ class Run:
 
 
 class _Unwatched:
-    """Nobody judges: a stack takes all its frames."""
+    """Watcher without criterion: a stack has all its frames."""
 
     def see(self, pixels: NDArray) -> None: ...
 
     def enough(self) -> str | None:
         return None
 
-    def saturated(self) -> bool:
+    def is_saturated(self) -> bool:
         return False
 
     def complaint(self) -> str | None:
@@ -317,7 +319,7 @@ class _Unwatched:
 
 
 def _conditions_in_force(asked: Conditions, *read_back: Conditions) -> Conditions:
-    """Return the conditions in force: what was read back where something was, else what was asked."""
+    """Return the conditions in force: read-backs where available, else set-points."""
     for part in read_back:
         known = {item.name: value for item in fields(Conditions) if (value := getattr(part, item.name)) is not None}
         asked = replace(asked, **known)
@@ -325,7 +327,7 @@ def _conditions_in_force(asked: Conditions, *read_back: Conditions) -> Condition
 
 
 def _require_same(before: Conditions, now: Conditions, *, label: str) -> None:
-    """Refuse (BadInput) to go on with a stack under other conditions than it was begun under."""
+    """Require a continued stack to have its original conditions."""
     for item in fields(Conditions):
         if item.name in OBSERVED:
             continue
@@ -340,7 +342,7 @@ def _require_same(before: Conditions, now: Conditions, *, label: str) -> None:
 
 
 def make_safe_after(error: BaseException, bench: Bench) -> None:
-    """Make the tube safe after an error; where that fails too, the error says so."""
+    """Make the tube safe after an error; a second failure becomes a note of the error."""
     try:
         bench.safe()
     except BenchError as second:

@@ -1,4 +1,4 @@
-"""What a person asks of a running acquisition: to stop after this step, to stop now, to pause and to go on."""
+"""Stop, pause and resume a running acquisition by signals."""
 
 import os
 import signal
@@ -13,7 +13,7 @@ LOOK_S = 0.05
 
 URGENT = (signal.SIGTERM, signal.SIGHUP)
 GRACE_S, STUCK_S = 5.0, 15.0
-"""How long a run that was ended by a signal may take to leave, once the tube is safe and in all, s."""
+"""Time limits of a run ended by a signal, once the tube is safe and in total, s."""
 
 STOPPING = "stopping after this step; Ctrl-C again shuts the gate now"
 PAUSING = "pausing after this step; the same signal again goes on"
@@ -21,34 +21,34 @@ PAUSED = "paused with gate shut and light out; SIGUSR1 goes on, Ctrl-C ends the 
 
 
 class RunControl:
-    """What was asked so far.
+    """Requests of the user to a running acquisition.
 
     Parameters
     ----------
     say
-        Told in a sentence that it was heard.
+        Called with a sentence that confirms a request.
     """
 
     def __init__(self, say: Callable[[str], None] = lambda sentence: None) -> None:
         self.say = say
         self.stop = False
-        """End the run when the present step is finished."""
+        """Whether to end the run after the present step."""
         self.pause = False
-        """Wait when the present step is finished, until this is False again."""
+        """Whether to pause after the present step, until this is False again."""
         self.make_safe_at_once: Callable[[], None] = lambda: None
-        """Called from a thread of its own at SIGTERM, SIGHUP and the second Ctrl-C, whatever the run waits for."""
+        """Called from a separate thread at SIGTERM, SIGHUP and the second Ctrl-C."""
         self.last_words: Callable[[], str] = lambda: ""
-        """Returns how the tube was left; what a run that does not leave writes on the terminal at its end."""
+        """Returns the final state of the tube, written to the terminal by a run that hangs at its end."""
         self._running = self._leaving = False
         self._ended = threading.Event()
 
     @contextmanager
-    def heard(self) -> Iterator[None]:
-        """Hear signals for a while; only the main thread of a process can.
+    def listen(self) -> Iterator[None]:
+        """Handle signals in the `with` block; only in the main thread of a process.
 
-        While steps run, the first Ctrl-C asks to stop after the step, and the second is a KeyboardInterrupt at once.
-        Before, the first is; after, when the tube is being made safe, none is. SIGTERM and SIGHUP are a SystemExit.
-        SIGUSR1 pauses and goes on.
+        While steps run, the first Ctrl-C requests a stop after the step; the second is a KeyboardInterrupt at once.
+        Before, the first is; afterwards, during the safe action, none is. SIGTERM and SIGHUP are a SystemExit.
+        SIGUSR1 pauses and resumes.
         """
         if threading.current_thread() is not threading.main_thread():
             yield
@@ -70,7 +70,7 @@ class RunControl:
                 signal.signal(number, handler if handler is not None else signal.SIG_DFL)
 
     def _take_signals(self, reading: socket.socket) -> None:
-        """Make safe at an urgent signal, which the main thread may be too stuck to hear; in a thread of its own."""
+        """Make the tube safe at an urgent signal, in a separate thread, since the main thread may hang."""
         interrupts = 0
         with reading:
             while numbers := reading.recv(64):
@@ -81,7 +81,7 @@ class RunControl:
                         self._end_if_stuck(number)
 
     def _end_if_stuck(self, number: int) -> None:
-        """End the process where the main thread does not, with what is to be said of the tube."""
+        """End a process whose main thread hangs, with a message on the state of the tube."""
         stuck_s = time.monotonic() + STUCK_S
         while not self._ended.wait(GRACE_S):
             if self.last_words() or time.monotonic() > stuck_s:
@@ -92,7 +92,7 @@ class RunControl:
 
     @contextmanager
     def running(self) -> Iterator[None]:
-        """The time in which steps are taken; after it the tube is made safe, and nothing may keep that up."""
+        """Mark the time in which steps run; in the safe action that follows Ctrl-C is ignored."""
         self._running = True
         try:
             yield
@@ -100,12 +100,12 @@ class RunControl:
             self._running, self._leaving = False, True
 
     def between_steps(self, look: Callable[[], None]) -> None:
-        """End the run (KeyboardInterrupt) or wait as asked; called between steps with the gate shut.
+        """End the run (KeyboardInterrupt) or pause as requested; called between steps with the gate shut.
 
         Parameters
         ----------
         look
-            Called all the while; raises what went wrong at the bench.
+            Called during a pause; raises errors of the bench.
         """
         if self.pause and not self.stop:
             self.say(PAUSED)
@@ -130,5 +130,5 @@ class RunControl:
 
 
 def _end(number: int, _frame: FrameType | None) -> None:
-    """Unwind the stack like Ctrl-C, so that every `with` is left properly."""
+    """Unwind the stack like Ctrl-C, so that every `with` block is closed."""
     raise SystemExit(128 + number)

@@ -1,4 +1,4 @@
-"""How fast a run goes: where the time of each step went, frames a second, and the time left."""
+"""Timing of a run: time spent in each step, frame rate and time left."""
 
 import time
 from collections.abc import Iterable, Iterator
@@ -9,18 +9,18 @@ T = TypeVar("T")
 
 
 class StepClock:
-    """Where the time of one step goes: on the wires and at the camera, into settling, and what is left, our own."""
+    """Time of one step: instruments and camera, settling, and overhead."""
 
     def __init__(self) -> None:
         self._began_s = time.monotonic()
         self.wire_s = 0.0
-        """Time that instruments, operator and camera took, s."""
+        """Time spent in instruments, operator and camera, s."""
         self.settling_s = 0.0
-        """Time that the plan asked to wait, s."""
+        """Settle time of the plan, s."""
 
     @contextmanager
     def wire(self) -> Iterator[None]:
-        """Time on the wire."""
+        """Add the time of the block to that of instruments and camera."""
         began_s = time.monotonic()
         try:
             yield
@@ -29,7 +29,7 @@ class StepClock:
 
     @contextmanager
     def settling(self) -> Iterator[None]:
-        """Time of settling."""
+        """Add the time of the block to the settle time."""
         began_s = time.monotonic()
         try:
             yield
@@ -37,7 +37,7 @@ class StepClock:
             self.settling_s += time.monotonic() - began_s
 
     def waiting_for(self, frames: Iterable[T]) -> Iterator[T]:
-        """Hand frames on; the time that each took to come is time on the wire."""
+        """Yield frames; the time until each arrives counts as time of the camera."""
         coming = iter(frames)
         while True:
             with self.wire():
@@ -48,38 +48,38 @@ class StepClock:
 
     @property
     def overhead_s(self) -> float:
-        """Time so far that was neither on the wire nor settling, s."""
+        """Time so far outside instruments, camera and settling, s."""
         return time.monotonic() - self._began_s - self.wire_s - self.settling_s
 
 
 class RunProgress:
-    """Frames done of all frames of a run, and how long the others will take at the pace so far.
+    """Progress of a run in frames, with frame rate and time left.
 
     Parameters
     ----------
     frames
         Frames of the whole plan.
     done
-        Frames of the steps that were finished before.
+        Frames of the steps finished in earlier runs.
     """
 
     def __init__(self, *, frames: int, done: int) -> None:
         self._frames, self._before = frames, done
         self.done = done
-        """Frames of the finished steps; one that was stopped early counts as whole."""
+        """Frames of the finished steps; a step stopped early counts completely."""
         self._began_s = time.monotonic()
         self._step_began_s: float | None = None
 
     def step_begins(self) -> None:
-        """A new step: its rate counts from its first frame."""
+        """Begin a step; its frame rate counts from its first frame."""
         self._step_began_s = None
 
     def share(self, taken: int) -> float:
-        """Share of the plan done with `taken` frames of the present step, 0..1."""
+        """Return the completed fraction of the plan with `taken` frames of the present step, 0..1."""
         return min(1.0, (self.done + taken) / self._frames)
 
     def words(self, taken: int) -> str:
-        """Rate and time left with `taken` frames of the present step; empty while nothing is known."""
+        """Return frame rate and time left with `taken` frames of the present step; empty while unknown."""
         now_s = time.monotonic()
         if taken and self._step_began_s is None:
             self._step_began_s, self._first = now_s, taken
@@ -92,7 +92,7 @@ class RunProgress:
 
 
 def duration(seconds: float) -> str:
-    """Return a time in the two units that a person would name: "2 h 5 min", "3 min 20 s", "12 s"."""
+    """Return a time in two units: "2 h 5 min", "3 min 20 s", "12 s"."""
     whole = round(seconds)
     hours, minutes = whole // 3600, whole % 3600 // 60
     if hours:

@@ -1,1 +1,1 @@
-"""What stands between acquisition and the tube: interlock, bench server and its client, safe action, dose."""
+"""Test bench of the tube: interlock, bench server and client, safe state, dose."""

@@ -1,4 +1,4 @@
-"""The client's side of the bench server: its commands, signs of life, and the safe action without a server."""
+"""Client of the bench server: commands, heartbeat, and the safe state without a server."""
 
 import contextlib
 import itertools
@@ -17,10 +17,9 @@ from types import TracebackType
 from typing import Any, Self
 
 from drivers.bench.connection import BEAT_S, SILENCE_S, Beat, Connection, Fault, MadeSafe, Ports, Reply, Request
-from drivers.bench.guarded_light import GuardedLight
-from drivers.bench.last_bench import remember_bench
+from drivers.bench.light_control import GuardedLight
 from drivers.bench.safe_state import REOPEN_S, Crew, SafeStateReport, make_safe
-from drivers.bench.setup import BenchSetup
+from drivers.bench.setup import BenchSetup, remember_bench
 from drivers.errors import BenchError, BenchServerLost
 from drivers.instruments.models import model_of
 from drivers.instruments.voltage_limits import FALL_S
@@ -30,24 +29,24 @@ from labdata.event_log import EventLog
 from labdata.instrument_config import Role
 
 SERVER_SILENCE_S = SILENCE_S + BEAT_S
-"""Silence of the server after which it is killed, s."""
+"""Time without heartbeat of the server after which it is killed, s."""
 
 SAFE_S = FALL_S + REOPEN_S + 5.0
-"""Longest time that the safe action may take, s: a lost port is awaited, then the voltage followed down."""
+"""Longest duration of the safe action, s: wait for a lost port, then for the decay of the voltage."""
 
 START_S = 15.0
-"""Longest time that the server may take to start, s."""
+"""Longest start of the server, s."""
 
 SLICE_S = 0.1
 RESERVE_BYTES = 8 << 20
-"""Memory that is kept for the safe action."""
+"""Memory reserved for the safe action, bytes."""
 
 KILLED_S = 0.1
-"""Longest wait for a killed server to let go of its ports, s; one that the kernel holds is not waited for."""
+"""Longest wait for a killed server to release its ports, s."""
 
 
 def _command(name: str) -> Callable[..., Any]:
-    """Return the method that has the server run a command of its bench."""
+    """Return a method that runs a command of the bench in the server."""
 
     def ask(client: "BenchClient", *arguments: Any, **named: Any) -> Any:
         return client._ask(name, *arguments, **named)
@@ -56,10 +55,10 @@ def _command(name: str) -> Callable[..., Any]:
 
 
 class BenchClient:
-    """A bench whose ports, drivers and interlock live in a server process of our own; see `TubeBench` for its commands.
+    """A bench whose ports, drivers and interlock live in a server process; see `TubeBench` for its commands.
 
-    A thread shows the server that this process lives and when the run itself last did, watches the server, and makes
-    the tube safe over the server's own ports when that ends or falls silent: with nothing opened, started or allocated.
+    A thread sends the heartbeat of this process and of the run, watches the server, and makes
+    the tube safe over the server's ports when the server ends or is silent: nothing is opened, started or allocated.
     """
 
     wires_left_out: tuple[str, ...] = ()
@@ -67,9 +66,9 @@ class BenchClient:
     def __init__(self, setup: BenchSetup) -> None:
         self._setup = setup
         self.fault: BenchError | None = None
-        """What went wrong at the bench since it was opened."""
+        """First error of the bench since it was opened."""
         self.report: SafeStateReport | None = None
-        """How the tube was left by the last safe action."""
+        """Report of the last safe action."""
         self.dark_seen = False
         self._numbers = itertools.count(1)
         self._replies: dict[int, queue.SimpleQueue[Reply]] = {}
@@ -85,7 +84,7 @@ class BenchClient:
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with theirs:
             self.process = subprocess.Popen(
-                # -P: a module in the working folder must not stand in for one of the library.
+                # -P: a module in the working folder must not shadow one of the library.
                 [sys.executable, "-P", "-m", "drivers.bench.server", "--socket", str(theirs.fileno())],
                 pass_fds=[theirs.fileno()],
                 start_new_session=True,
@@ -114,7 +113,7 @@ class BenchClient:
         self._leave(error)
 
     def _remember(self) -> None:
-        """Keep how to reach this bench, for whoever makes its tube safe without a plan."""
+        """Save the wires of this bench, to make its tube safe later without a plan."""
         try:
             remember_bench(self._setup.wires)
         except OSError as error:
@@ -133,32 +132,32 @@ class BenchClient:
     verify = _command("verify")
 
     def guard(self, operator: Operator) -> Operator:
-        """Put the lamp, and whoever places targets and light, behind the interlock; use only what is returned."""
+        """Return the operator and lamp behind the interlock; use only what is returned."""
         return GuardedLight(operator, self)
 
     def dark_frame_seen(self, levels: FrameLevels) -> bool:
-        """Report a frame taken without light; one that is not dark is NotDark."""
+        """Report a frame without light; one that is not dark is NotDark."""
         self.dark_seen = self._ask("dark_frame_seen", levels)
         return self.dark_seen
 
     def frame_seen(self, levels: FrameLevels) -> None:
-        """Report how much of a frame is saturated; nothing is waited for."""
+        """Report the saturation of a frame, without waiting."""
         self.alive()
         self._server.send(Request(number=0, command="frame_seen", arguments=(levels,)))
 
     def check(self) -> None:
-        """Show a sign of life, and raise what went wrong at the bench."""
+        """Record a heartbeat, and raise an error of the bench."""
         self.alive()
         if self.fault is not None:
             raise self.fault
 
     def alive(self) -> None:
-        """Show a sign of life of the run."""
+        """Record a heartbeat of the run."""
         self._stamp_s = max(self._stamp_s, time.monotonic())
 
     @contextmanager
     def patience(self, seconds: float) -> Iterator[None]:
-        """Announce that no sign of life may come for some seconds; the gate must be shut."""
+        """Suspend the heartbeat for a time; the gate must be shut."""
         self._stamp_s = time.monotonic() + seconds
         try:
             yield
@@ -166,19 +165,19 @@ class BenchClient:
             self._stamp_s = time.monotonic()
 
     def safe(self) -> None:
-        """Make the tube safe now; a BenchError where that is not verified. Work may go on if nothing has failed."""
+        """Make the tube safe now; BenchError if not verified. The bench stays usable if nothing failed."""
         self._make_safe().require_whole()
 
     def safe_at_once(self) -> None:
-        """Order the safe state and wait for nothing: for whoever gets a signal while the run may hang."""
+        """Order the safe state without waiting, for signal handlers of a run that may hang."""
         self._server.send(Request(number=0, command="safe"))
 
     @property
     def last_words(self) -> str:
-        """How the tube was left, and what to do by hand where it may be hot; empty before it was made safe."""
+        """Final state of the tube, with manual steps if it may be hot; empty before the safe action."""
         return "" if self.report is None else self.report.last_words()
 
-    # The conversation
+    # Messages
 
     def _ask(self, command: str, *arguments: Any, **named: Any) -> Any:
         """Send a command and return its value; an error of the bench is raised here."""
@@ -195,7 +194,7 @@ class BenchClient:
             del self._replies[request.number]
 
     def _await(self, reply: "queue.SimpleQueue[Reply]", timeout_s: float | None) -> Any:
-        """Wait for a reply, showing that the run lives; the thread that watches the server ends every wait."""
+        """Wait for a reply with a heartbeat of the run; the watching thread ends the wait if the server is lost."""
         until_s = time.monotonic() + (float("inf") if timeout_s is None else timeout_s)
         while time.monotonic() < until_s:
             self.alive()
@@ -209,7 +208,7 @@ class BenchClient:
         raise BenchServerLost(f"the bench server must answer within {timeout_s:g} s, got nothing")
 
     def _guard_server(self) -> None:
-        """Beat, take what comes, and watch the server; in a thread of its own, which waits for nothing else."""
+        """Send heartbeats, take messages and watch the server, in a separate thread."""
         next_beat_s = 0.0
         while not self._over:
             for message, descriptors in self._server.receive(0.5 * BEAT_S):
@@ -239,14 +238,14 @@ class BenchClient:
                 waiting.put(message)
 
     def _driver(self, role: Role) -> Any:
-        """Return a driver on the server's own port, ready for the safe action."""
+        """Return a driver on the server's port, for the safe action."""
         one = next(each for each in self._setup.wires.instruments if each.role == role)
         model = model_of(one)
         open_again = partial(model.open_port, str(one.port), exclusive=False)
         port = InheritedPort(self._ports[role], name=model.title, open_again=open_again)
         return model.driver(model.line(port, one.address))
 
-    # Leaving
+    # Closing
 
     def _make_safe(self) -> SafeStateReport:
         try:
@@ -259,7 +258,7 @@ class BenchClient:
         return self.report
 
     def _leave(self, error: BaseException | None) -> None:
-        """Have the bench made safe and the server end; what goes wrong is raised, or a note on what ended the work."""
+        """Make the bench safe and end the server; failures are raised, or become notes of the first error."""
         unwritten = None
         self._leave_number = next(self._numbers)
         try:
@@ -291,10 +290,10 @@ class BenchClient:
         self._crew.dismiss()
         self._log.close()
 
-    # Without a server
+    # Safe action without a server
 
     def _take_over(self, how: str) -> SafeStateReport:
-        """Kill the server and make the tube safe over its ports, at once, whatever this process waits for meanwhile."""
+        """Kill the server and make the tube safe over its ports."""
         with self._taking_over:
             if self.report is not None and self.report.whole and self._over:
                 return self.report

@@ -1,4 +1,4 @@
-"""The conversation between a client and its bench server: whole messages over a socket pair, never waited for."""
+"""Messages between a bench client and its server over a socket pair."""
 
 import pickle
 import select
@@ -12,18 +12,18 @@ from labdata.errors import BadInput
 from labdata.instrument_config import Role
 
 BEAT_S = 0.1
-"""Time between two signs of life, s."""
+"""Heartbeat interval, s."""
 
 SILENCE_S = 0.5
-"""Silence after which the other side counts as hung, s: five signs of life."""
+"""Time without heartbeat after which the other side counts as hung, s: five intervals."""
 
 LARGEST_BYTES = 1 << 17
-"""Largest message; a setup with its calibrations has some thousand bytes."""
+"""Largest message; a setup with calibrations has a few kilobytes."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Beat:
-    """A sign of life, and the time since the run itself showed one, s (0 for the server)."""
+    """A heartbeat, with the time since that of the run, s (0 for the server)."""
 
     age_s: float = 0.0
 
@@ -40,7 +40,7 @@ class Request:
 
 @dataclass(frozen=True, kw_only=True)
 class Reply:
-    """What a request brought."""
+    """Result of a request."""
 
     number: int
     value: Any = None
@@ -49,27 +49,27 @@ class Reply:
 
 @dataclass(frozen=True, kw_only=True)
 class Ports:
-    """The server has opened ports, whose descriptors come with this message, in the order of the roles."""
+    """Ports opened by the server; their descriptors come with this message, in the order of the roles."""
 
     roles: tuple[Role, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fault:
-    """Something failed, and the tube is made safe; sent before the gate is shut."""
+    """A failure that leads to the safe action; sent before the gate is shut."""
 
     error: BenchError
 
 
 @dataclass(frozen=True, kw_only=True)
 class MadeSafe:
-    """How a safe action left the tube."""
+    """Report of a safe action."""
 
     report: SafeStateReport
 
 
 class Connection:
-    """One end of the conversation, over one of a pair of `SOCK_SEQPACKET` sockets, which keep messages whole."""
+    """One end of a pair of `SOCK_SEQPACKET` sockets, which preserve message boundaries."""
 
     def __init__(self, end: socket.socket) -> None:
         self._socket = end
@@ -77,14 +77,14 @@ class Connection:
         self._poll = select.poll()
         self._poll.register(end, select.POLLIN)
         self.gone = False
-        """Whether the other side has closed its end, or reads nothing any more."""
+        """Whether the other side has closed its end or stopped reading."""
 
     def fileno(self) -> int:
         """Descriptor, for `select`."""
         return self._socket.fileno()
 
     def send(self, message: object, descriptors: tuple[int, ...] = ()) -> None:
-        """Send a message with copies of descriptors; nobody waits for a side that reads nothing, it counts as gone."""
+        """Send a message with copies of descriptors, without waiting; a side that does not read counts as gone."""
         data = pickle.dumps(message)
         try:
             if descriptors:
@@ -95,7 +95,7 @@ class Connection:
             self.gone = True
 
     def receive(self, timeout_s: float) -> list[tuple[Any, list[int]]]:
-        """Return the messages that came within a time, each with the descriptors that came with it."""
+        """Return the messages received within a time, each with its descriptors."""
         messages: list[tuple[Any, list[int]]] = []
         if self.gone or not self._poll.poll(1e3 * timeout_s):
             return messages
@@ -105,7 +105,7 @@ class Connection:
             except BlockingIOError:
                 return messages
             except ConnectionResetError:
-                continue  # the other side left with messages unread; its last ones are still to be taken
+                continue  # the other side closed with messages unread; its last ones can still be read
             except OSError:
                 data, descriptors = b"", []
             if not data:
@@ -114,5 +114,5 @@ class Connection:
             messages.append((pickle.loads(data), descriptors))
 
     def close(self) -> None:
-        """Close this end, which the other side notices at once."""
+        """Close this end; the other side is notified at once."""
         self._socket.close()

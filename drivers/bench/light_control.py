@@ -1,28 +1,35 @@
-"""Light of the bench behind the interlock: an illuminance becomes a filter turned in the dark, then a current."""
+"""Lamp, filter wheel and operator behind the interlock."""
 
 import math
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from drivers.bench.interlock import Interlock
 from drivers.bench.setup import BenchSetup
 from drivers.bench.state import Command, FilterMoved, FilterRead, LightRead, SetLight, TurnFilter
-from drivers.errors import BenchStopped
+from drivers.errors import BenchError, BenchStopped
 from drivers.serial_lines.line import InstrumentLine
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.instrument_config import Role
+from labdata.session import Kind
 from labdata.target import Target
 
+if TYPE_CHECKING:
+    from drivers.bench.client import BenchClient
+    from drivers.bench.local_bench import LocalBench
+    from drivers.interface import Operator
+
+
 METER_ZERO = 1e-3
-"""A meter that reads less than this share of the largest light allowed reads its own zero once the light is blocked."""
+"""Fraction of the largest allowed light below which a reading with blocked light is the zero of the meter."""
 
 
 class Station:
-    """One instrument: its line, its driver, and the lock of whoever runs a procedure on it."""
+    """One instrument: line, driver, and the lock of a procedure that uses it."""
 
     def __init__(self, line: InstrumentLine, driver: Any) -> None:
         self.line, self.driver = line, driver
@@ -31,60 +38,60 @@ class Station:
 
 
 class LightControl(ABC):
-    """The light of a bench: a lamp known by its calibration with the filter wheel before it, or a person's."""
+    """Light of a bench: a calibrated lamp with its filter wheel, or light set by a person."""
 
     interlock: Interlock
     stations: Mapping[Role, Station]
     _setup: BenchSetup
     _is_stopped = False
-    """Whether a safe action began since the present order did."""
+    """Whether a safe action began since the present command."""
     _position = 1
 
     @abstractmethod
     def check(self) -> None:
-        """Raise what went wrong at the bench."""
+        """Raise an error of the bench."""
 
     @abstractmethod
     def _using(self, *roles: Role) -> AbstractContextManager[None]:
-        """Run a procedure on some instruments; what goes wrong on them makes safe."""
+        """Run a procedure on several instruments; an error makes the tube safe."""
 
     def _permit(self, command: Command) -> None:
-        """Let a command of an order pass; an order in which a safe action began does not go on (BenchStopped)."""
+        """Permit a command of a procedure; BenchStopped if a safe action has begun since."""
         if self._is_stopped:
             raise BenchStopped("the tube was made safe in the middle of an order")
         self.interlock.permit(command)
 
     def light_unknown(self) -> bool:
-        """Know nothing of the light any more; return whether the bench has a lamp of its own."""
+        """Set the light to unknown; return whether the bench has a lamp."""
         self.interlock.tell(LightRead(illuminance_lux=math.inf))
         return self._setup.lamp is not None
 
     def permit_light(self, illuminance_lux: float, *, point: bool, target: Target) -> None:
-        """Refuse (InterlockRefused) a target and a light that a rule forbids; else it counts as set."""
+        """Permit a target and a light, which then count as set, or refuse them (InterlockRefused)."""
         self.interlock.permit(SetLight(illuminance_lux=illuminance_lux, point=point, target=target))
 
     def light_read(self, illuminance_lux: float, *, zero: bool = False) -> None:
-        """Take in what the light was read as; with `zero`, next to nothing is the zero of the meter."""
+        """Take a reading of the light; with `zero`, a reading near zero is the zero of the meter."""
         zero_lux = METER_ZERO * self.interlock.limits.largest_lux(point=self.interlock.state.point)
         lux = 0.0 if zero and illuminance_lux <= zero_lux else illuminance_lux
         self.interlock.tell(LightRead(illuminance_lux=lux))
         self.check()
 
     def darken(self) -> None:
-        """Put the lamp out, if there is one, which needs no leave; read back."""
+        """Switch the lamp off, if there is one, and read it back."""
         if self._setup.lamp is not None:
             with self._using("light-source"):
                 self._turn_lamp_off()
 
     def shine(self, illuminance_lux: float, *, point: bool, target: Target, filter_density: float | None) -> Conditions:
-        """Turn the filter in the dark, then light the lamp; return the light that the current read back makes.
+        """Turn the filter in the dark, then switch the lamp on; return the light of the read-back current.
 
         Raises
         ------
         BadInput
             If there is no lamp, or the target was not placed in the dark.
         InterlockRefused
-            If a rule forbids the filter or the light.
+            If a rule refuses the filter or the light.
         """
         if self._setup.lamp is None:
             raise BadInput("a light of its own must have a lamp at the bench, got none")
@@ -99,14 +106,14 @@ class LightControl(ABC):
             ordered_lux = setting.read.illuminance_lux or 0.0
             self._permit(SetLight(illuminance_lux=ordered_lux, point=point, target=target))
             source = self.stations["light-source"]
-            read = self._setup.lamp.lit(source.driver.shine(setting.current_a), self._position)
+            read = self._setup.lamp.light_at(source.driver.shine(setting.current_a), self._position)
             source.watched = True
             self.interlock.tell(LightRead(illuminance_lux=read.illuminance_lux or ordered_lux))
         self.check()
         return read
 
     def _prepare_lamp(self) -> None:
-        """Go dark, have the source itself refuse more than was calibrated, and read where the wheel stands.
+        """Switch the lamp off, limit its current to the calibration, and read the position of the wheel.
 
         Raises
         ------
@@ -137,7 +144,7 @@ class LightControl(ABC):
         self.interlock.tell(LightRead(illuminance_lux=0.0))
 
     def _turn_filter(self, position: int) -> None:
-        """Have the wheel, where there is one, stand at a position; turned in the dark only."""
+        """Turn the wheel, if there is one, to a position, in the dark only."""
         if (wheel := self.stations.get("filter-wheel")) is None:
             return
         wheel.watched = False
@@ -147,9 +154,72 @@ class LightControl(ABC):
         self._take_filter(position)
 
     def _take_filter(self, position: int) -> None:
-        """Know the filter that the wheel stands at; one that was not calibrated is left at the first turn."""
+        """Record the filter at the position of the wheel, if it is calibrated."""
         assert self._setup.lamp is not None
         if 1 <= position <= len(self._setup.lamp.filter_density):
             self._position = position
             self.interlock.tell(FilterRead(position=position))
             self.stations["filter-wheel"].watched = True
+
+
+class GuardedLight:
+    """Operator behind the interlock, with the lamp of the bench, if it has one.
+
+    Parameters
+    ----------
+    operator
+        Places targets, and sets the light where there is no lamp.
+    bench
+        Permits each placement and takes the reading after it.
+    """
+
+    def __init__(self, operator: "Operator", bench: "BenchClient | LocalBench") -> None:
+        self._operator, self._bench = operator, bench
+        self._has_lamp = bench.light_unknown()
+        operator.while_waiting = self.while_waiting = bench.check
+
+    @property
+    def is_by_hand(self) -> bool:
+        """Whether a person sets the light; the gate is then shut meanwhile."""
+        return self._operator.is_by_hand and not self._has_lamp
+
+    def darken(self) -> None:
+        """Block the light."""
+        self._operator.darken()
+        self._bench.darken()
+        if not self._has_lamp:
+            self._bench.light_read(0.0)
+
+    def place(
+        self, *, kind: Kind, target: Target, illuminance_lux: float, filter_density: float | None = None
+    ) -> Conditions:
+        """Place a target and set the light, if no rule refuses it; return the reading.
+
+        Raises
+        ------
+        InterlockRefused
+            If a rule refuses it; nothing was moved then.
+        BenchError
+            If the reading requires the safe state.
+        """
+        self._bench.check()
+        point = kind == "point"
+        if self._has_lamp and illuminance_lux:
+            return self._bench.shine(illuminance_lux, point=point, target=target, filter_density=filter_density)
+        if self._has_lamp:
+            self._bench.darken()
+        elif self.is_by_hand:
+            self._bench.shut_gate()
+        self._bench.permit_light(illuminance_lux, point=point, target=target)
+        read = self._operator.place(
+            kind=kind, target=target, illuminance_lux=illuminance_lux, filter_density=filter_density
+        )
+        if self._has_lamp:
+            read = Conditions(illuminance_lux=0.0, lamp_a=0.0)
+        lux = illuminance_lux if read.illuminance_lux is None else read.illuminance_lux
+        try:
+            self._bench.light_read(lux, zero=not illuminance_lux)
+        except BenchError:
+            self._operator.darken()
+            raise
+        return read

@@ -1,11 +1,11 @@
-"""A bench inside the client's own process: its instruments answer in process, and no other process makes it safe."""
+"""Bench inside the client's own process, for instruments without serial ports."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from types import TracebackType
 from typing import Self
 
-from drivers.bench.guarded_light import GuardedLight
+from drivers.bench.light_control import GuardedLight
 from drivers.bench.setup import BenchSetup
 from drivers.bench.tube_bench import DISPENSABLE, LOOK_EVERY_S, TubeBench, stations_on
 from drivers.errors import BenchError
@@ -16,13 +16,13 @@ from labdata.instrument_config import Role
 
 
 class LocalBench(TubeBench):
-    """A bench without a server: whoever gives orders looks after the instruments as well, by `check`."""
+    """A bench without a server: the caller also checks the instruments, by `check`."""
 
     wires_left_out = (
         "serial lines: the instruments answer inside this process",
         "bench server: no other process makes the tube safe",
     )
-    """What is not on real wires here, one phrase each."""
+    """Differences from a bench on real ports, one phrase each."""
 
     def __init__(self, setup: BenchSetup, lines: Mapping[Role, InstrumentLine]) -> None:
         self._log = EventLog(setup.log)
@@ -31,7 +31,7 @@ class LocalBench(TubeBench):
         self._looked_s = 0.0
 
     def __enter__(self) -> Self:
-        self.heard()
+        self.record_heartbeat()
         try:
             self.open()
         except BaseException as error:
@@ -45,12 +45,12 @@ class LocalBench(TubeBench):
         self._leave(error)
 
     def guard(self, operator: Operator) -> Operator:
-        """Put the lamp, and whoever places targets and light, behind the interlock; use only what is returned."""
+        """Return the operator and lamp behind the interlock; use only what is returned."""
         return GuardedLight(operator, self)
 
     def check(self) -> None:
-        """Look at the instruments, and raise what went wrong at the bench."""
-        self.heard()
+        """Check the instruments, and raise an error of the bench."""
+        self.record_heartbeat()
         self.look("supply")
         if self._clock() - self._looked_s > LOOK_EVERY_S:
             self._looked_s = self._clock()
@@ -59,7 +59,7 @@ class LocalBench(TubeBench):
         super().check()
 
     def safe(self) -> None:
-        """Make the tube safe now; a BenchError where that is not verified. Work may go on if nothing has failed."""
+        """Make the tube safe now; BenchError if not verified. The bench stays usable if nothing failed."""
         self.make_safe("asked for").require_whole()
 
     def safe_at_once(self) -> None:
@@ -68,12 +68,12 @@ class LocalBench(TubeBench):
 
     @property
     def last_words(self) -> str:
-        """How the tube was left, and what to do by hand where it may be hot; empty before it was made safe."""
+        """Final state of the tube, with manual steps if it may be hot; empty before the safe action."""
         return "" if self.report is None else self.report.last_words()
 
     @contextmanager
     def patience(self, seconds: float) -> Iterator[None]:
-        """Announce that no sign of life may come for some seconds; here nobody waits for one."""
+        """Suspend the heartbeat; without effect here."""
         yield
 
     def _leave(self, error: BaseException | None) -> None:

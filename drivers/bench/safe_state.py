@@ -1,4 +1,4 @@
-"""Making the tube safe: gate shut, high voltage off, lamp out at once, every step recorded, the decay followed."""
+"""Safe state of the tube: gate shut, high voltage off, lamp off, each step recorded."""
 
 import queue
 import threading
@@ -16,40 +16,40 @@ from drivers.instruments.voltage_limits import DISCHARGED_V, FALL_S, Supply
 from labdata.instrument_config import InstrumentConfig, InstrumentConnection, Role
 
 DANGEROUS: tuple[Role, ...] = ("gate", "supply", "light-source")
-"""What must be made safe."""
+"""Roles that the safe action covers."""
 
 Record = Callable[..., object]
-"""Called as record(step, **details) for each thing that was done; it must not block."""
+"""Called as record(step, **details) for each step; it must not block."""
 
 FOLLOW_S = 0.2
-"""Time between two tries, s."""
+"""Interval between attempts, s."""
 
 DEAF_S = 3.0
-"""An instrument that did not obey for this time is no longer asked, s."""
+"""Longest time of attempts on an instrument that does not obey, s."""
 
 REOPEN_S = 15.0
-"""How long a port that is gone is opened anew, s."""
+"""Longest time of attempts to reopen a lost port, s."""
 
 BY_HAND = "switch the high-voltage supply off at its front panel, then cover the camera and disconnect the gate unit"
-"""What a person does for a tube that could not be made safe."""
+"""Manual steps for a tube that could not be made safe."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SafeStateReport:
-    """What making safe achieved.
+    """Report of a safe action.
 
     Parameters
     ----------
     gate_shut
-        The gate read back that it makes no pulses and idles shut.
+        Whether the gate read back no pulses and a shut idle level.
     off_ordered
-        The order to switch the high voltage off went out.
+        Whether the command to switch the high voltage off was sent.
     residual_v
         Last voltage measured at the output, V; None if none could be measured.
     light_dark
-        Whether every lamp of the bench read back that it is out; a bench without one has none that burns.
+        Whether every lamp of the bench read back that it is off; true without lamps.
     failures
-        One sentence for each step that failed on an instrument that was not verified in the end.
+        One sentence for each failed step of an instrument that was not verified.
     """
 
     gate_shut: bool
@@ -60,12 +60,12 @@ class SafeStateReport:
 
     @property
     def whole(self) -> bool:
-        """Whether everything was verified: gate shut, output discharged, lamp out."""
+        """Whether everything was verified: gate shut, output discharged, lamp off."""
         discharged = self.residual_v is not None and self.residual_v <= DISCHARGED_V
         return self.gate_shut and discharged and self.light_dark
 
     def sentence(self) -> str:
-        """One sentence on the state the tube was left in."""
+        """Return one sentence on the state of the tube."""
         gate = "the gate is shut" if self.gate_shut else "the gate may be open"
         if self.residual_v is not None and self.residual_v <= DISCHARGED_V:
             gain = f"the high voltage is off and down to {self.residual_v:g} V"
@@ -76,23 +76,23 @@ class SafeStateReport:
         return f"{gate}, {gain}" if self.light_dark else f"{gate}, {gain}, the lamp may burn"
 
     def last_words(self) -> str:
-        """How the tube was left, and what to do by hand where it may be hot."""
+        """Return the state of the tube, with manual steps if it may be hot."""
         return self.sentence() if self.whole else f"{self.sentence()}; by hand, now: {BY_HAND}"
 
     def not_whole(self) -> str:
-        """Return the sentence on a tube that may be hot."""
+        """Return the sentence of the error of an unverified safe state."""
         why = f" ({self.failures[0]})" if self.failures else ""
         rule = "the bench must be left with gate shut, high voltage off and light out"
         return f"{rule}, got: {self.last_words()}{why}"
 
     def require_whole(self) -> None:
-        """Raise a BenchError where the tube may be hot."""
+        """Raise BenchError if the safe state was not verified."""
         if not self.whole:
             raise BenchError(self.not_whole())
 
 
 class Crew:
-    """Threads that wait for work, so that a process that can start no thread any more can still make the tube safe.
+    """Waiting threads, so that a process that can no longer start threads can still make the tube safe.
 
     Parameters
     ----------
@@ -136,10 +136,10 @@ def make_safe(
     record: Record,
     crew: Crew | None = None,
 ) -> SafeStateReport:
-    """Shut the gate, order the high voltage off and the lamps out, all at once, then follow the decay of the output.
+    """Shut the gate, switch high voltage and lamps off in parallel, then follow the decay of the output.
 
-    None waits for another, so that a silent line does not hold up the safe action of the other ones. A port that is
-    gone is opened anew for 15 s, and its instrument made safe when it is back.
+    A silent line does not delay the others. A lost port is reopened for up to
+    15 s, and its instrument made safe when it is back.
 
     Parameters
     ----------
@@ -150,12 +150,12 @@ def make_safe(
     record
         Called with each step.
     crew
-        Threads that do it; None: new ones.
+        Threads to use; None: new ones.
 
     Returns
     -------
     SafeStateReport
-        What was achieved; this function raises nothing, because the next step must be tried all the same.
+        The report; this function raises nothing, since the next step must be tried too.
     """
     shut = _Task(gate, "delay generator", record, "gate", orders="shut_commands", verify=("shut and read back", "shut"))
     fall = _Falling(supply, "high-voltage supply", record, "high voltage", orders="off_commands")
@@ -177,7 +177,7 @@ def make_safe(
 
 
 class _Task:
-    """Orders on one line, each tried whatever became of the one before, until the instrument reads back that it obeyed.
+    """Commands on one line, each sent even if an earlier one failed, until the instrument reads back that it obeyed.
 
     `orders` names the driver's commands, and `verify` the last step and the method that does it.
     """
@@ -198,7 +198,7 @@ class _Task:
         self.failures: list[str] = []
 
     def run(self) -> None:
-        """Do the steps until they are verified, or nothing is to be hoped for; a port that is gone is opened anew."""
+        """Repeat the steps until they are verified or the time is over; a lost port is reopened."""
         if self._instrument is None:
             self.failures.append(f"the {self._name} could not be reached")
             return
@@ -213,28 +213,28 @@ class _Task:
 
     @property
     def patience_s(self) -> float:
-        """Time after which nothing is to be hoped for, s."""
+        """Longest time of attempts, s."""
         return REOPEN_S if self._disconnected else DEAF_S
 
     def secure(self) -> bool:
-        """Send every order and verify; return whether that is done."""
+        """Send every command and verify; return whether verified."""
         self.order()
         step, method = self._verify
         self.verified = self.attempt(step, getattr(self._instrument, method))[0]
         return self.verified
 
     def order(self) -> None:
-        """Send every order, whatever becomes of the one before."""
+        """Send every command, even if an earlier one failed."""
         send, commands = self._instrument.line.order, getattr(self._instrument, self._orders)
         sent = [self.attempt(command, partial(send, command))[0] for command in commands]
         self.ordered = self.ordered or all(sent)
 
     def attempt(self, step: str, action: Callable[[], object]) -> tuple[bool, object]:
-        """Do a step and record it; return whether it succeeded, and its result."""
+        """Run and record a step; return whether it succeeded, and its result."""
         step = f"{self._label}: {step}"
         try:
             result = action()
-        except Exception as error:  # the next step must be tried whatever this one did
+        except Exception as error:  # the next step must be tried in any case
             self._record(step, ok=False, error=str(error))
             self.failures.append(str(error))
             self._disconnected = self._disconnected or isinstance(error, InstrumentDisconnected)
@@ -253,7 +253,7 @@ class _Task:
 
 
 class _Falling(_Task):
-    """Takes the high voltage off and follows its decay; the order is repeated while the supply does not answer."""
+    """Switches the high voltage off and follows its decay; repeated while the supply does not answer."""
 
     residual_v: float | None = None
     _answers = False
@@ -273,7 +273,7 @@ class _Falling(_Task):
 
 
 def make_bench_safe(wires: InstrumentConfig, record: Record) -> SafeStateReport:
-    """Make the tube of a bench safe with nothing but its serial ports, though another program may hold them.
+    """Make the tube of a bench safe through its serial ports alone, even if another program has opened them.
 
     Parameters
     ----------
@@ -285,7 +285,7 @@ def make_bench_safe(wires: InstrumentConfig, record: Record) -> SafeStateReport:
     Returns
     -------
     SafeStateReport
-        What was achieved; an instrument whose port cannot be opened within 15 s is named in it.
+        The report; it names instruments whose port could not be opened within 15 s.
     """
     there: dict[Role, InstrumentConnection] = {
         one.role: one for one in wires.instruments if one.role in DANGEROUS and one.port
@@ -320,7 +320,7 @@ def make_bench_safe(wires: InstrumentConfig, record: Record) -> SafeStateReport:
 
 
 def _driver_on_port(one: InstrumentConnection, record: Record) -> Any:
-    """Return a driver on a serial port, shared with the program that holds it where one does."""
+    """Return a driver on a serial port, shared with a program that has opened it."""
     model = model_of(one)
     try:
         line = model.open_line(str(one.port), one.address)

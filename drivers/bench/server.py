@@ -1,8 +1,8 @@
-"""The bench server: the one process that owns ports, drivers and interlock, and outlives the client that started it.
+"""Bench server: the process that owns ports, drivers and interlock, and outlives its client.
 
-A high-voltage supply has no watchdog of its own. When the client ends (the kernel closes its socket), hangs or falls
-silent, or an instrument fails, gate and high voltage go at once. The main loop waits for nothing: orders, looks at
-instruments, the safe action, the log and the dose have threads of their own.
+A high-voltage supply has no watchdog. When the client ends (the kernel closes its socket), hangs or is
+silent, or an instrument fails, gate and high voltage are switched off at once. The main loop never blocks: commands,
+checks, the safe action, the log and the dose have separate threads.
 """
 
 import argparse
@@ -20,10 +20,9 @@ from pathlib import Path
 from typing import Any
 
 from drivers.bench.connection import BEAT_S, SILENCE_S, Beat, Connection, Fault, MadeSafe, Ports, Reply, Request
-from drivers.bench.last_bench import with_present_ports
 from drivers.bench.light_control import Station
 from drivers.bench.safe_state import DANGEROUS, Record
-from drivers.bench.setup import BenchSetup
+from drivers.bench.setup import BenchSetup, with_present_ports
 from drivers.bench.state import Failed
 from drivers.bench.tube_bench import DISPENSABLE, LOOK_EVERY_S, TubeBench, stations_on
 from drivers.errors import BenchError, BenchServerLost
@@ -35,13 +34,13 @@ from labdata.instrument_config import Role
 
 TICK_S = 0.02
 METER_EVERY_S = 1.0
-"""Time between two readings of the light meter, s."""
+"""Interval between readings of the light meter, s."""
 
 STALLED_S = 1.2
-"""Time without a sign of life of the run itself, its process being alive, at which the tube is made safe, s."""
+"""Time without heartbeat of the run, in a living process, after which the tube is made safe, s."""
 
 LOG_S = 1.0
-"""Longest wait for the log to be written at the end, s."""
+"""Longest wait for the log at the end, s."""
 
 COMMANDS = (
     "set_conditions",
@@ -56,7 +55,7 @@ COMMANDS = (
     "verify",
     "check",
 )
-"""What a client may ask of the bench, besides `frame_seen`, `safe` and `leave`, which wait for nothing else."""
+"""Commands of a client, besides `frame_seen`, `safe` and `leave`, which are not queued."""
 
 
 class BenchServer:
@@ -74,20 +73,20 @@ class BenchServer:
         self._bench: TubeBench | None = None
         self._is_open = False
         self.orders: queue.SimpleQueue[Request] = queue.SimpleQueue()
-        """What the client asked for and nobody has begun."""
+        """Queued commands of the client."""
         self.to_make_safe: queue.SimpleQueue[SafeOrder] = queue.SimpleQueue()
-        """Safe actions that nobody has begun."""
+        """Queued safe actions."""
         self._over = threading.Event()
         self._stop_signal: int | None = None
         self._stamp_s = self._heard_s = clock()
         self._longest_silence_s = 0.0
 
     def stop(self, number: int, _frame: object) -> None:
-        """Signal handler: end soon, safely."""
+        """Signal handler: end the server safely."""
         self._stop_signal = number
 
     def serve(self) -> None:
-        """Serve the client until it leaves or is lost; in the end the bench is safe."""
+        """Serve the client until it leaves or is lost; then make the bench safe."""
         self._log("start", pid=os.getpid())
         for work in (self._obey, self._obey_safe_orders, partial(self._look, METER_EVERY_S, TubeBench.look_at_light)):
             threading.Thread(target=work, daemon=True).start()
@@ -99,10 +98,10 @@ class BenchServer:
         finally:
             self._end(reason, leaving)
 
-    # The main loop, which waits for nothing but messages
+    # Main loop; waits for messages only
 
     def _converse(self) -> tuple[str, int]:
-        """Return why the conversation ended, and the number of the request that ended it, or 0."""
+        """Exchange messages until the end; return its reason and the number of its request, or 0."""
         next_beat_s = 0.0
         while True:
             for message, _ in self._client.receive(TICK_S):
@@ -113,19 +112,19 @@ class BenchServer:
                 self._client.send(Beat())
                 next_beat_s = now_s + BEAT_S
             if reason := self.end_reason():
-                # Before the gate is shut, so that a client that lives after all takes no dark frame for one of light.
+                # Before the gate is shut, so that a living client does not record a dark frame as an illuminated one.
                 self._client.send(Fault(error=BenchServerLost(f"the bench server ends: {reason}")))
                 return reason, 0
             self.react()
 
     def take(self, message: Beat | Request) -> None:
-        """Take in a message, waiting for nothing."""
+        """Take a message, without waiting."""
         if isinstance(message, Beat):
             now_s = self._clock()
             self._longest_silence_s = max(self._longest_silence_s, now_s - self._heard_s)
             self._heard_s, self._stamp_s = now_s, now_s - message.age_s
             if self._bench is not None:
-                self._bench.heard()
+                self._bench.record_heartbeat()
         elif message.command == "frame_seen" and self._bench is not None:
             self._bench.frame_seen(*message.arguments)
         elif message.command == "safe":
@@ -144,7 +143,7 @@ class BenchServer:
         return None
 
     def react(self) -> None:
-        """Have the tube made safe where the run shows no life, or a rule of the interlock demands it."""
+        """Make the tube safe if the run has no heartbeat, or a rule of the interlock requires it."""
         if self._bench is None or not self._is_open or self._bench.fault is not None:
             return
         state = self._bench.interlock.state
@@ -156,7 +155,7 @@ class BenchServer:
             self._bench.react()
 
     def end(self, reason: str) -> "SafeOrder":
-        """Have the safe action run a last time, and nothing made hotter by what the client still waits for."""
+        """Run a last safe action, and block all pending commands of the client."""
         if self._bench is not None:
             self._bench.interlock.tell(Failed(sentence=reason))
         order = SafeOrder(reason=reason)
@@ -180,7 +179,7 @@ class BenchServer:
     # Threads
 
     def _obey(self) -> None:
-        """Open the bench, then do what is asked, one after the other."""
+        """Open the bench, then run the queued commands."""
         try:
             self.open_bench(self._open_stations())
         except (BenchError, BadInput) as error:
@@ -213,11 +212,11 @@ class BenchServer:
         return stations
 
     def open_bench(self, stations: Mapping[Role, Station]) -> None:
-        """Open the bench on its instruments; each is looked at by a thread of its own from then on."""
+        """Open the bench on its instruments; each is then checked by its own thread."""
         self._bench = bench = TubeBench(
             self._setup, stations, record=self._log, on_failure=self._report_failure, clock=self._clock
         )
-        bench.heard()
+        bench.record_heartbeat()
         bench.open()
         self._is_open = True
         for role in bench.stations:
@@ -226,7 +225,7 @@ class BenchServer:
                 threading.Thread(target=self._look, args=(LOOK_EVERY_S, look), daemon=True).start()
 
     def obey(self, request: Request) -> None:
-        """Do what is asked and send the reply."""
+        """Run a command and send the reply."""
         assert self._bench is not None
         try:
             if request.command not in COMMANDS:
@@ -241,7 +240,7 @@ class BenchServer:
             self._client.send(Reply(number=request.number, error=failed))
 
     def _report_failure(self, error: BenchError) -> None:
-        """Have the safe action run, after the client knows."""
+        """Report a failure to the client, then queue the safe action."""
         self._client.send(Fault(error=error))
         self.to_make_safe.put(SafeOrder(reason=str(error)))
 
@@ -250,7 +249,7 @@ class BenchServer:
             self.make_safe(self.to_make_safe.get())
 
     def make_safe(self, order: "SafeOrder") -> None:
-        """Run the safe action and report it."""
+        """Run a safe action and report it."""
         report = None if self._bench is None else self._bench.make_safe(order.reason)
         if report is not None:
             self._client.send(MadeSafe(report=report))
@@ -259,12 +258,12 @@ class BenchServer:
         order.done.set()
 
     def _look(self, every_s: float, look: Callable[[TubeBench], object]) -> None:
-        """Look again and again; an instrument that keeps silent holds up nobody else."""
+        """Check an instrument periodically; a time-out blocks only this thread."""
         while not self._over.wait(every_s):
             self.look_by(look)
 
     def look_by(self, look: Callable[[TubeBench], object]) -> None:
-        """Look, and react as the main loop does, should that hang; an error of our own makes safe."""
+        """Run one check, then react in case the main loop hangs; an internal error makes the tube safe."""
         bench = self._bench
         if bench is None or not self._is_open or bench.fault is not None:
             return
@@ -285,11 +284,11 @@ class SafeOrder:
 
 
 def inhibit_suspend(log: Record) -> subprocess.Popen | None:
-    """Keep the machine from suspending while this process lives, where systemd-logind is there to be asked."""
+    """Keep the machine from suspending while this process lives, where systemd-logind is available."""
     command = ["systemd-inhibit", "--what=sleep:handle-lid-switch", "--who=charact", "--mode=block"]
     command += ["--why=an image intensifier may be hot", "cat"]
     try:
-        # `cat` ends with this process, whatever ends it, and the inhibitor with `cat`.
+        # `cat` ends with this process, and the inhibitor with `cat`.
         held = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     except OSError as error:
         log("suspend not inhibited", error=str(error))
@@ -320,7 +319,7 @@ def main() -> None:
         server.serve()
         log.close(LOG_S)
     finally:
-        # Whatever a thread still waits for, a disk or a line, must not keep this process and its ports.
+        # A thread that waits for a disk or a line must not keep this process and its ports alive.
         os._exit(0)
 
 

@@ -1,30 +1,34 @@
-"""What a bench is made of: instruments, limits, calibrations and files; and the way to it."""
+"""Configuration of a bench, its opening, and the record of the last real one."""
 
+import json
+import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from labdata.dose_ledger import DoseLedger
+from drivers.serial_lines.port import usb_ports
+from labdata.calibration import LampCalibration
 from labdata.errors import BadInput
+from labdata.file_io import write_atomically
 from labdata.gating import Gating
-from labdata.instrument_config import PORT_KEYS, InstrumentConfig, Role
-from labdata.lamp_calibration import LampCalibration
+from labdata.instrument_config import PORT_KEYS, InstrumentConfig, Meters, Role
 from labdata.limits import Limits, LimitsInForce, limits_in_force
-from labdata.meters import Meters
+from labdata.tube_dose import DoseLedger
 
 if TYPE_CHECKING:
     from drivers.bench.client import BenchClient
     from drivers.bench.local_bench import LocalBench
     from drivers.serial_lines.line import InstrumentLine
 
+
 FIELD_RATE_HZ = 60.0 / 1.001
-"""Fields per second of 525-line video, Hz: the gate opens once in each."""
+"""Field rate of 525-line video, Hz."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BenchSetup:
-    """One bench.
+    """Configuration of one bench.
 
     Parameters
     ----------
@@ -33,19 +37,19 @@ class BenchSetup:
     limits
         Limits in force.
     log
-        File to which every safety step is appended as a line of JSON.
+        File to which every safety step is appended as a JSON line.
     lamp
-        Calibration of the light source that the wires name; None: there is none, and a person sets the light.
+        Calibration of the light source named in the wires; None: a person sets the light.
     meters
-        How the auxiliary meters are read.
+        Use of the auxiliary meters.
     field_hz
-        Fields of the camera per second, Hz: the gate opens once in each.
+        Field rate of the camera, Hz; the gate opens once per field.
     gating
-        What triggers the gate.
+        Trigger of the gate.
     dose
-        Ledger of the tube; None: the dose is not recorded.
+        Dose ledger of the tube; None: the dose is not recorded.
     session
-        Name of the session, for readers of the ledger.
+        Name of the session, written to the ledger.
     """
 
     wires: InstrumentConfig
@@ -73,8 +77,8 @@ def open_bench(
 ) -> "BenchClient | LocalBench":
     """Return a bench, to be used in a `with` block.
 
-    Entering shuts the gate and switches the high voltage off before anything else; so does leaving, by an exception
-    too. A bench on serial ports lives in a server process of its own, which makes the tube safe when this process
+    Entering shuts the gate and switches the high voltage off first; so does leaving, also by an exception.
+    A bench on serial ports lives in a server process, which makes the tube safe when this process
     ends or hangs; this process does the same when the server ends or hangs.
 
     Parameters
@@ -82,9 +86,9 @@ def open_bench(
     wires, log, details
         See `BenchSetup`; details are its other fields.
     limits
-        What may never be exceeded. A plan's bare limits are completed by those of a tube that nobody described.
+        Limits in force, or those of a plan, which are completed by the defaults of an unknown tube.
     lines
-        Lines to the instruments by role, ready-made, where there are no serial ports; the bench then lives in this
+        Existing lines to the instruments by role, where there are no serial ports; the bench then lives in this
         process, and no other process makes the tube safe.
 
     Raises
@@ -103,3 +107,46 @@ def open_bench(
     from drivers.bench.local_bench import LocalBench
 
     return LocalBench(setup, lines)
+
+
+def remember_bench(wires: InstrumentConfig) -> None:
+    """Save the wires of a bench with the USB serial numbers of its ports; OSError if the disk refuses."""
+    adapters = usb_ports()
+    numbers = {one.role: adapters.get(os.path.realpath(one.port)) for one in wires.instruments if one.port}
+    path = _path()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(path, json.dumps({"wires": asdict(wires), "usb_serial_numbers": numbers}, indent=1).encode())
+
+
+def last_bench() -> InstrumentConfig:
+    """Return the wires of the last real bench, each instrument at the present port of its USB serial number."""
+    path = _path()
+    try:
+        kept = json.loads(path.read_text())
+        return with_present_ports(InstrumentConfig(**kept["wires"]))
+    except FileNotFoundError:
+        raise BadInput("no real bench was used on this machine yet; name the plan whose bench is meant") from None
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        raise BadInput(
+            f"the last bench must be readable in {path}, got: {error}; name the plan whose bench is meant"
+        ) from None
+
+
+def with_present_ports(wires: InstrumentConfig) -> InstrumentConfig:
+    """Return the wires with missing ports replaced by the present ports of their USB serial numbers."""
+    try:
+        numbers = json.loads(_path().read_text())["usb_serial_numbers"]
+    except (OSError, ValueError, TypeError, KeyError):
+        return wires
+    ports: dict[tuple[str, ...], str] = {adapter: path for path, adapter in usb_ports().items()}
+    moved: dict[Role, str | None] = {
+        one.role: ports[adapter]
+        for one in wires.instruments
+        if one.port and not Path(one.port).exists() and (adapter := tuple(numbers.get(one.role) or ())) in ports
+    }
+    return wires.with_ports(moved)
+
+
+def _path() -> Path:
+    state = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
+    return Path(state) / "charact" / "last-bench.json"

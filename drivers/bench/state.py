@@ -1,4 +1,4 @@
-"""The hottest that the tube may be: what was ordered counts as done until it is read back, and the unread as open."""
+"""State of the tube as the interlock knows it: the worst case of what was not read back."""
 
 import math
 from dataclasses import dataclass, replace
@@ -11,7 +11,7 @@ from labdata.target import Target
 class InterlockRefused(BadInput):
     """The interlock refused a command; nothing was sent.
 
-    Use this when what was asked would hurt the tube, in itself or at this moment: `rule` names the rule.
+    Use this when a command would damage the tube; `rule` names the rule.
     """
 
     def __init__(self, sentence: str, *, rule: str = "") -> None:
@@ -21,36 +21,36 @@ class InterlockRefused(BadInput):
 
 @dataclass(frozen=True, kw_only=True)
 class TubeState:
-    """What may be true of gate, gain and light now; nothing is known before it is read.
+    """Worst case of gate, gain and light; a value is unknown until it is read.
 
     Parameters
     ----------
     duty
-        Largest share of the time that the gate may be open; 0: read back as shut.
+        Largest possible fraction of the time that the gate is open; 0: read back as shut.
     mcp_v
-        Highest voltage that may be across the plate, V.
+        Highest possible voltage across the MCP, V.
     light_lux
-        Brightest that the light may be, lux.
+        Highest possible illuminance, lux.
     point
         Whether that light is inside a pinhole's image only.
     target
-        The target before the camera.
+        Target in front of the camera.
     filter_known
-        Whether it is known which filter stands in the light; a bench without a wheel has one for good.
+        Whether the filter in the light is known; always true without a filter wheel.
     dark_seen
-        Whether a frame taken through the open gate at gain, with the light out, was dark.
+        Whether a frame through the open gate at gain, with the light off, was dark.
     excess_saturation
-        Share of saturated pixels of the last frame beyond what its step allows, 0..1.
+        Fraction of saturated pixels of the last frame beyond the limit of its step.
     probed
-        Whether a frame taken in this light through an open gate at gain was not saturated.
+        Whether a frame in this light through an open gate at gain was not saturated.
     surely_open
-        Whether the gate was read back as open and nothing was ordered since that could have shut it.
+        Whether the gate was read back as open and not ordered shut since.
     surely_v
-        Voltage that was read across the plate, V; 0 where it may have fallen since.
+        Voltage read across the MCP, V; 0 where it may have fallen since.
     heard_s
-        When the guard of the bench last gave a sign of life, s of a monotonic clock.
+        Time of the last heartbeat, s of a monotonic clock.
     fault
-        What failed since the bench was opened, in a sentence; only opening it anew forgets that.
+        Sentence on the first failure since the bench was opened; cleared only by reopening it.
     """
 
     duty: float = 1.0
@@ -78,13 +78,13 @@ class TubeState:
         return self.light_lux == 0.0
 
     def anode_na_per_cm2(self, limits: LimitsInForce) -> float:
-        """Largest current density that may now be asked of the plate, nA/cm2."""
+        """Return the largest possible MCP output current density, nA/cm2."""
         if self.shut or self.dark or self.mcp_v == 0.0:
             return 0.0
         return limits.load.anode_na_per_cm2(self.light_lux, self.mcp_v, self.duty)
 
 
-# Commands that may make the tube hotter; to shut, to lower to nothing and to darken needs no leave.
+# Commands that may increase the load of the tube; shutting, switching off and darkening need no permission.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,8 +94,8 @@ class OpenGate:
     width_ns: float
     rate_hz: float
 
-    def ordered(self, state: TubeState) -> TubeState:
-        """State once the order is out."""
+    def state_when_sent(self, state: TubeState) -> TubeState:
+        """Return the state after the command was sent."""
         return replace(state, duty=max(state.duty, min(1.0, self.width_ns * 1e-9 * self.rate_hz)))
 
 
@@ -106,8 +106,8 @@ class RaiseGain:
     goal_v: float
     rate_v_per_s: float
 
-    def ordered(self, state: TubeState) -> TubeState:
-        """State once the order is out."""
+    def state_when_sent(self, state: TubeState) -> TubeState:
+        """Return the state after the command was sent."""
         return replace(state, mcp_v=max(state.mcp_v, self.goal_v))
 
 
@@ -117,60 +117,60 @@ class LowerGain:
 
     goal_v: float
 
-    def ordered(self, state: TubeState) -> TubeState:
-        """State once the order is out: no lower before that is read back."""
+    def state_when_sent(self, state: TubeState) -> TubeState:
+        """Return the state after the command was sent; the voltage is lower only once read back."""
         return replace(state, mcp_v=max(state.mcp_v, self.goal_v), surely_v=0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class SetLight:
-    """Put a target before the camera and set the light on it to `illuminance_lux`."""
+    """Place a target and set the light to `illuminance_lux`."""
 
     illuminance_lux: float
     point: bool
     target: Target
 
-    def ordered(self, state: TubeState) -> TubeState:
-        """State once the order is out; the target counts as moved."""
+    def state_when_sent(self, state: TubeState) -> TubeState:
+        """Return the state after the command was sent; the target counts as moved."""
         lux = max(state.light_lux, self.illuminance_lux)
         return replace(state, light_lux=lux, point=self.point, target=self.target, probed=False)
 
 
 @dataclass(frozen=True, kw_only=True)
 class TurnFilter:
-    """Turn the filter wheel to `position`; on the way any filter, and none, passes through the light."""
+    """Turn the filter wheel to `position`; other filters pass through the light on the way."""
 
     position: int
 
-    def ordered(self, state: TubeState) -> TubeState:
-        """State once the order is out: which filter it will be is not known before it is read."""
+    def state_when_sent(self, state: TubeState) -> TubeState:
+        """Return the state after the command was sent; the filter is unknown until read."""
         return replace(state, filter_known=False)
 
 
 Command = OpenGate | RaiseGain | LowerGain | SetLight | TurnFilter
 
 
-# Events: what was read, seen or heard.
+# Events: read-backs, frames, heartbeats and failures.
 
 
 @dataclass(frozen=True, kw_only=True)
 class SafeOrdered:
-    """Gate or gain was ordered shut, down or off, which needs no leave; until it is read neither is known."""
+    """Gate or gain was ordered shut, down or off; both are unknown until read back."""
 
-    def seen(self, state: TubeState) -> TubeState:
-        """State once this is known."""
+    def state_after(self, state: TubeState) -> TubeState:
+        """Return the state after this event."""
         return replace(state, surely_open=False, surely_v=0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class GateRead:
-    """The gate generator read back openings of `width_ns` at `rate_hz`; 0: shut, idle at 0 V."""
+    """The gate generator read back pulses of `width_ns` at `rate_hz`; 0: shut, idle at 0 V."""
 
     width_ns: float
     rate_hz: float
 
-    def seen(self, state: TubeState) -> TubeState:
-        """State once this is known."""
+    def state_after(self, state: TubeState) -> TubeState:
+        """Return the state after this event."""
         duty = min(1.0, self.width_ns * 1e-9 * self.rate_hz)
         return replace(state, duty=duty, surely_open=duty > 0.0)
 
@@ -181,8 +181,8 @@ class GainRead:
 
     mcp_v: float
 
-    def seen(self, state: TubeState) -> TubeState:
-        """State once this is known."""
+    def state_after(self, state: TubeState) -> TubeState:
+        """Return the state after this event."""
         return replace(state, mcp_v=self.mcp_v, surely_v=self.mcp_v)
 
 
@@ -192,73 +192,73 @@ class LightRead:
 
     illuminance_lux: float
 
-    def seen(self, state: TubeState) -> TubeState:
-        """State once this is known."""
+    def state_after(self, state: TubeState) -> TubeState:
+        """Return the state after this event."""
         probed = state.probed and self.illuminance_lux <= state.light_lux
         return replace(state, light_lux=self.illuminance_lux, probed=probed)
 
 
 @dataclass(frozen=True, kw_only=True)
 class FilterMoved:
-    """There is a filter wheel, and where it stands is not known."""
+    """There is a filter wheel at an unknown position."""
 
-    def seen(self, state: TubeState) -> TubeState:
-        """State once this is known."""
+    def state_after(self, state: TubeState) -> TubeState:
+        """Return the state after this event."""
         return replace(state, filter_known=False)
 
 
 @dataclass(frozen=True, kw_only=True)
 class FilterRead:
-    """The filter wheel was read to stand at `position`."""
+    """The filter wheel was read at `position`."""
 
     position: int
 
-    def seen(self, state: TubeState) -> TubeState:
-        """State once this is known."""
+    def state_after(self, state: TubeState) -> TubeState:
+        """Return the state after this event."""
         return replace(state, filter_known=True)
 
 
 @dataclass(frozen=True, kw_only=True)
 class DarkSeen:
-    """A frame was dark, taken now; it counts only through an open gate, at gain and without light."""
+    """A frame was dark; it counts only through an open gate, at gain and without light."""
 
-    def seen(self, state: TubeState) -> TubeState:
-        """State once this is known."""
+    def state_after(self, state: TubeState) -> TubeState:
+        """Return the state after this event."""
         looking = state.surely_open and state.surely_v > 0.0 and state.dark
         return replace(state, dark_seen=state.dark_seen or looking)
 
 
 @dataclass(frozen=True, kw_only=True)
 class FrameSeen:
-    """A frame had a share of saturated pixels beyond what its step allows; below 0 where it had fewer."""
+    """A frame had a fraction of saturated pixels beyond the limit of its step; below 0 if fewer."""
 
     excess_saturation: float
 
-    def seen(self, state: TubeState) -> TubeState:
-        """State once this is known."""
+    def state_after(self, state: TubeState) -> TubeState:
+        """Return the state after this event."""
         looking = state.surely_open and state.surely_v > 0.0 and self.excess_saturation <= 0.0
         return replace(state, excess_saturation=self.excess_saturation, probed=state.probed or looking)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Heard:
-    """The guard of the bench gave a sign of life at `now_s`."""
+    """A heartbeat of the client came at `now_s`."""
 
     now_s: float
 
-    def seen(self, state: TubeState) -> TubeState:
-        """State once this is known."""
+    def state_after(self, state: TubeState) -> TubeState:
+        """Return the state after this event."""
         return replace(state, heard_s=self.now_s)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Failed:
-    """Something failed: a supply tripped or silent, a camera lost, a disk full."""
+    """A failure: a tripped or silent supply, a lost camera, a full disk."""
 
     sentence: str
 
-    def seen(self, state: TubeState) -> TubeState:
-        """State once this is known; the first failure is kept."""
+    def state_after(self, state: TubeState) -> TubeState:
+        """Return the state after this event; the first failure is kept."""
         return replace(state, fault=state.fault or self.sentence)
 
 

@@ -1,4 +1,4 @@
-"""The tube's bench: gate, gain and light set in the order that spares the tube, every order behind the interlock."""
+"""Gate, gain and light of the tube, every command checked by the interlock."""
 
 import math
 import threading
@@ -8,10 +8,9 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from typing import Any
 
-from drivers.bench.auxiliary_meters import AuxiliaryMeters, Reading
-from drivers.bench.dose_meter import DoseMeter
 from drivers.bench.interlock import Interlock
 from drivers.bench.light_control import METER_ZERO, LightControl, Station
+from drivers.bench.meters import AuxiliaryMeters, DoseMeter, Reading
 from drivers.bench.safe_state import DANGEROUS, Crew, Record, SafeStateReport, make_safe
 from drivers.bench.setup import BenchSetup
 from drivers.bench.state import (
@@ -37,39 +36,39 @@ from labdata.conditions import Conditions
 from labdata.instrument_config import InstrumentConfig, Role
 
 METER_AGREES = 1.25
-"""Light that a meter reads this much brighter than it was set is brighter, not a matter of calibration."""
+"""Factor between meter reading and set light above which the light is brighter, beyond calibration errors."""
 
 SAME_V = 0.5
-"""A voltage this near the one asked is that one, V."""
+"""Tolerance of an unchanged voltage, V."""
 
 LOOK_EVERY_S = 0.3
-"""Time between two looks at the settings of an instrument, s: with the look itself, less than half a second."""
+"""Interval between checks of an instrument's settings, s; with the check itself below 0.5 s."""
 
 WORKER_LEAVES_S = 1.0
-"""Time within which a procedure that the safe action interrupts must have left its instrument, s."""
+"""Longest wait for a procedure interrupted by the safe action, s."""
 
 DOSE_S = 2.0
 """Longest wait for the last dose to be written, s."""
 
 DISPENSABLE: tuple[Role, ...] = ("light-meter", "thermometer")
-"""What the tube does without: its failure is reported, and the bench goes on."""
+"""Roles not needed for the tube: a failure is reported, and the bench continues."""
 
 BRIGHTEST_MEAN = 0.25
-"""Mean of a frame without light, of full scale: black level, dark current and EBI together stay far below it."""
+"""Largest mean of a frame without light, fraction of full scale; black level, dark current and EBI are far below."""
 
 MAX_SATURATED = 0.01
-"""Share of saturated pixels of a frame without light: room light through a tube at gain fills the frame."""
+"""Largest fraction of saturated pixels of a frame without light; room light at gain saturates the frame."""
 
 
 class NotDark(BenchError):
-    """A frame taken with the light out is bright.
+    """A frame with the light off is bright.
 
-    Use this when somebody has to find the light before the tube is opened again.
+    Use this when the source of the light must be found before the gate is opened again.
     """
 
 
 def stations_on(lines: Mapping[Role, InstrumentLine], wires: InstrumentConfig) -> dict[Role, Station]:
-    """Return the instruments of a bench on their lines, those without a line left out."""
+    """Return the instruments of a bench that have a line, by role."""
     return {
         one.role: Station(lines[one.role], model_of(one).driver(lines[one.role]))
         for one in wires.instruments
@@ -78,17 +77,17 @@ def stations_on(lines: Mapping[Role, InstrumentLine], wires: InstrumentConfig) -
 
 
 class TubeBench(LightControl):
-    """Gate and gain of the tube, between `with` and the end of its block.
+    """Gate, gain and light of the tube.
 
-    Nothing reaches gate, supply or light but through its interlock, whose rules stand in `drivers.bench.rules`. One
-    thread gives orders; others may look at the instruments and make the tube safe meanwhile.
+    All commands to gate, supply and light pass the interlock, see `drivers.bench.interlock`. One
+    thread gives commands; others may check the instruments and make the tube safe meanwhile.
 
     Parameters
     ----------
     record
         Called with each safety step; it must not block.
     on_failure
-        Called, from any thread and without delay, when something failed that the tube must be made safe for.
+        Called from any thread, without delay, after a failure that requires the safe state.
     """
 
     def __init__(
@@ -109,9 +108,9 @@ class TubeBench(LightControl):
         self._crew, self._making_safe = Crew(), threading.Lock()
         self._gate_hz, self._most_hz = setup.gating.rate_hz(setup.field_hz), setup.gating.most_hz(setup.field_hz)
         self.fault: BenchError | None = None
-        """What failed since the bench was opened; nothing makes the tube hotter before it is opened anew."""
+        """First failure since the bench was opened; no command increases the load of the tube until it is reopened."""
         self.report: SafeStateReport | None = None
-        """How the tube was left by the last safe action."""
+        """Report of the last safe action."""
 
     def open(self) -> None:
         """Shut the gate and switch the high voltage off, identify every instrument, and read what is left."""
@@ -128,7 +127,7 @@ class TubeBench(LightControl):
         drivers: dict[Role, Any] = {role: station.driver for role, station in self.stations.items()}
         self._meters = AuxiliaryMeters(drivers, self._setup.meters)
         self._meters.prepare()
-        # Until `light_unknown` is called there is no light that anybody here could switch on.
+        # Without a call of `light_unknown` there is no controllable light.
         self.interlock.tell(LightRead(illuminance_lux=0.0))
 
     # Gate and gain
@@ -139,7 +138,7 @@ class TubeBench(LightControl):
         Parameters
         ----------
         conditions
-            What is asked. `mcp_v` None or 0: high voltage off. `gate_ns` None or 0: gate shut.
+            Set-points. `mcp_v` None or 0: high voltage off. `gate_ns` None or 0: gate shut.
 
         Returns
         -------
@@ -149,7 +148,7 @@ class TubeBench(LightControl):
         Raises
         ------
         BadInput
-            If a limit is exceeded or an instrument could not do it; nothing was changed then.
+            If a limit is exceeded or an instrument does not support it; nothing was changed then.
         """
         volts, width_ns = conditions.mcp_v or 0.0, conditions.gate_ns or 0.0
         self._is_stopped = False
@@ -164,14 +163,14 @@ class TubeBench(LightControl):
         return replace(conditions, mcp_v=read_v, gate_ns=read_ns)
 
     def shut_gate(self) -> None:
-        """Shut the gate, which needs no leave, and read it back."""
+        """Shut the gate and read it back."""
         self.interlock.tell(SafeOrdered())
         with self._using("gate"):
             self._gate.driver.shut()
         self.interlock.tell(GateRead(width_ns=0.0, rate_hz=0.0))
 
     def _gain_move(self, volts: float) -> RaiseGain | LowerGain | None:
-        """Return what a voltage asks of the supply; None where it is off or there already."""
+        """Return the command for a voltage; None if it is off or unchanged."""
         supply = self._supply.driver
         present_v = supply.read_voltage_v() if supply.is_on else 0.0
         if not volts or math.isclose(volts, present_v, abs_tol=SAME_V):
@@ -181,7 +180,7 @@ class TubeBench(LightControl):
         return RaiseGain(goal_v=volts, rate_v_per_s=self.interlock.limits.ramp_v_per_s)
 
     def _foresee(self, move: RaiseGain | LowerGain | None, volts: float, width_ns: float) -> None:
-        """Refuse before anything is done what would be refused on the way."""
+        """Check the commands of a change before any is sent."""
         commands: list[Command] = [] if move is None else [move]
         if volts:
             self._supply.driver.check_voltage(volts)
@@ -192,7 +191,7 @@ class TubeBench(LightControl):
 
     @property
     def _pulse(self) -> dict[str, Any]:
-        """All of a pulse but its width."""
+        """Settings of a pulse except its width."""
         gating = self._setup.gating
         return {"rate_hz": self._gate_hz, "delay_ns": gating.delay_ns, "sync": gating.sync}
 
@@ -223,15 +222,15 @@ class TubeBench(LightControl):
         self.interlock.tell(GainRead(mcp_v=0.0 if read_v <= DISCHARGED_V else read_v))
         return read_v
 
-    # What is seen and read
+    # Frames and meters
 
     @property
     def dark_seen(self) -> bool:
-        """Whether a dark frame was seen through the open gate since the bench was opened; no light before."""
+        """Whether a dark frame was verified through the open gate since the bench was opened."""
         return self.interlock.state.dark_seen
 
     def dark_frame_seen(self, levels: FrameLevels) -> bool:
-        """Take in a frame taken without light, and return `dark_seen`; one that is not dark is NotDark."""
+        """Take the levels of a frame without light, and return `dark_seen`; NotDark if it is bright."""
         if levels.mean > BRIGHTEST_MEAN or levels.saturated > MAX_SATURATED:
             error = NotDark(
                 f"a frame without light must have a mean below {BRIGHTEST_MEAN:.0%} of full scale and at most "
@@ -245,12 +244,12 @@ class TubeBench(LightControl):
         return self.dark_seen
 
     def frame_seen(self, levels: FrameLevels) -> None:
-        """Take in how much of a frame is saturated."""
+        """Take the saturation of a frame."""
         self.interlock.tell(FrameSeen(excess_saturation=levels.saturated - levels.allowed))
         self.react()
 
     def read_meters(self) -> Reading:
-        """Read light and temperature, and return a sentence for each meter that does not answer and is not needed."""
+        """Read light and temperature; return a sentence for each optional meter that does not answer."""
         self.check()
         with self._using("light-meter", "thermometer"):
             read, silent = self._meters.read()
@@ -259,7 +258,7 @@ class TubeBench(LightControl):
         return read, silent
 
     def look_at_light(self) -> None:
-        """Read the light meter, where there is one that knows its lux, and make safe where it is too bright."""
+        """Read a calibrated light meter, if there is one, and make the tube safe if it is too bright."""
         station = self.stations.get("light-meter")
         if station is None or self._setup.meters.lux_per_w is None or not station.procedure.acquire(blocking=False):
             return
@@ -274,15 +273,15 @@ class TubeBench(LightControl):
         self._raise_light(lux)
 
     def _raise_light(self, metered_lux: float | None) -> None:
-        """Let the interlock know of more light than it thinks there is; what is next to nothing is the meter's zero."""
+        """Raise the light known to the interlock to a brighter reading; a reading near zero is the meter's zero."""
         zero_lux = METER_ZERO * self.interlock.limits.illuminance_lux
         if metered_lux is not None and metered_lux > max(zero_lux, METER_AGREES * self.interlock.state.light_lux):
             self.interlock.tell(LightRead(illuminance_lux=metered_lux))
 
-    # Looking after the bench
+    # Checks
 
     def look(self, role: Role) -> None:
-        """Compare an instrument with what was set; while a procedure runs on it, nobody looks."""
+        """Compare an instrument with its settings, unless a procedure uses it."""
         station = self.stations[role]
         if self.fault is not None or not station.watched or not station.procedure.acquire(blocking=False):
             return
@@ -297,31 +296,31 @@ class TubeBench(LightControl):
             station.procedure.release()
 
     def verify(self) -> None:
-        """Compare gate and supply with what was set, now; a difference is raised and makes safe."""
+        """Compare gate and supply with their settings; a difference is raised and makes the tube safe."""
         for role in ("gate", "supply"):
             with self._using(role):
                 self.look(role)
         self.check()
 
-    def heard(self) -> None:
-        """Take in a sign of life of whoever gives orders."""
+    def record_heartbeat(self) -> None:
+        """Record a heartbeat of the client."""
         self.interlock.tell(Heard(now_s=self._clock()))
 
     def check(self) -> None:
-        """Raise what went wrong at the bench: a trip, a silent line, a changed setting, too much light."""
+        """Raise an error of the bench: a trip, a silent line, a changed setting, too much light."""
         self.react()
         if self.fault is not None:
             raise self.fault
 
     def react(self) -> None:
-        """Have the tube made safe where a rule of the interlock demands it."""
+        """Make the tube safe if a rule of the interlock requires it."""
         if self.fault is not None:
             return
         if why := (self._dose and self._dose.failure) or self.interlock.alarm():
             self.fail(BenchError(f"the tube was made safe: {why}"))
 
     def fail(self, error: BenchError) -> None:
-        """Take in what failed; the first failure is kept, and the tube is made safe for it."""
+        """Record a failure; the first one is kept and makes the tube safe."""
         if self.fault is not None:
             return
         self.fault = error
@@ -331,9 +330,9 @@ class TubeBench(LightControl):
     # The safe state
 
     def make_safe(self, reason: str) -> SafeStateReport:
-        """Make the tube safe, whatever another thread does meanwhile, and return what was achieved.
+        """Make the tube safe, interrupting other threads, and return the report.
 
-        A tube that was made safe, with nothing ordered and nothing failed since, is left as it is.
+        A tube in the safe state, without commands or failures since, is left as it is.
         """
         with self._making_safe:
             if self._is_stopped and self.fault is None and self.report is not None and self.report.whole:
@@ -362,18 +361,18 @@ class TubeBench(LightControl):
                 self.interlock.tell(GainRead(mcp_v=0.0))
             self.report = report
             for station in dangerous.values():
-                # The line stays closed to a procedure that does not leave.
+                # The line stays closed to a procedure that does not end.
                 if station.procedure.acquire(timeout=WORKER_LEAVES_S):
                     station.line.release()
                     station.procedure.release()
             return report
 
     def safe_at_once(self) -> None:
-        """Make safe now, from any thread."""
+        """Make the tube safe now, from any thread."""
         self.make_safe("asked for at once")
 
     def close(self) -> str | None:
-        """Write the last dose; return why that failed, if it did."""
+        """Write the last dose; return the reason of a failure, or None."""
         self._crew.dismiss()
         if self._dose is None:
             return None
@@ -390,7 +389,7 @@ class TubeBench(LightControl):
 
     @contextmanager
     def _using(self, *roles: Role) -> Iterator[None]:
-        """Run a procedure on some instruments; what goes wrong on them makes safe."""
+        """Run a procedure on several instruments; an error makes the tube safe."""
         with ExitStack() as held:
             for role in roles:
                 if role in self.stations:

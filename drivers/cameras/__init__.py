@@ -1,1 +1,1 @@
-"""Cameras: V4L2, Aravis and GigE Vision, and a recorded session played back."""
+"""Camera drivers: V4L2, Aravis (GigE Vision, USB3 Vision) and replayed sessions."""

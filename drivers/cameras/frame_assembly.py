@@ -1,4 +1,4 @@
-"""From buffers to frames: whole ones are handed out in order, the others are counted lost, each with its reason."""
+"""Complete frames from camera buffers; incomplete ones are counted with their reason."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -10,27 +10,27 @@ from labdata.capture import Frame, LostFrames, losses_before
 from labdata.errors import BadInput
 
 MOST_BROKEN = 20
-"""Broken frames that a capture accepts beyond the number of whole ones it wants."""
+"""Largest number of incomplete frames of a capture beyond the number of requested ones."""
 
 POLL_S = 0.05
-"""Longest wait for a frame between two calls of `while_waiting`, s; half of the 0.1 s that a run may rely on."""
+"""Longest wait between two calls of `while_waiting`, s; half of the guaranteed 0.1 s."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class IncompleteFrame:
-    """A frame that arrived and is not whole: its number where it is known, and the fault in a few words."""
+    """An incomplete frame: its number, if known, and its fault."""
 
     number: int | None
     fault: str
 
 
 class RunningNumbers:
-    """Frame numbers that go on where a camera's counter starts again.
+    """Frame numbers that continue when a camera's counter wraps.
 
     Parameters
     ----------
     cycle
-        Numbers that the counter has. A counter that passes it is a longer one and does not start again.
+        Length of the counter. A counter that exceeds it is longer and does not wrap.
     """
 
     def __init__(self, cycle: int) -> None:
@@ -39,31 +39,31 @@ class RunningNumbers:
         self._number = 0
 
     def running(self, counted: int) -> int:
-        """Return the running number of a frame; the first keeps its own."""
+        """Return the running number of a frame; the first is unchanged."""
         step = counted if self._counted is None else counted - self._counted
         if self._counted is not None and max(counted, self._counted) <= self._cycle and abs(step) > self._cycle // 2:
-            # Back: the counter started again. Forward: a late frame of the cycle before.
+            # Negative step: the counter wrapped. Positive: a late frame of the cycle before.
             step += self._cycle if step < 0 else -self._cycle
         self._counted, self._number = counted, self._number + step
         return self._number
 
 
 class FrameCapture:
-    """A capture that runs within its `with` block; iterate it for whole frames.
+    """A capture that runs in its `with` block; iterate it for complete frames.
 
-    A camera adds how it starts and stops, and `_next_frame`, which waits for a frame and calls `while_waiting` at
+    Subclasses implement start, stop and `_next_frame`, which waits for a frame and calls `while_waiting` at
     least every 0.1 s.
 
     Parameters
     ----------
     frames
-        Whole frames to hand out.
+        Number of complete frames to return.
     discard
-        Whole frames to discard first: they may have been exposed under earlier conditions.
+        Number of complete frames to discard first; they may have been exposed under earlier conditions.
     while_waiting
-        Called before each frame and while none comes; what it raises ends the capture.
+        Called before each frame and while none comes; an exception ends the capture.
     identifier
-        The camera's name, for sentences.
+        Name of the camera for messages.
     """
 
     def __init__(self, *, frames: int, discard: int, while_waiting: Callable[[], None], identifier: str) -> None:
@@ -77,12 +77,12 @@ class FrameCapture:
 
     @property
     def lost_frames(self) -> int:
-        """Frames numbered by the camera since the first whole one, and not whole."""
+        """Number of frames numbered by the camera since the first complete one and not complete."""
         return sum(map(len, self._losses))
 
     @property
     def losses(self) -> tuple[LostFrames, ...]:
-        """The same frames with their numbers, and why they are not whole."""
+        """The same frames with numbers and causes."""
         return self._losses
 
     def __enter__(self) -> Self:
@@ -99,7 +99,7 @@ class FrameCapture:
         self._stop()
 
     def __iter__(self) -> Iterator[Frame]:
-        """Hand out whole frames; a camera that is silent, gone or sends only broken frames is a `CameraError`."""
+        """Yield complete frames; CameraError if the camera is silent, gone or sends only incomplete frames."""
         whole = broken = 0
         while whole < self._discard + self._wanted:
             self._while_waiting()
@@ -122,10 +122,10 @@ class FrameCapture:
                 yield frame
 
     def _count_lost(self, number: int, *, handed_out: bool) -> None:
-        """Count the numbers that are missing since the last whole frame.
+        """Count the numbers missing since the last complete frame.
 
-        Frames broken before the first whole one are not of this run: a receiver may get its full buffer only when a
-        frame is already coming, so that a busy machine receives the very first one without it.
+        Incomplete frames before the first complete one do not count: a receiver may get its full buffer only when a
+        frame is already arriving, so that a busy machine receives the first one without it.
         """
         if handed_out and self._expected is not None:
             self._losses += losses_before(number, expected=self._expected, faults=self._faults)
@@ -136,8 +136,8 @@ class FrameCapture:
         """Start the camera."""
 
     def _stop(self) -> None:
-        """Stop the camera, however far it was started."""
+        """Stop the camera, also after a failed start."""
 
     def _next_frame(self) -> Frame | IncompleteFrame:
-        """Wait for the next frame, whole or not."""
+        """Wait for the next frame, complete or not."""
         raise NotImplementedError

@@ -1,4 +1,4 @@
-"""A camera that plays a session back: the recorded frames with their numbers, time stamps and gaps."""
+"""Camera that replays a session with its frame numbers, time stamps and gaps."""
 
 import time
 from collections.abc import Callable
@@ -18,25 +18,25 @@ from labdata.session import Session, StackEntry, open_session
 
 RATE_WITHOUT_STAMPS_HZ = 30.0
 LONGEST_PAUSE_S = 1.0
-"""Longest wait between two frames, however far apart they were recorded, s."""
+"""Longest wait between two frames, s."""
 
 
 class ReplayCamera:
     """A recorded session in place of a camera; use it in a `with` block.
 
-    What was recorded cannot be set: a setting requested must be the recorded one. Frames come as fast as they were
-    recorded.
+    A requested setting must equal the recorded one. Frames come at the recorded
+    rate.
 
     Parameters
     ----------
     folder
         The session's folder.
     label
-        Stack that every capture plays from its beginning; None: each capture plays the next stack of the session.
+        Stack that every capture replays from its beginning; None: each capture replays the next stack.
     speed
-        How much faster than recorded frames come, dimensionless; None: without waiting.
+        Speed relative to the recording, dimensionless; None: without waiting.
     say
-        Called with a sentence for what the recording lacks.
+        Called with a sentence on missing frame numbers or time stamps.
 
     Raises
     ------
@@ -60,7 +60,7 @@ class ReplayCamera:
 
     @property
     def identifier(self) -> str:
-        """The session and stack that are played."""
+        """The session and stack that are replayed."""
         return f"replay of {self._folder}" + (f"#{self._label}" if self._label else "")
 
     def __enter__(self) -> Self:
@@ -76,12 +76,12 @@ class ReplayCamera:
         self._session = None
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
-        """Return the settings under which the next stack was recorded.
+        """Return the recorded settings of the next stack.
 
         Raises
         ------
         BadInput
-            If another setting is requested than was recorded.
+            If a requested setting differs from the recorded one.
         """
         recorded = self._settings(self._next(), open_lazy_stack(self._next()))
         for item in fields(settings):
@@ -93,7 +93,7 @@ class ReplayCamera:
     def capture(
         self, *, frames: int, discard: int = 0, while_waiting: Callable[[], None] = lambda: None
     ) -> "ReplayCapture":
-        """Return a capture of `frames` recorded frames after `discard` that are passed over."""
+        """Return a capture of `frames` recorded frames after `discard` skipped ones."""
         entry = self._next()
         stack = open_lazy_stack(entry)
         capture = ReplayCapture(
@@ -115,7 +115,7 @@ class ReplayCamera:
         return capture
 
     def _next(self) -> StackEntry:
-        """Return the stack that the next capture plays."""
+        """Return the stack of the next capture."""
         if self._session is None:
             raise CameraError(f"the {self.identifier} must be opened with a with block before it is used")
         if self._label is not None:
@@ -145,7 +145,7 @@ class ReplayCamera:
         )
 
     def _stamps(self, entry: StackEntry, stack: LazyStack) -> list[tuple[int, float]]:
-        """Return number and time stamp of each frame; a recording without them is numbered anew, and said to be."""
+        """Return number and time stamp of each frame; missing ones are generated, with a message."""
         numbers, times_s = stack.frame_number, stack.time_s
         if not len(numbers):
             numbers = np.arange(1, len(stack) + 1)
@@ -157,7 +157,7 @@ class ReplayCamera:
 
 
 class ReplayCapture(FrameCapture):
-    """A running replay; frames that were lost when it was recorded are counted as they were then."""
+    """A running replay; frames lost during the recording are counted as lost."""
 
     def __init__(
         self,
@@ -177,13 +177,13 @@ class ReplayCapture(FrameCapture):
 
     @property
     def losses(self) -> tuple[LostFrames, ...]:
-        """Frames missing between the recorded ones that were played and, where it was recorded, why they were lost."""
+        """Frames missing between the replayed ones, with the recorded causes where known."""
         played = [number for number, _ in self._stamps[max(0, self._first - 1) : self._at]]
         known = tuple(loss for loss in self._recorded if played and played[0] < loss.first and loss.last < played[-1])
         return known if sum(map(len, known)) == self.lost_frames else self._losses
 
     def _next_frame(self) -> Frame:
-        """Return the next recorded frame when its time has come."""
+        """Return the next recorded frame at its time."""
         if self._at >= len(self._stamps):
             raise CameraError(f"the {self._identifier} has ended after {self._at} frames")
         number, time_s = self._stamps[self._at]

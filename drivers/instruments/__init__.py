@@ -1,1 +1,1 @@
-"""Instruments behind lines: gates, high-voltage supplies, filter wheels and lights, each by its maker's commands."""
+"""Drivers of serial instruments: gates, high-voltage supplies, light sources, filter wheels, meters."""

@@ -1,4 +1,4 @@
-"""The gate: a Stanford DG645 delay generator whose AB output opens the gate unit for a set time at each trigger."""
+"""Gate generator: Stanford DG645 delay generator, AB output."""
 
 from typing import ClassVar
 
@@ -26,10 +26,10 @@ ERRORS = {
 
 
 class DelayGenerator(Gate):
-    """The delay generator: every setting is set, the error queue asked, and the setting read back.
+    """Stanford DG645: after each command the error queue is queried and the setting read back.
 
-    The camera's field pulse comes to the trigger input; a holdoff keeps triggers that come too early from opening the
-    gate more often than was asked.
+    The camera's field pulse is connected to the trigger input; a hold-off keeps early triggers from opening the
+    gate too often.
     """
 
     shut_commands = (f"TSRC {SINGLE_SHOT}", "LPOL 1,1", "LOFF 1,0")
@@ -68,7 +68,7 @@ class DelayGenerator(Gate):
         return self._verify_delay("gate width", EDGE_B, EDGE_A, width_ns)
 
     def _hold_off(self, seconds: float | None) -> None:
-        """Refuse triggers for a time after each one that is taken; None: only as long as the gate is busy."""
+        """Set the hold-off after each trigger; None: only while the gate is busy."""
         if seconds is None:
             self._set("ADVT 0")
             return

@@ -1,4 +1,4 @@
-"""The gate, older: a Stanford DG535 behind a GPIB adapter, its AB output at TTL level before the gate unit.
+"""Gate generator: Stanford DG535 delay generator behind a GPIB adapter, AB output at TTL level.
 
 A question is a command without its last argument; there is no question for the identity. The output stays at TTL level,
 0 V at rest and 4 V from A to B. Facts are from the maker's manual; dead time and digits of the rate are recalled.
@@ -9,7 +9,7 @@ from typing import ClassVar
 
 from drivers.instruments.gate_limits import Gate
 from drivers.instruments.instrument import InstrumentModel
-from drivers.serial_lines.prologix import PrologixLine
+from drivers.serial_lines.line import PrologixLine
 from labdata.errors import BadInput
 from labdata.gating import Sync
 
@@ -30,7 +30,7 @@ _DELAY = re.compile(r"(\d),([+-]\d{1,3}\.\d{12})")
 
 
 class Dg535(Gate):
-    """The delay generator; it has no trigger holdoff and takes no trigger of the camera."""
+    """Stanford DG535, without trigger hold-off and therefore without camera trigger."""
 
     shut_commands = (f"TM {SINGLE_SHOT}", f"OM {AB},{TTL}", f"OP {AB},{POSITIVE}")
     shut_settings = (
@@ -44,7 +44,7 @@ class Dg535(Gate):
     status_question, triggered_bit, lost_bit = "IS", 4, 16
 
     def identify(self) -> str:
-        """Recognise it by the form of a delay, and clear old errors."""
+        """Identify it by the form of a delay, and clear old errors."""
         if not _DELAY.fullmatch(answer := self.line.ask(f"DT {A}")):
             raise self.line.reply_error(f"answer DT {A} with an edge and a delay, as a DG535 does", repr(answer))
         self.line.ask("ES")
@@ -54,7 +54,7 @@ class Dg535(Gate):
         self, *, width_ns: float, rate_hz: float, delay_ns: float = 0.0, sync: Sync = "free-running"
     ) -> None:
         if sync not in self.sources:
-            # Nothing in it would keep a trigger input that rings from opening the gate far too often.
+            # Without hold-off, ringing of the trigger input would open the gate too often.
             raise BadInput(f"a DG535 must be {' or '.join(self.sources)}, as it has no trigger holdoff, got {sync}")
         super().check_pulse(width_ns=width_ns, rate_hz=rate_hz, delay_ns=delay_ns, sync=sync)
 

@@ -1,28 +1,28 @@
-"""The filters: a Thorlabs FW102C wheel with six or twelve positions."""
+"""Filter wheel: Thorlabs FW102C with six or twelve positions."""
 
 from drivers.instruments.instrument import Instrument, InstrumentModel
 from drivers.serial_lines.line import EchoCheckedLine, InstrumentLine, KnownAnswer
 from labdata.errors import BadInput
 
 SENSORS_OFF = "sensors=0"
-"""The lamps of its own position sensors out while it stands: they would light the tube."""
+"""Switch the lamps of the position sensors off while the wheel rests: they would illuminate the tube."""
 
 PROMPT = b"> "
 END = "\r"
 KNOWN = KnownAnswer(question="*idn?", form=r"(?s)\*idn\?\r.*")
 
-# The prompt after a command that turns the wheel comes when the wheel stands (recalled).
+# The prompt after a turn command comes when the wheel has stopped (unverified).
 TURNING, TURN_S = "pos=", 4.0
 
 
 class PromptLine(EchoCheckedLine):
-    """Commands and answers of a filter wheel, each ended by a prompt; its parameters are those of `InstrumentLine`."""
+    """Line of a filter wheel, whose replies end with a prompt; parameters as for `InstrumentLine`."""
 
     def _order(self, command: str) -> None:
         self._send((END + command + END).encode("ascii"))
 
     def _get_into_step(self) -> None:
-        """End what may be half said and throw away what is late, until the unit echoes a known question."""
+        """Resynchronise: end an incomplete command and discard input until a known query is echoed."""
         self._send(END.encode())
         self._drain()
         self._send((KNOWN.question + END).encode("ascii"))
@@ -41,21 +41,21 @@ class PromptLine(EchoCheckedLine):
 
 
 class FilterWheel(Instrument):
-    """The wheel."""
+    """Thorlabs FW102C or FW212C."""
 
     def __init__(self, line: InstrumentLine) -> None:
         super().__init__(line)
         self._seen: int | None = None
 
     def identify(self) -> str:
-        """Identify it, and have the wheel's own lamps out."""
+        """Return the identity, and switch the wheel's sensor lamps off."""
         identity = self._identity(KNOWN.question, r"(?i).*FW(102|212).*", "an FW102C or FW212C")
         self.line.write(SENSORS_OFF)
         self.line.verify_read_back("sensors?", 0)
         return identity
 
     def look(self) -> None:
-        """Ask where the wheel stands; if somebody has turned it since the first look, that is InstrumentRejected."""
+        """Read the position; a turn by hand since the first reading is InstrumentRejected."""
         now = self.position()
         if self._seen not in (None, now):
             raise self.line.rejection(f"stay at {self._seen}", f"{now}: somebody turned it")
@@ -63,15 +63,15 @@ class FilterWheel(Instrument):
 
     @property
     def positions(self) -> int:
-        """How many positions the wheel has."""
+        """Number of positions of the wheel."""
         return self.line.query_int("pcount?")
 
     def position(self) -> int:
-        """Where the wheel stands, counted from 1; somebody may have turned it at its buttons."""
+        """Return the position of the wheel, counted from 1."""
         return self.line.query_int("pos?")
 
     def turn_to(self, position: int) -> int:
-        """Turn the wheel, wait until it stands, and return the position read back; one that it lacks is BadInput."""
+        """Turn the wheel, wait for it, and return the read-back position; an invalid one is BadInput."""
         count = self.positions
         if not 1 <= position <= count:
             raise BadInput(f"the filter must be one of 1 to {count}, got {position}")

@@ -1,4 +1,4 @@
-"""Gate generators: the pulses that one can make, and the comparison of its settings with what was set."""
+"""Common part of the gate generators: pulse limits and comparison with the settings."""
 
 import time
 from abc import abstractmethod
@@ -11,28 +11,28 @@ from drivers.serial_lines.line import LONGEST_QUOTE, InstrumentLine
 from labdata.errors import BadInput
 from labdata.gating import Sync
 
-# Rounding that changes nothing which could be measured, relative to the pulse: a field time is no multiple of 5 ps.
+# Negligible relative rounding of a pulse: a field time is not a multiple of 5 ps.
 _UNSEEN = 1e-6
 
 MISSED_TRIGGERS = 2.0
-"""Trigger periods without a trigger after which none comes."""
+"""Trigger periods without a trigger after which the trigger counts as missing."""
 
 
 class Gate(Instrument):
-    """A pulse generator, its AB output wired to a gate unit that opens while the level is high.
+    """A pulse generator; its AB output drives a gate unit that is open while the level is high.
 
-    It keeps the answer to each setting that was read back, and `look` compares the answers of now with them.
+    It stores the reply to each setting that was read back, and `look` compares the present replies with them.
     """
 
     shut_commands: ClassVar[tuple[str, ...]]
-    """Commands that shut the gate at once, sent one by one when the tube is made safe."""
+    """Commands that shut the gate at once, sent one by one by the safe action."""
 
     shut_settings: ClassVar[tuple[tuple[str, str, int], ...]]
-    """What a shut gate reads back: setting, question and answer."""
+    """Read-backs of a shut gate: setting, query and reply."""
 
     step_ns: ClassVar[float]
     dead_ns: ClassVar[float]
-    """Time after the longest delay before the next trigger is taken, ns."""
+    """Time after the longest delay before the next trigger is accepted, ns."""
 
     sources: ClassVar[Mapping[Sync, int]]
     source_command: ClassVar[str]
@@ -48,7 +48,7 @@ class Gate(Instrument):
         self._external_hz, self._triggered_s = 0.0, 0.0
 
     def look(self) -> None:
-        """Compare every setting with what it was set to, and require the triggers of an external source."""
+        """Compare every setting with its read-back, and require the triggers of an external source."""
         if not self._kept:
             self.line.query_int(self.source_question)
         for question, (setting, answer) in self._kept.items():
@@ -63,9 +63,9 @@ class Gate(Instrument):
     def check_pulse(
         self, *, width_ns: float, rate_hz: float, delay_ns: float = 0.0, sync: Sync = "free-running"
     ) -> None:
-        """Refuse (BadInput) a pulse that this model cannot make; the parameters are those of `open`.
+        """Require a pulse that this model can make; the parameters are those of `open`.
 
-        The pulse must be over before the next trigger, and width and delay are rounded by at most a millionth of it.
+        The pulse must end before the next trigger, and width and delay are rounded by at most a millionth of it.
         """
         longest_ns = 1e9 / rate_hz - self.dead_ns - delay_ns
         if not self.step_ns <= width_ns <= longest_ns:
@@ -92,13 +92,13 @@ class Gate(Instrument):
         Parameters
         ----------
         width_ns
-            Time that the gate is open at each trigger, ns.
+            Gate width, ns.
         rate_hz
-            Triggers a second, Hz: one for each field of the camera.
+            Trigger rate, Hz: one trigger per field of the camera.
         delay_ns
-            From trigger to opening, ns.
+            Delay from trigger to gate pulse, ns.
         sync
-            What triggers.
+            Trigger source.
 
         Returns
         -------
@@ -110,7 +110,7 @@ class Gate(Instrument):
         BadInput
             If this model cannot make the pulse, see `check_pulse`.
         InstrumentRejected
-            If the instrument refuses a setting, reads another one back, loses triggers, or gets none.
+            If the instrument refuses a setting, reads another one back, loses triggers, or receives none.
         """
         self.check_pulse(width_ns=width_ns, rate_hz=rate_hz, delay_ns=delay_ns, sync=sync)
         self.shut()
@@ -132,7 +132,7 @@ class Gate(Instrument):
 
     @abstractmethod
     def _program(self, *, width_ns: float, rate_hz: float, delay_ns: float, sync: Sync) -> float:
-        """Set and read back everything but the trigger source of a gate that is shut; return the width, ns."""
+        """Set and read back all but the trigger source of a shut gate; return the width, ns."""
 
     @abstractmethod
     def _refuse_errors(self, command: str) -> None:
@@ -154,11 +154,11 @@ class Gate(Instrument):
 
     def _verify(self, setting: str, question: str, value: float, *, within: float = 0.0) -> None:
         """Read a setting back and keep the answer; one that is not as it was set is InstrumentRejected."""
-        kept = self._kept  # where the safe action shuts the gate meanwhile, this answer belongs to nothing
+        kept = self._kept  # a reply from before a safe action is discarded with its dictionary
         kept[question] = setting, self.line.verify_read_back(question, value, within=within)
 
     def _verify_delay(self, setting: str, edge: int, reference: int, delay_ns: float) -> float:
-        """Read the delay of an edge after another back, ns, and keep the answer."""
+        """Read back the delay of an edge after another, ns, and store the reply."""
         kept, question = self._kept, self.delay_question.format(edge)
         answer = self.line.ask(question)
         after, _, seconds = answer.partition(",")

@@ -1,11 +1,11 @@
-"""The gain: a Stanford PS350 high-voltage supply across the microchannel plate, raised slowly and verified."""
+"""High-voltage supply: Stanford PS350 behind a GPIB adapter."""
 
 import time
 from collections.abc import Callable
 
 from drivers.instruments.instrument import InstrumentModel
 from drivers.instruments.voltage_limits import FALL_S, SETTLED_V, Supply
-from drivers.serial_lines.prologix import PrologixLine
+from drivers.serial_lines.line import PrologixLine
 
 STEP_LARGEST_V = 50.0
 STEP_S = 0.2
@@ -31,7 +31,7 @@ class HighVoltage(Supply):
     def prepare(self, *, limit_v: float) -> None:
         self.order_off()
         if self._status() & (VOLTAGE_TRIP | CURRENT_TRIP):
-            raise self._tripped("before anything was switched on")
+            raise self._trip_error("before anything was switched on")
         self._set(f"VSET {self.lowest_v:.0f}")
         self._set(f"VLIM {limit_v:.0f}")
         if (kept_v := self.line.query_float("VLIM?")) > limit_v:
@@ -41,13 +41,13 @@ class HighVoltage(Supply):
         return self.line.query_float("VOUT?")
 
     def check_on(self) -> None:
-        status = self._status()  # reading it clears its trips: only the one owner of the line may do it
+        status = self._status()  # reading clears trips: only the owner of the line may do it
         if status & VOLTAGE_TRIP:
-            raise self._tripped("on voltage")
+            raise self._trip_error("on voltage")
         if status & CURRENT_TRIP:
-            raise self._tripped("on current")
+            raise self._trip_error("on current")
         if not status & HV_ON:
-            raise self._tripped("without a trip bit")
+            raise self._trip_error("without a trip bit")
 
     def _require_off(self) -> None:
         if self._status() & HV_ON:
@@ -61,7 +61,7 @@ class HighVoltage(Supply):
         self._set(f"VSET {self.lowest_v:.0f}")
         self.line.write("HVON")
         if self.line.query_int("*ESR?") & EXECUTION_ERROR:
-            raise self._tripped("not cleared since: find its cause, then clear it at the instrument")
+            raise self._trip_error("not cleared since: find its cause, then clear it at the instrument")
 
     def _raise(self, goal_v: float, rate_v_per_s: float, check: Callable[[], None]) -> float:
         start_v = self.line.query_float("VSET?")
@@ -84,7 +84,7 @@ class HighVoltage(Supply):
         return self._settle(goal_v, check)
 
     def _settle(self, goal_v: float, check: Callable[[], None]) -> float:
-        """Output once two readings agree; a driver's usual patience."""
+        """Return the output when two readings agree."""
         before_v = now_v = self.read_voltage_v()
         for reading in range(SETTLE_READINGS):
             time.sleep(SETTLE_S + 0.5 * SETTLE_S * reading)

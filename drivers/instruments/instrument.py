@@ -12,7 +12,7 @@ from labdata.instrument_config import Role
 
 
 class Instrument(ABC):
-    """Driver of one instrument; one thread at a time uses it, and the safe action.
+    """Driver of one instrument, for one thread at a time and the safe action.
 
     Parameters
     ----------
@@ -25,14 +25,14 @@ class Instrument(ABC):
 
     @abstractmethod
     def identify(self) -> str:
-        """Return who answers, and clear old errors; another instrument than expected is InstrumentReplyError."""
+        """Return the identity and clear old errors; an unexpected instrument is InstrumentReplyError."""
 
     @abstractmethod
     def look(self) -> None:
-        """Look whether all is as it was set; what is wrong is a BenchError. Before anything was set: a sign of life."""
+        """Compare the instrument with its settings; a difference is a BenchError. Without settings, only query it."""
 
     def _identity(self, question: str, form: str, kinds: str) -> str:
-        """Ask who answers; an answer not of a form is InstrumentReplyError."""
+        """Query the identity; a reply of another form is InstrumentReplyError."""
         identity = self.line.ask(question)
         if not re.fullmatch(form, identity):
             raise self.line.reply_error(f"be {kinds}", repr(identity[:80]))
@@ -46,15 +46,15 @@ class InstrumentModel:
     Parameters
     ----------
     name
-        What a plan calls it, such as "dg645".
+        Name in a plan, such as "dg645".
     role
-        What it is for; its driver has the public methods of the shipped one, and of `Gate` or `Supply`.
+        Role; the driver has the public methods of the shipped driver of that role, and of `Gate` or `Supply`.
     title
-        What sentences call it, such as "delay generator".
+        Name in messages, such as "delay generator".
     line
-        Makes a line on a port; the second argument is the address on a bus, for those that have one.
+        Makes a line on a port; the second argument is the address on a bus, if any.
     driver
-        Makes the driver that speaks on a line.
+        Makes the driver on a line.
     baud
         Rate of the serial port, baud.
     hardware_handshake
@@ -70,13 +70,13 @@ class InstrumentModel:
     hardware_handshake: bool = False
 
     def open_line(self, port: str, address: int = 0, *, exclusive: bool = True) -> InstrumentLine:
-        """Open a serial port and return the line to the instrument; a port not to be had is InstrumentDisconnected.
+        """Open a serial port and return the line to the instrument; InstrumentDisconnected if it cannot be opened.
 
-        With `exclusive` False the port opens although another program has locked it, for the safe action only.
+        With `exclusive` False the port is opened despite a lock of another program, for the safe action only.
         """
         return self.line(self.open_port(port, exclusive=exclusive), address)
 
     def open_port(self, port: str, *, exclusive: bool = True) -> SerialPort:
-        """Open a serial port as the instrument needs it."""
+        """Open a serial port with the settings of the instrument."""
         handshake = self.hardware_handshake
         return SerialPort(port, name=self.title, baud=self.baud, hardware_handshake=handshake, exclusive=exclusive)

@@ -1,6 +1,6 @@
 """The gain, natively serial: an iseg NHQ or SHQ supply, which ramps by itself and says its state in three letters.
 
-Facts are from the maker's manuals of the SHQ and EHQ series (legacy command set); what is recalled says so.
+Source: the maker's manuals of the SHQ and EHQ series (legacy command set), unless marked unverified.
 """
 
 import math
@@ -15,7 +15,7 @@ from labdata.errors import BadInput
 
 SLOWEST_V_PER_S, FASTEST_V_PER_S = 2, 255
 SWITCH_STEP_PERCENT = 10
-"""One position of the rotary switch of the hardware limit, % of the nominal voltage; recalled."""
+"""One position of the rotary switch of the hardware limit, % of the nominal voltage (unverified)."""
 
 SETTLE_S = 3.0
 MANUAL, POSITIVE, SWITCH_OFF = 1, 4, 8  # module status
@@ -28,7 +28,7 @@ _PLAIN = re.compile(r"[+-]?\d{1,9}(\.\d{1,9})?")
 
 END = b"\r\n"
 
-# Until it is told otherwise, the unit waits about 255 ms after each character that it sends.
+# By default the unit waits about 255 ms after each character it sends.
 SLOWEST_CHARACTER_S = 0.5
 QUICK = "W=1"
 SLOW_START_S = 6.0  # the echo and answer of one question and the echo of QUICK: 22 characters
@@ -42,18 +42,18 @@ REFUSALS = (
 
 
 class IsegLine(EchoCheckedLine):
-    """Commands and answers of an iseg supply, two lines an exchange; its parameters are those of `InstrumentLine`.
+    """Line of an iseg supply, two text lines per exchange; parameters as for `InstrumentLine`.
 
-    Whoever takes the echo for the answer is one exchange behind for ever, so the echo is compared every time.
+    The echo is compared every time, so that echo and reply cannot be confused.
     """
 
     def _order(self, command: str) -> None:
-        # The empty line before it ends what another program may have left half said.
+        # The empty line ends an incomplete command of another program.
         self._send(END + command.encode("ascii") + END)
-        self._drain()  # it takes the next command when it has echoed this one
+        self._drain()  # the unit accepts the next command after the echo
 
     def _get_into_step(self) -> None:
-        """Have the unit answer quickly, throw away what is late, and wait until it says who it is."""
+        """Resynchronise: select fast replies, discard late input, and wait for the identity."""
         self._send(END + QUICK.encode() + END)
         self._drain(quiet_s=SLOWEST_CHARACTER_S, within_s=SLOW_START_S)
         self._send(KNOWN.question.encode() + END)
@@ -72,14 +72,14 @@ class IsegLine(EchoCheckedLine):
 
 
 class Iseg(Supply):
-    """The supply, under remote control."""
+    """iseg NHQ or SHQ supply under remote control."""
 
     off_commands = (f"V1={FASTEST_V_PER_S}", "D1=0", "G1")
-    """There is no off: the fastest ramp to 0 V."""
+    """There is no off command: the fastest ramp to 0 V."""
 
     reading = "U1"
     lowest_v = 10.0
-    """Voltage at switching on, V: a set value of 0 then betrays a unit that lost its power meanwhile."""
+    """Voltage at switching on, V, so that a set value of 0 reveals a loss of power."""
 
     def __init__(self, line: InstrumentLine) -> None:
         super().__init__(line)
@@ -94,13 +94,13 @@ class Iseg(Supply):
         return identity
 
     def prepare(self, *, limit_v: float) -> None:
-        """Take the voltage off; the hardware limit must stand no higher than its first position at or above a limit, V.
+        """Switch off; require the hardware limit at its first position at or above a limit, V, or lower.
 
-        An old trip is InstrumentTripped. The limit is a rotary switch at the unit, and only a hand can turn it.
+        An old trip is InstrumentTripped. The limit is a rotary switch at the unit.
         """
         self.order_off()
         if (state := self._state()) in ("TRP", "ERR"):
-            raise self._tripped(f"{TRIPS[state]} before anything was switched on")
+            raise self._trip_error(f"{TRIPS[state]} before anything was switched on")
         position_v = self.highest_v * SWITCH_STEP_PERCENT / 100.0
         allowed_v = math.ceil(limit_v / position_v - 1e-9) * position_v
         kept_v = self.highest_v * self.line.query_int("M1") / 100.0
@@ -116,12 +116,12 @@ class Iseg(Supply):
     def check_on(self) -> None:
         self._require_untripped()
         if self._volts("D1") < self.lowest_v:
-            raise self._tripped("without a word: its set value is gone, as after a loss of power")
+            raise self._trip_error("without a word: its set value is gone, as after a loss of power")
 
     def _require_untripped(self) -> None:
-        # Reading the state clears a latched trip: only the one owner of the line may do it.
+        # Reading the state clears a latched trip: only the owner of the line may do it.
         if (state := self._state()) in TRIPS:
-            raise self._tripped(TRIPS[state])
+            raise self._trip_error(TRIPS[state])
 
     def _require_off(self) -> None:
         if (state := self._state()) in ("L2H", "MAN"):
@@ -133,7 +133,7 @@ class Iseg(Supply):
         self._state("G1")
 
     def _switch_on(self) -> None:
-        """Raise to the lowest voltage; a unit that is switched off or to manual at its panel is InstrumentRejected."""
+        """Raise to the lowest voltage; a unit off or under manual control at its panel is InstrumentRejected."""
         status = self.line.query_int("T1")
         if status & SWITCH_OFF:
             raise self.line.rejection("be switched on at its panel", "its switch off")
@@ -170,7 +170,7 @@ class Iseg(Supply):
         self._state("G1")
 
     def _state(self, question: str = "S1") -> str:
-        """Return the state, which the unit also says when it starts a ramp ("G1")."""
+        """Return the state, which is also the reply to a ramp start ("G1")."""
         name, mark, state = (answer := self.line.ask(question)).partition("=")
         if name != "S1" or not mark or state.strip() not in STATES:
             raise self.line.reply_error(f"answer {question} with its state", repr(answer))
@@ -184,9 +184,9 @@ class Iseg(Supply):
 
 
 def legacy_number(text: str) -> float | None:
-    """Read a number as a model of the legacy set writes it; None if it is none.
+    """Parse a number of the legacy command set; None if it is invalid.
 
-    An SHQ writes mantissa and exponent without an E ("-05000-01" is -500.0), an EHQ a plain voltage ("+0100") and a
+    An SHQ sends mantissa and exponent without an E ("-05000-01" is -500.0), an EHQ a plain voltage ("+0100") and a
     current with an exponent of one digit ("0001-7" is 1e-7).
     """
     if match := _SCALED.fullmatch(text):

@@ -1,6 +1,6 @@
 """The light: a Thorlabs DC2100 or DC2010 driver of a light-emitting diode at constant current.
 
-Commands, status bits and form of errors are as the maker's own adapter for Micro-Manager uses them (ThorlabsDCxxxx).
+Commands, status bits and error format follow the maker's Micro-Manager adapter (ThorlabsDCxxxx).
 """
 
 import math
@@ -18,7 +18,7 @@ _ERROR = re.compile(r"\S+ (-?\d{1,9}) ?:(.*)")
 
 
 class LightSource(Instrument):
-    """The driver of the diode."""
+    """Thorlabs DC2100 or DC2010."""
 
     dark_commands = ("o 0",)
 
@@ -28,14 +28,14 @@ class LightSource(Instrument):
         return name
 
     def look(self) -> None:
-        """Raise what the status says is wrong with the diode."""
+        """Raise InstrumentRejected for a fault of the diode in the status."""
         status = self.line.query_int("r?")
         for bit, meaning in FAULTS.items():
             if status & bit:
                 raise self.line.rejection("light its diode", meaning, code=status)
 
     def prepare(self, *, limit_a: float) -> None:
-        """Go dark, and make the driver itself refuse more than a current, A."""
+        """Switch the light off, and set the current limit of the driver, A."""
         self.darken()
         self._set(f"m {CONSTANT_CURRENT}")
         self._set(f"l {_milliamperes(limit_a)}")
@@ -43,20 +43,20 @@ class LightSource(Instrument):
             raise self.line.rejection(f"keep a limit of {1e3 * limit_a:g} mA", f"{kept_ma:g} mA back")
 
     def darken(self) -> None:
-        """Take the light out; read back."""
+        """Switch the light off and read it back."""
         for command in self.dark_commands:
             self._set(command)
         self.line.verify_read_back("o?", 0)
 
     def shine(self, current_a: float) -> float:
-        """Drive the diode with a current and return it as read back, A.
+        """Drive the diode with a current and return its read-back, A.
 
         Raises
         ------
         BadInput
-            If the current is negative or no whole number of mA.
+            If the current is negative or not an integer number of mA.
         InstrumentRejected
-            If it is beyond the limit, or the diode does not light.
+            If it exceeds the limit, or the diode does not light.
         """
         milliamperes = _milliamperes(current_a)
         self._set(f"cc {milliamperes}")
@@ -73,7 +73,7 @@ class LightSource(Instrument):
             raise self.line.rejection(f"accept {command!r}", f"error {code}: {meaning}", code=code)
 
     def _error(self) -> tuple[int, str]:
-        """The last error, which asking takes away."""
+        """Return and clear the last error."""
         answer = self.line.ask("e?")
         if (match := _ERROR.fullmatch(answer)) is None:
             raise self.line.reply_error("answer e? with a code and its meaning", repr(answer))

@@ -34,12 +34,12 @@ SHIPPED: tuple[InstrumentModel, ...] = tuple(
 
 
 def models() -> dict[str, InstrumentModel]:
-    """Every model that is known here, by name; a shipped one cannot be replaced.
+    """Return all known models by name; shipped ones cannot be replaced.
 
     Raises
     ------
     BadInput
-        If an entry point does not load, is no model, or takes a name that is taken.
+        If an entry point does not load, is not a model, or has a name in use.
     """
     known = {model.name: model for model in SHIPPED}
     for point in entry_points(group=GROUP):
@@ -48,7 +48,7 @@ def models() -> dict[str, InstrumentModel]:
 
 
 def model(name: str, role: Role) -> InstrumentModel:
-    """Return a model by its name; one that is unknown, or has another role, is BadInput."""
+    """Return a model by name; an unknown one, or one of another role, is BadInput."""
     known = models()
     found = known.get(name)
     if found is None or found.role != role:
@@ -58,12 +58,12 @@ def model(name: str, role: Role) -> InstrumentModel:
 
 
 def model_of(reached: InstrumentConnection) -> InstrumentModel:
-    """Return the model of an instrument of the bench; one that is unknown, or has another role, is BadInput."""
+    """Return the model of an instrument of the bench; an unknown one, or one of another role, is BadInput."""
     return model(reached.model, reached.role)
 
 
 def lines_on(ports: Mapping[Role, Port], wires: InstrumentConfig) -> dict[Role, InstrumentLine]:
-    """Return lines to the instruments of a bench whose ports are open already, by their role."""
+    """Return lines to the instruments of a bench on open ports, by role."""
     return {one.role: model_of(one).line(ports[one.role], one.address) for one in wires.instruments}
 
 

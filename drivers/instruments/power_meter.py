@@ -1,4 +1,4 @@
-"""The light meter: a Thorlabs power meter of the PM100 family with a serial port, which measures watts on its head."""
+"""Light meter: Thorlabs PM100 family with a serial port."""
 
 import re
 
@@ -6,17 +6,17 @@ from drivers.instruments.instrument import Instrument, InstrumentModel
 from drivers.serial_lines.line import FramedLine
 
 AVERAGED = 100
-"""Readings averaged into one, of about 3000 a second."""
+"""Readings averaged into one, of about 3000 per second."""
 
 DEFAULT_WAVELENGTH_NM = 550.0
 _ERROR = re.compile(r'([-+]?\d{1,9})\s*,\s*"?(.*?)"?')
 
 
 class PowerMeter(Instrument):
-    """The meter."""
+    """Thorlabs PM100 family."""
 
     def identify(self) -> str:
-        """Return the identity, clear old errors, and have it measure watts at its own range."""
+        """Return the identity, clear old errors, and select watts with automatic range."""
         identity = self._identity("*IDN?", r"(?i).*thorlabs,\s*PM1\d\d.*", "of the PM100 family")
         self.line.write("*CLS")
         for command in ("SENS:POW:UNIT W", "SENS:POW:RANG:AUTO ON", f"SENS:AVER:COUN {AVERAGED}"):
@@ -25,11 +25,11 @@ class PowerMeter(Instrument):
         return identity
 
     def look(self) -> None:
-        """Ask for a sign of life."""
+        """Query a reading, to verify that it answers."""
         self.power_w()
 
     def tune(self, wavelength_nm: float) -> None:
-        """Have it correct for the sensitivity of its head at a wavelength, nm; read back."""
+        """Set the wavelength of the head's sensitivity correction, nm, and read it back."""
         self._set(f"SENS:CORR:WAV {wavelength_nm:g}")
         self.line.verify_read_back("SENS:CORR:WAV?", wavelength_nm, within=0.5)
 

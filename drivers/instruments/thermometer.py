@@ -1,4 +1,4 @@
-"""The thermometer: a Stanford CTC100 or PTC10 temperature controller, of which one sensor is read and nothing set."""
+"""Thermometer: Stanford CTC100 or PTC10 temperature controller, read only."""
 
 import re
 
@@ -8,32 +8,32 @@ from drivers.serial_lines.line import FramedLine, KnownAnswer
 CHANNEL = "In1"
 KNOWN = KnownAnswer(question="*IDN?", form=r"(?i).*(CTC100|PTC10).*")
 ZERO_C_IN_K = 273.15
-# Where the controller is set to say much, the name of what was asked stands before its value.
+# In verbose mode the name of the variable precedes its value.
 _SAID = re.compile(r"(?:[^=]*=)?\s*(\S+)\s*")
 
 
 class Thermometer(Instrument):
-    """The controller, read at its first input."""
+    """Stanford CTC100 or PTC10, first input."""
 
     def identify(self) -> str:
         """Return the identity; another instrument is InstrumentReplyError."""
         return self._identity(KNOWN.question, KNOWN.form, "a CTC100 or PTC10")
 
     def look(self) -> None:
-        """Ask for a sign of life."""
+        """Query a reading, to verify that it answers."""
         self.temperature_c()
 
     def temperature_c(self) -> float:
         """Temperature of the sensor, degrees Celsius; a sensor that is open or missing is InstrumentReplyError."""
-        unit = self._asked(f"{CHANNEL}.units?")
-        value = self.line.parse_float(self._asked(f"{CHANNEL}.value?"), f"{CHANNEL}.value?")
+        unit = self._query_value(f"{CHANNEL}.units?")
+        value = self.line.parse_float(self._query_value(f"{CHANNEL}.value?"), f"{CHANNEL}.value?")
         if unit.endswith("C"):
             return value
         if unit == "K":
             return value - ZERO_C_IN_K
         raise self.line.reply_error("measure in degrees Celsius or kelvin", repr(unit))
 
-    def _asked(self, question: str) -> str:
+    def _query_value(self, question: str) -> str:
         answer = self.line.ask(question)
         match = _SAID.fullmatch(answer)
         if match is None:

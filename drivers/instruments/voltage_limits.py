@@ -1,4 +1,4 @@
-"""High-voltage supplies: the voltages that can be set, when an output is discharged, and whether it stays as set."""
+"""Common part of the high-voltage supplies: range, discharge and comparison with the set-point."""
 
 import math
 import time
@@ -12,19 +12,19 @@ from drivers.serial_lines.line import InstrumentLine
 from labdata.errors import BadInput
 
 FALL_S = 15.0
-"""Time within which an output must have discharged after off, s."""
+"""Longest discharge of an output after off, s."""
 
 DISCHARGED_V = 10.0
-"""Voltage at the output that counts as none, V."""
+"""Largest voltage of a discharged output, V."""
 
 SETTLED_V = 2.0
-"""An output has settled this near to its set-point, V: two steps of the coarsest display."""
+"""Settling tolerance of an output, V: two steps of the coarsest display."""
 
 ACCURACY_V = 2.5
 """Accuracy of the measured output, V: 0.05 % of the 5 kV full scale of a PS350; an SHQ is better (data sheets)."""
 
 HELD_V = SETTLED_V + ACCURACY_V
-"""An output that is this far from its set-point, or rises by this much after off, was changed, V."""
+"""Deviation from the set-point, or rise after off, that counts as a change at the panel, V."""
 
 POLL_S = 0.1
 _ROUNDING = 1e-6
@@ -33,14 +33,14 @@ _ROUNDING = 1e-6
 class Supply(Instrument):
     """A high-voltage supply of positive polarity across the microchannel plate.
 
-    It remembers what it was set to, and `look` compares the measured output with it.
+    It stores its set-point, and `look` compares the measured output with it.
     """
 
     off_commands: ClassVar[tuple[str, ...]]
-    """Commands that take the high voltage off, sent one by one when the tube is made safe."""
+    """Commands that switch the high voltage off, sent one by one by the safe action."""
 
     reading: ClassVar[str]
-    """The question whose answer is the voltage at the output, for the log."""
+    """Query of the output voltage, for the log."""
 
     lowest_v: ClassVar[float]
     step_v: ClassVar[float] = 1.0
@@ -49,12 +49,12 @@ class Supply(Instrument):
     def __init__(self, line: InstrumentLine) -> None:
         super().__init__(line)
         self.is_on = False
-        """Whether this object switched it on and not off; the status belongs to whoever watches for trips."""
+        """Whether this driver switched it on and not off."""
         self._reached_v: float | None = None  # set-point that the output has reached
         self._fallen_to_v: float | None = None  # lowest output seen since it was ordered off; None: nothing was set
 
     def look(self) -> None:
-        """Compare the output with what was set: on, no trip and near the set-point; off, not on again and not rising.
+        """Compare the output with the set-point: on, no trip and near it; off, not on again and not rising.
 
         A supply that switched itself off is InstrumentTripped, one that was set at its panel InstrumentRejected.
         """
@@ -78,7 +78,7 @@ class Supply(Instrument):
                 )
 
     def check_voltage(self, volts: float) -> None:
-        """Refuse (BadInput) a voltage outside of the supply's range, or between two steps, where it would round."""
+        """Require a voltage in the supply's range, without rounding to its steps."""
         if not volts >= self.lowest_v:
             raise BadInput(f"mcp_v must be 0 (off) or at least {self.lowest_v:g}, got {volts:g}")
         if volts > self.highest_v:
@@ -88,15 +88,15 @@ class Supply(Instrument):
 
     @abstractmethod
     def prepare(self, *, limit_v: float) -> None:
-        """Switch off, and make the supply itself refuse more than a limit, V; an old trip is InstrumentTripped."""
+        """Switch off, and set the supply's own limit, V; an old trip is InstrumentTripped."""
 
     def order_off(self) -> None:
-        """Order the high voltage off; the charge takes seconds to leave, see `read_voltage_v`."""
+        """Send the off command; the output discharges within seconds, see `read_voltage_v`."""
         self.is_on, self._reached_v, self._fallen_to_v = False, None, math.inf
         self._order_off()
 
     def off(self) -> float:
-        """Order off, wait until the output is discharged, and return it, V."""
+        """Switch off, wait until the output is discharged, and return its voltage, V."""
         self.order_off()
         deadline_s = time.monotonic() + FALL_S
         while (volts := self.read_voltage_v()) > DISCHARGED_V:
@@ -112,16 +112,16 @@ class Supply(Instrument):
         self.is_on = True
 
     def raise_to(self, goal_v: float, *, rate_v_per_s: float, check: Callable[[], None] = lambda: None) -> float:
-        """Raise the voltage of a supply that is on, no faster than a rate, and return the settled output, V.
+        """Raise the voltage of a supply that is on at a limited rate, and return the settled output, V.
 
-        `check` is called at every step; what it raises ends the ramp.
+        `check` is called at every step; an exception ends the ramp.
 
         Raises
         ------
         BadInput
-            If goal or rate are none that the supply can set.
+            If goal or rate lie outside the supply's range.
         InstrumentTripped
-            If the supply switches itself off on the way.
+            If the supply switches itself off during the ramp.
         InstrumentRejected
             If it refuses a step or its output does not follow.
         """
@@ -133,7 +133,7 @@ class Supply(Instrument):
 
     @abstractmethod
     def read_voltage_v(self) -> float:
-        """Voltage at the output, V."""
+        """Return the measured output voltage, V."""
 
     @abstractmethod
     def check_on(self) -> None:
@@ -147,16 +147,16 @@ class Supply(Instrument):
         return settled_v
 
     def _require_untripped(self) -> None:
-        """Raise InstrumentTripped if one question tells of a trip."""
+        """Raise InstrumentTripped if a single query reports a trip."""
         self.check_on()
 
     @abstractmethod
     def _require_off(self) -> None:
-        """Raise InstrumentRejected if one question tells that the supply was switched on."""
+        """Raise InstrumentRejected if a single query reports the supply on."""
 
     @abstractmethod
     def _order_off(self) -> None:
-        """Send the orders that take the voltage off."""
+        """Send the commands that switch the voltage off."""
 
     @abstractmethod
     def _switch_on(self) -> None:
@@ -170,7 +170,7 @@ class Supply(Instrument):
     def _lower(self, goal_v: float, check: Callable[[], None]) -> float:
         """Lower the voltage, and return the settled output, V."""
 
-    def _tripped(self, how: str) -> InstrumentTripped:
+    def _trip_error(self, how: str) -> InstrumentTripped:
         return InstrumentTripped.of(self.line.name, "stay on", f"a trip {how}")
 
     def _wrong_output(self, goal_v: float, got: str) -> InstrumentRejected:

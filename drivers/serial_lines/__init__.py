@@ -1,1 +1,1 @@
-"""Lines to instruments: ports, bytes, answers, and the adapter between a port and GPIB."""
+"""Serial ports and the request-reply lines on them."""

@@ -1,4 +1,4 @@
-"""Lines to instruments: one command out, one complete answer back, each wait bounded, and the safe action first."""
+"""Request-reply lines to instruments, each wait bounded, with priority for the safe action."""
 
 import math
 import re
@@ -13,10 +13,10 @@ from drivers.errors import BenchError, BenchStopped, InstrumentRejected, Instrum
 from drivers.serial_lines.port import ANSWER_S, SLICE_S, Port
 
 LONGEST_ANSWER = 4096
-"""Bytes after which an answer without an end is no answer."""
+"""Largest reply without terminator, bytes."""
 
 LONGEST_QUOTE = 100
-"""Characters of an answer that a sentence repeats."""
+"""Largest part of a reply quoted in a message, characters."""
 
 QUIET_S = 0.05
 
@@ -29,7 +29,7 @@ class _Caller(threading.local):
 
 @dataclass(frozen=True, kw_only=True)
 class KnownAnswer:
-    """A question without side effect whose answer no other answer resembles: the way back into step."""
+    """A query without side effect and with a unique reply, for resynchronisation."""
 
     question: str
     form: str
@@ -39,10 +39,10 @@ IDENTITY_ANSWER = KnownAnswer(question="*IDN?", form=r"[^,]+,[^,]+,[^,]+,[^,]+")
 
 
 class InstrumentLine(ABC):
-    """A line to one instrument; making a line does no input or output.
+    """A line to one instrument; its construction does no input or output.
 
-    One exchange of a thread is over before another thread can send. Between `take_over` and `release` only threads
-    within `safing` can send or wait; in all others `BenchStopped` is raised.
+    Exchanges of different threads do not overlap. Between `take_over` and `release` only threads
+    within `safing` can send or wait; others get `BenchStopped`.
 
     Parameters
     ----------
@@ -51,30 +51,30 @@ class InstrumentLine(ABC):
     name
         Name of the instrument.
     answer_s
-        Time that an answer may take, s.
+        Time limit of a reply, s.
     """
 
     def __init__(self, port: Port, *, name: str, answer_s: float = ANSWER_S) -> None:
         self.name = name
         self._port, self._answer_s = port, answer_s
         self._received = b""
-        self._in_step = False  # a program that held the port before may have left an answer due
+        self._in_step = False  # an earlier program may have left a reply pending
         self._turn = threading.RLock()
         self._taken_over = threading.Event()
         self._caller = _Caller()
 
     @abstractmethod
     def write(self, command: str) -> None:
-        """Send a command that has no answer."""
+        """Send a command without reply."""
 
     def ask(self, question: str) -> str:
-        """Send a question and return its answer without terminators.
+        """Send a query and return its reply without terminators.
 
         Raises
         ------
         InstrumentTimeout
-            If no complete answer comes in time. The line is then out of step: before the next question it throws away
-            late answers and asks a question whose answer has a known form.
+            If no complete reply comes in time. Before the next query the line is resynchronised: it discards
+            late replies and sends a query whose reply has a known form.
         InstrumentDisconnected
             If the port is gone.
         BenchStopped
@@ -91,18 +91,18 @@ class InstrumentLine(ABC):
                 raise
 
     def query_float(self, question: str) -> float:
-        """Ask, and return the answer as a finite number; anything else is InstrumentReplyError."""
+        """Send a query and return its reply as a finite number, else InstrumentReplyError."""
         return self.parse_float(self.ask(question), question)
 
     def query_int(self, question: str) -> int:
-        """Ask, and return the answer as a whole number; anything else is InstrumentReplyError."""
+        """Send a query and return its reply as an integer, else InstrumentReplyError."""
         value = self.query_float(question)
         if value != round(value):
             raise self.reply_error(f"answer {question} with a whole number", f"{value:g}")
         return round(value)
 
     def parse_float(self, answer: str, question: str) -> float:
-        """Return the answer to a question as a finite number; anything else is InstrumentReplyError."""
+        """Return a reply as a finite number, else InstrumentReplyError."""
         try:
             value = float(answer)
         except ValueError:
@@ -112,14 +112,14 @@ class InstrumentLine(ABC):
         return value
 
     def verify_read_back(self, question: str, value: float, *, within: float = 0.0) -> str:
-        """Ask for a setting and return the answer; one that is not as it was set is InstrumentRejected."""
+        """Query a setting and return the reply; InstrumentRejected if it differs from the set value."""
         answer = self.ask(question)
         if abs((read := self.parse_float(answer, question)) - value) > within:
             raise self.rejection(f"answer {question} with {value:g} as set", f"{read:g}")
         return answer
 
     def reply_error(self, rule: str, got: str) -> InstrumentReplyError:
-        """Return the error of an answer that is not of the form its question asks for."""
+        """Return the error of a reply of unexpected form."""
         return InstrumentReplyError.of(self.name, rule, got[:LONGEST_QUOTE])
 
     def rejection(self, rule: str, got: str, *, code: int | None = None) -> InstrumentRejected:
@@ -127,22 +127,22 @@ class InstrumentLine(ABC):
         return InstrumentRejected.of(self.name, rule, got[:LONGEST_QUOTE], code=code)
 
     def order(self, command: str) -> None:
-        """Send a command that must go out, whatever became of the exchange before; its answer is not waited for."""
+        """Send a command in any state of the line, without waiting for a reply."""
         with self._turn:
             self._in_step = False
             self._order(command)
 
     def take_over(self) -> None:
-        """Let only the safe action speak from here on, and have the waits of other threads end at once."""
+        """Restrict the line to the safe action, and end the waits of other threads at once."""
         self._taken_over.set()
 
     def release(self) -> None:
-        """Let every thread speak again."""
+        """Open the line to all threads again."""
         self._taken_over.clear()
 
     @contextmanager
     def safing(self) -> Iterator[None]:
-        """Let the calling thread speak on a line that was taken over."""
+        """Let the calling thread use a line that was taken over."""
         before, self._caller.is_safing = self._caller.is_safing, True
         try:
             yield
@@ -150,13 +150,13 @@ class InstrumentLine(ABC):
             self._caller.is_safing = before
 
     def reopen(self) -> None:
-        """Open the port anew, and trust nothing that came before; InstrumentDisconnected where it is not there."""
+        """Reopen the port and discard pending input; InstrumentDisconnected if it is missing."""
         with self._turn:
             self._in_step, self._received = False, b""
             self._port.reopen()
 
     def fileno(self) -> int:
-        """File descriptor of the open port, for the process that makes the tube safe when this one cannot."""
+        """File descriptor of the open port, passed to the client for the safe action."""
         return self._port.fileno()
 
     def close(self) -> None:
@@ -166,15 +166,15 @@ class InstrumentLine(ABC):
 
     @abstractmethod
     def _get_into_step(self) -> None:
-        """Throw away what is late, until the instrument answers a question whose answer has a known form."""
+        """Resynchronise: discard late input until a query with a known reply is answered."""
 
     @abstractmethod
     def _exchange(self, question: str) -> str:
-        """Send a question on a line in step and return its answer."""
+        """Send a query on a synchronised line and return its reply."""
 
     @abstractmethod
     def _order(self, command: str) -> None:
-        """Send a command on a line whose state is unknown."""
+        """Send a command on a line of unknown state."""
 
     def _require_turn(self) -> None:
         if self._taken_over.is_set() and not self._caller.is_safing:
@@ -185,7 +185,7 @@ class InstrumentLine(ABC):
         self._port.send(data)
 
     def _until(self, end: bytes, question: str, *, within_s: float | None = None) -> str:
-        """Text up to a terminator, which is taken off; by default within the answer time."""
+        """Return the text up to a terminator; by default within the time limit of a reply."""
         within_s = self._answer_s if within_s is None else within_s
         deadline_s = time.monotonic() + within_s
         while end not in self._received:
@@ -202,14 +202,14 @@ class InstrumentLine(ABC):
         return piece.decode("ascii", "replace")
 
     def _await_known(self, end: bytes, known: KnownAnswer) -> None:
-        """Pass over late answers until the one to a question that was just sent."""
+        """Skip late replies until the one to the last query."""
         deadline_s = time.monotonic() + self._answer_s
         while not re.fullmatch(known.form, answer := self._until(end, known.question).strip()):
             if time.monotonic() > deadline_s:
                 raise InstrumentTimeout.of(self.name, f"answer {known.question} in a known form", repr(answer[:80]))
 
     def _drain(self, *, quiet_s: float = QUIET_S, within_s: float | None = None) -> None:
-        """Throw away what came, until the line is quiet for a time or the time allowed is over."""
+        """Discard input until the line is quiet for a time or the time limit is over."""
         now_s = heard_s = time.monotonic()
         deadline_s = now_s + (self._answer_s if within_s is None else within_s)
         self._received = b""
@@ -221,18 +221,18 @@ class InstrumentLine(ABC):
 
 
 class FramedLine(InstrumentLine):
-    """Commands and answers that are one line of text each.
+    """Line with commands and replies of one text line each.
 
     Parameters
     ----------
     port, name, answer_s
         See `InstrumentLine`.
     answer_end
-        Terminator of answers.
+        Terminator of replies.
     command_end
         Terminator of commands.
     known
-        How to get into step after an answer that came late.
+        Query for resynchronisation after a late reply.
     """
 
     def __init__(
@@ -269,13 +269,13 @@ class FramedLine(InstrumentLine):
 
 
 class EchoCheckedLine(InstrumentLine):
-    """Commands and answers over a line that echoes: each exchange is compared with its echo, or begun anew.
+    """Line with echo: each exchange is compared with its echo.
 
-    An echo of another command is InstrumentReplyError, an answer that is an error of the unit InstrumentRejected.
+    A wrong echo is InstrumentReplyError, an error reply of the unit InstrumentRejected.
     """
 
     def write(self, command: str) -> None:
-        """Send a setting, which has no answer beyond its echo; one that comes is InstrumentRejected."""
+        """Send a setting without reply beyond its echo; any other reply is InstrumentRejected."""
         if answer := self.ask(command):
             raise self.rejection(f"accept {command!r} in silence", repr(answer))
 
@@ -287,4 +287,63 @@ class EchoCheckedLine(InstrumentLine):
 
     @abstractmethod
     def _refusal(self, answer: str) -> str | None:
-        """Return what an answer says is wrong; None where it is no error."""
+        """Return the meaning of an error reply; None for any other."""
+
+
+READ_TIMEOUT_MS = 200
+SETTINGS = ("savecfg 0", "auto 0", "mode 1", "eoi 1", "eos 2", f"read_tmo_ms {READ_TIMEOUT_MS}")
+ADAPTER_ANSWER = KnownAnswer(question="++ver", form=r"(?i).*ver.*")
+_ESCAPED = "\x1b+\r\n"
+
+
+class PrologixLine(FramedLine):
+    """Line to one GPIB address behind a Prologix GPIB-USB adapter; replies are read on request only.
+
+    Parameters
+    ----------
+    port, name, answer_s
+        See `InstrumentLine`.
+    address
+        GPIB address of the instrument, 0 to 30.
+    """
+
+    def __init__(self, port: Port, *, name: str, address: int, answer_s: float = ANSWER_S) -> None:
+        super().__init__(port, name=name, answer_end=b"\n", answer_s=answer_s, known=ADAPTER_ANSWER)
+        self._address = f"++addr {address}"
+        self._is_set_up = False
+
+    def write(self, command: str) -> None:
+        with self._turn:
+            self._set_up()
+            self._say(_escape(command))
+
+    def reopen(self) -> None:
+        with self._turn:
+            self._is_set_up = False
+            super().reopen()
+
+    def _order(self, command: str) -> None:
+        # Without set-up: after a crash another process has set the adapter up, and the command must not wait.
+        self._say(self._address, _escape(command))
+
+    def _exchange(self, question: str) -> str:
+        self._say(_escape(question), "++read eoi")
+        return self._until(self._end, question).strip()
+
+    def _get_into_step(self) -> None:
+        """Query and set up the adapter, and read its address back; another adapter is InstrumentReplyError."""
+        super()._get_into_step()
+        self._is_set_up = False
+        self._set_up()
+        self._say("++addr")
+        if (address := self._until(self._end, "++addr").strip()) != self._address.split()[1]:
+            raise self.reply_error(f"keep the address {self._address.split()[1]}", repr(address))
+
+    def _set_up(self) -> None:
+        if not self._is_set_up:
+            self._say(*(f"++{setting}" for setting in SETTINGS), self._address)
+            self._is_set_up = True
+
+
+def _escape(command: str) -> str:
+    return "".join(f"\x1b{character}" if character in _ESCAPED else character for character in command)

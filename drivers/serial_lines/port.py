@@ -1,4 +1,4 @@
-"""The only place with serial bytes: a port that may be late, full, held by another program, or gone."""
+"""Serial ports with bounded waits."""
 
 import contextlib
 import math
@@ -15,7 +15,7 @@ from serial.tools import list_ports
 from drivers.errors import InstrumentDisconnected, InstrumentTimeout
 
 ANSWER_S = 0.4
-"""Time that an answer may take, s; the bound on everything that must happen within a second."""
+"""Time limit of a reply, s; keeps every reaction within one second."""
 
 SLICE_S = 0.02
 _PIECE_BYTES = 4096
@@ -23,22 +23,22 @@ _OPENING_ERRORS = (serial.SerialException, OSError, termios.error, ValueError)
 
 
 class Port(Protocol):
-    """Where bytes go out and come in."""
+    """Byte stream to an instrument."""
 
     def send(self, data: bytes) -> None:
         """Send bytes."""
         ...
 
     def receive(self, timeout_s: float) -> bytes:
-        """Bytes that came, waiting at most `timeout_s` for the first; empty if none did."""
+        """Return received bytes, waiting at most `timeout_s` for the first; empty if there are none."""
         ...
 
     def reopen(self) -> None:
-        """Open the port again after its loss; InstrumentDisconnected where it is not there."""
+        """Reopen a lost port; InstrumentDisconnected if it is missing."""
         ...
 
     def fileno(self) -> int:
-        """File descriptor of the open port; -1 where it has none."""
+        """File descriptor of the open port, or -1."""
         ...
 
     def close(self) -> None:
@@ -47,7 +47,7 @@ class Port(Protocol):
 
 
 class _DescriptorPort:
-    """Bytes over the file descriptor of a serial port; `poll` bounds each wait and needs no descriptor of its own."""
+    """Bytes over the file descriptor of a serial port; `poll` bounds each wait without a further descriptor."""
 
     def __init__(self, descriptor: int, *, name: str, place: str) -> None:
         self._descriptor, self._name, self._place = descriptor, name, place
@@ -56,7 +56,7 @@ class _DescriptorPort:
         return self._descriptor
 
     def send(self, data: bytes) -> None:
-        """Send bytes; a line that takes none within the answer time is InstrumentTimeout."""
+        """Send bytes; a line that accepts none within the time limit is InstrumentTimeout."""
         deadline_s = time.monotonic() + ANSWER_S
         while data:
             try:
@@ -66,7 +66,7 @@ class _DescriptorPort:
                     rule = f"take a command within {ANSWER_S:g} s"
                     raise InstrumentTimeout.of(self._name, rule, f"no room on {self._place}") from None
             except OSError as error:
-                raise self._disconnected(error) from None
+                raise self._disconnection(error) from None
 
     def receive(self, timeout_s: float) -> bytes:
         if not self._is_ready(select.POLLIN, timeout_s):
@@ -75,8 +75,8 @@ class _DescriptorPort:
             if data := os.read(self._descriptor, _PIECE_BYTES):
                 return data
         except OSError as error:
-            raise self._disconnected(error) from None
-        raise self._disconnected("no data: it is unplugged, or another program reads it")
+            raise self._disconnection(error) from None
+        raise self._disconnection("no data: it is unplugged, or another program reads it")
 
     def close(self) -> None:
         """Close the port, even one that is gone."""
@@ -86,30 +86,30 @@ class _DescriptorPort:
 
     def _is_ready(self, event: int, timeout_s: float) -> bool:
         if self._descriptor < 0:
-            raise self._disconnected("a closed port")
+            raise self._disconnection("a closed port")
         waiting = select.poll()
         waiting.register(self._descriptor, event)
         return timeout_s >= 0 and bool(waiting.poll(math.ceil(1e3 * timeout_s)))
 
-    def _disconnected(self, error: object) -> InstrumentDisconnected:
+    def _disconnection(self, error: object) -> InstrumentDisconnected:
         return InstrumentDisconnected.of(self._name, f"stay on {self._place}", error)
 
 
 class SerialPort(_DescriptorPort):
-    """A serial port that no other program can open meanwhile.
+    """A serial port with a lock against other programs.
 
     Parameters
     ----------
     port
         Path of the device.
     name
-        Name of the instrument, for sentences.
+        Name of the instrument for messages.
     baud
         Rate, baud.
     hardware_handshake
         RTS/CTS.
     exclusive
-        False: open the port although another program has locked it, for the safe action only.
+        False: open the port despite a lock of another program, for the safe action only.
 
     Raises
     ------
@@ -126,11 +126,11 @@ class SerialPort(_DescriptorPort):
         self._open(port)
         adapters = usb_ports()
         adapter = adapters.get(os.path.realpath(port))
-        # Adapters of some makers all have the same number, which then tells none of them.
+        # Some makers give all adapters the same serial number, which then identifies none.
         self._usb = adapter if sum(found == adapter for found in adapters.values()) == 1 else None
 
     def reopen(self) -> None:
-        """Open the port again, at the path where its USB adapter is found by serial number, if it has one."""
+        """Reopen the port, at the present path of its USB serial number, if it has one."""
         self.close()
         if self._usb is None:
             self._open(self._path)
@@ -161,9 +161,9 @@ class SerialPort(_DescriptorPort):
 
 
 class InheritedPort(_DescriptorPort):
-    """A serial port that another process opened and set up; it needs no free descriptor, and closes this one.
+    """A serial port opened and configured by another process, on an inherited descriptor.
 
-    `open_again` opens the port by its path, once it was gone; None: nobody knows the path.
+    `open_again` reopens a lost port by its path; None: the path is unknown.
     """
 
     def __init__(self, descriptor: int, *, name: str, open_again: "Callable[[], SerialPort] | None" = None) -> None:
@@ -172,20 +172,20 @@ class InheritedPort(_DescriptorPort):
         os.set_blocking(descriptor, False)
 
     def reopen(self) -> None:
-        """Open the port again; InstrumentDisconnected where it is not there, or its path is not known."""
+        """Reopen the port; InstrumentDisconnected if it is missing, or its path is unknown."""
         if self._open_again is None:
-            raise self._disconnected("no path to open it by")
+            raise self._disconnection("no path to open it by")
         self._opened = self._open_again()
         self._descriptor = self._opened.fileno()
 
 
 def usb_ports() -> dict[str, tuple[str, str]]:
-    """Serial number, and interface within it, of each USB adapter, by device path."""
+    """Return serial number and interface of each USB adapter, by device path."""
     try:
         return {
             found.device: (found.serial_number, (found.location or "").partition(":")[2])
             for found in list_ports.comports()
             if found.serial_number
         }
-    except (OSError, TypeError, ValueError):  # pyserial stumbles over a device that goes while it is listed
+    except (OSError, TypeError, ValueError):  # pyserial fails on a device removed during the listing
         return {}

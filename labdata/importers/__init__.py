@@ -9,31 +9,29 @@ from pathlib import Path
 import numpy as np
 
 from labdata.errors import BadInput
+from labdata.file_io import require_regular
 from labdata.frames import FrameStack
-from labdata.importers.axes import frames_of
-from labdata.importers.byte_order import byte_order_note
-from labdata.importers.full_scale import with_full_scale
-from labdata.importers.recorded import Recorded
-from labdata.regular_file import require_regular
+from labdata.importers.axes import Recorded, frames_of
+from labdata.importers.full_scale import byte_order_note, with_full_scale
 
 __all__ = ["KINDS", "list_kinds", "module_of", "read_frames"]
 
-# Module of this package whose function `read(path)` reads a file -> the endings of its files.
 KINDS: dict[str, tuple[str, ...]] = {
-    "tiff": (".tif", ".tiff"),
-    "npy": (".npy",),
-    "fits": (".fits", ".fit", ".fts", ".fits.gz", ".fit.gz", ".fts.gz", ".fits.fz", ".fz"),
-    "pictures": (".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".pnm"),
-    "raw": (".dng", ".nef", ".cr2", ".cr3", ".arw", ".orf", ".raf", ".rw2", ".pef"),
-    "hdf5": (".h5", ".hdf5", ".hdf", ".nxs"),
-    "cameras": (".spe", ".sif", ".ser"),
-    "video": (".avi",),
-    "zarr_array": (".zarr",),
+    "tiff.read": (".tif", ".tiff"),
+    "array_files.read_npy": (".npy",),
+    "fits.read": (".fits", ".fit", ".fts", ".fits.gz", ".fit.gz", ".fts.gz", ".fits.fz", ".fz"),
+    "image_files.read_image": (".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".pnm"),
+    "image_files.read_raw": (".dng", ".nef", ".cr2", ".cr3", ".arw", ".orf", ".raf", ".rw2", ".pef"),
+    "array_files.read_hdf5": (".h5", ".hdf5", ".hdf", ".nxs"),
+    "cameras.read": (".spe", ".sif", ".ser"),
+    "image_files.read_video": (".avi",),
+    "array_files.read_zarr": (".zarr",),
 }
+"""Endings of files by module and function of this package that reads them."""
 
 
 def list_kinds() -> str:
-    """The kinds of file that can be read, in words."""
+    """Return the file endings that can be read, as text."""
     return ", ".join(ending for endings in KINDS.values() for ending in endings) + " or a Zarr array"
 
 
@@ -45,27 +43,27 @@ def read_frames(
     Parameters
     ----------
     path
-        The file; its ending says what kind it is.
+        The file; its ending determines the reader.
     plane
-        Colour plane to read where there are several: "r", "g", "b" or "luminance" of an RGB picture, "r", "g1",
-        "g2" or "b" of a mosaic. None: the luminance of an RGB picture (noted); a mosaic must be told. A number, from
-        0, is the plane along an axis that counts no frames.
+        Colour plane to read where there are several: "r", "g", "b" or "luminance" of an RGB image, "r", "g1",
+        "g2" or "b" of a mosaic. None: the luminance of an RGB image (noted); a mosaic needs a plane. A number, from
+        0, is the plane along an axis that does not count frames.
     axis
-        Number or name of the axis that counts frames, where the file does not say or says otherwise; "frame": the
-        first axis, if the file leaves it unnamed.
+        Number or name of the frame axis, where the file does not state it or states another; "frame": the
+        first axis, if the file does not name it.
     find_full_scale
-        Whether to look for the full scale in the data where the file does not state it.
+        Whether to find full scale from the data where the file does not state it.
 
     Returns
     -------
     FrameStack
-        Pixels as they are in the file, shape (frame, row, col); nothing subtracted, scaled or demosaiced. A border
-        that is not finite is cut off.
+        Pixels as in the file, shape (frame, row, col); nothing subtracted, scaled or demosaiced. A non-finite
+        border is cut off.
 
     Raises
     ------
     BadInput
-        If the file is missing, of no known kind, damaged, holds no frames, or does not say which axis counts them.
+        If the file is missing, of no known kind, damaged, without frames, or without a known frame axis.
     """
     path = Path(path)
     try:
@@ -78,7 +76,7 @@ def read_frames(
 
 
 def _stack(found: Recorded | FrameStack, plane: str | None, axis: str | None, name: str) -> FrameStack:
-    """Return the frames of what a reader found."""
+    """Return the frames of a reader's result."""
     if isinstance(found, FrameStack):
         if plane not in (None, "mono"):
             raise BadInput(f"a plane can only be taken of a colour picture or a mosaic, got plane {plane!r} of {name}")
@@ -96,7 +94,7 @@ def _stack(found: Recorded | FrameStack, plane: str | None, axis: str | None, na
 
 
 def _black_dn(found: Recorded, plane: str) -> float | None:
-    """Return the black level of the plane that was taken."""
+    """Return the black level of the selected plane."""
     if len(found.black_dn) < 2 or found.pattern is None:
         return found.black_dn[0] if found.black_dn else None
     from labdata.importers.colour_planes import planes_of
@@ -106,22 +104,23 @@ def _black_dn(found: Recorded, plane: str) -> float | None:
 
 
 def module_of(path: Path) -> str | None:
-    """Return the module of this package that reads a file of such a name; None of an unknown ending."""
+    """Return the reader of a file by its ending; None for an unknown ending."""
     name = path.name.lower()
     return next((module for module, endings in KINDS.items() if name.endswith(endings)), None)
 
 
 def reader_of(path: Path) -> Callable[[Path], Recorded | FrameStack]:
-    """Return the function that reads a file or folder; one that is neither, or of no known kind, is a BadInput."""
-    if not os.path.isdir(path):  # Path.is_dir raises on names that no disk takes
+    """Return the function that reads a file or folder; an unknown kind is a BadInput."""
+    if not os.path.isdir(path):  # Path.is_dir raises on names that no file system accepts
         require_regular(path, "a file of frames")
     if (path / "zarr.json").is_file():
-        module = "zarr_array"
-    elif path.is_dir() and module_of(path) != "zarr_array":
+        module = "array_files.read_zarr"
+    elif path.is_dir() and module_of(path) != "array_files.read_zarr":
         raise BadInput(f"frames must be a file or a Zarr array, got the folder {path}")
     elif (module := module_of(path)) is None:
         raise BadInput(
             f"a file of frames must be one of {list_kinds()}, got {path.name!r}: save it as TIFF or FITS with the "
             f"camera's own software or ImageJ (File > Save As > Tiff), video with ffmpeg -i {path.name} -c:v ffv1 x.avi"
         )
-    return import_module(f"labdata.importers.{module}").read
+    name, function = module.split(".")
+    return getattr(import_module(f"labdata.importers.{name}"), function)

@@ -5,16 +5,102 @@ An axis counts frames where the file says so or where the documented layout of i
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
+import numpy as np
 from numpy.typing import NDArray
 
 from labdata.errors import BadInput
-from labdata.frames import FrameStack
+from labdata.frames import FrameStack, blocks
 from labdata.importers import colour_planes
 from labdata.importers.decompression_limit import require_picture
-from labdata.importers.masked import without_gaps
-from labdata.importers.thresholds import LEAST_COLOUR_SIDE_PX, MOST_OBLONG
+from labdata.importers.thresholds import LEAST_COLOUR_SIDE_PX, MOST_MASKED, MOST_OBLONG
+
+
+def without_gaps(data: NDArray, name: str) -> tuple[NDArray, tuple[int, int], tuple[str, ...]]:
+    """Return frames of finite pixels, their first row and column in the file, and notes.
+
+    Parameters
+    ----------
+    data
+        Pixels, shape (frame, row, col, ...).
+    name
+        File name for messages.
+
+    Raises
+    ------
+    BadInput
+        If more than 0.5 % of the pixels inside the border are not finite.
+    """
+    if data.dtype.kind != "f":
+        return data, (0, 0), ()
+    gaps = np.zeros(data.shape[1:3], bool)
+    for block in blocks(data):
+        gaps |= ~np.isfinite(block).all(axis=(0, *range(3, data.ndim)))
+    if not gaps.any():
+        return data, (0, 0), ()
+    top, bottom, left, right = _inside(_gaps_at_border(gaps))
+    rows, cols = data.shape[1:3]
+    notes = []
+    if bottom - top < rows or right - left < cols:
+        notes.append(
+            f"a border that is not finite was cut off: rows {top} to {bottom - 1} of {rows} and columns {left} to "
+            f"{right - 1} of {cols} are measured; regions count from the file's first row and column"
+        )
+    data, gaps = data[:, top:bottom, left:right], gaps[top:bottom, left:right]
+    count = int(np.count_nonzero(gaps))
+    if count > MOST_MASKED * gaps.size or not gaps.size:
+        bad = sum(int(np.count_nonzero(~np.isfinite(block))) for block in blocks(data))
+        raise BadInput(
+            f"every pixel must be finite, but for a border and {100 * MOST_MASKED:g} % inside it, got {bad} that are "
+            f"NaN or infinite of {data.size}"
+        )
+    if count:
+        data = _fill_gaps(data, gaps)
+        notes.append(f"{count} pixels inside the picture are not finite and were filled from their neighbours")
+    return data, (top, left), tuple(notes)
+
+
+def _gaps_at_border(gaps: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the gaps connected to the image border, single pixels excluded."""
+    from scipy.ndimage import label
+
+    numbers = np.empty(gaps.shape, np.int32)
+    label(gaps, np.ones((3, 3), int), numbers)
+    outer = np.unique(np.concatenate([numbers[0], numbers[-1], numbers[:, 0], numbers[:, -1]]))
+    sizes = np.bincount(numbers.ravel())
+    return np.isin(numbers, outer[(outer > 0) & (sizes[outer] > 1)])
+
+
+def _inside(gaps: NDArray[np.bool_]) -> tuple[int, int, int, int]:
+    """Return the rows and columns left after border lines with gaps are removed, the worst first."""
+    top, left = 0, 0
+    bottom, right = gaps.shape
+    while top < bottom and left < right and (inner := gaps[top:bottom, left:right]).any():
+        lines = (inner[0].mean(), inner[-1].mean(), inner[:, 0].mean(), inner[:, -1].mean())
+        worst = int(np.argmax(lines))
+        if lines[worst] == 0.0:  # gaps inside, connected to the border only by a removed line
+            break
+        top, bottom = top + (worst == 0), bottom - (worst == 1)
+        left, right = left + (worst == 2), right - (worst == 3)
+    return top, bottom, left, right
+
+
+def _fill_gaps(data: NDArray, gaps: NDArray[np.bool_]) -> NDArray:
+    """Return a copy with each gap set to the median of the finite pixels in the smallest window around it."""
+    data = np.array(data)
+    rows, cols = gaps.shape
+    for row, col in np.argwhere(gaps):
+        reach = 1
+        while True:
+            where = np.s_[max(0, row - reach) : row + reach + 1, max(0, col - reach) : col + reach + 1]
+            if np.count_nonzero(~gaps[where]) >= 4 or reach > max(rows, cols):
+                break
+            reach += 1
+        around = data[(slice(None), *where)][:, ~gaps[where]]
+        data[:, row, col] = np.median(around, axis=1)
+    return data
+
 
 FRAME, ROW, COL, COLOUR, UNNAMED = "frame", "row", "col", "colour", "unnamed"
 KNOWN = (FRAME, ROW, COL, COLOUR)
@@ -30,16 +116,16 @@ MEANINGS = {
     **dict.fromkeys(("p", "position", "scene", "tile"), "position"),
     **dict.fromkeys(("q", "", "unnamed"), UNNAMED),
 }
-"""What the letters of tifffile, the words of others and the words of --axis stand for; any other word stays."""
+"""Axis by tifffile letter, label of other formats, or word of --axis; any other word is kept."""
 
 
 def meaning(word: str) -> str:
-    """Return what an axis counts, from its letter or name in a file."""
+    """Return the meaning of an axis from its letter or name in a file."""
     return MEANINGS.get(word.strip().lower(), word.strip().lower())
 
 
 def axes_of_labels(labels: Sequence[str | None], shape: Sequence[int]) -> tuple[str, ...]:
-    """Return what the axes of a labelled array count; rows and columns are the last two where no label says else."""
+    """Return the axes of a labelled array; rows and columns are the last two unless labelled otherwise."""
     if not any(labels):
         return names_of_shape(shape)
     names = [meaning(label or "") for label in labels]
@@ -49,10 +135,10 @@ def axes_of_labels(labels: Sequence[str | None], shape: Sequence[int]) -> tuple[
 
 
 def names_of_shape(shape: Sequence[int]) -> tuple[str, ...]:
-    """Return what the axes of an array without labels count: (row, col), (frame, row, col), colours last.
+    """Return the axes of an array without labels: (row, col), (frame, row, col), colours last.
 
-    Three planes may be colours as well as frames and stay unnamed, as does a last axis so short that the array reads
-    as (row, col, frame).
+    Three planes may be colours or frames and stay unnamed, as does a last axis so short that the array may be
+    (row, col, frame).
     """
     leading = len(shape) - 2
     if leading > 0 and shape[-1] in (3, 4) and min(shape[-3:-1]) >= LEAST_COLOUR_SIDE_PX:
@@ -68,28 +154,28 @@ def names_of_shape(shape: Sequence[int]) -> tuple[str, ...]:
 def frames_of(
     data: NDArray, names: Sequence[str], *, plane: str | None, axis: str | None, name: str, pattern: str | None = None
 ) -> FrameStack:
-    """Return an array of pictures as a stack.
+    """Return an array of images as a stack.
 
     Parameters
     ----------
     data
         Pixels, any number of axes.
     names
-        What each axis counts: "frame", "row", "col", "colour", "unnamed", or another word.
+        Axes: "frame", "row", "col", "colour", "unnamed", or another word.
     plane
-        Colour plane, or the index of a plane along every axis that counts no frames, as in "2" or "2,0".
+        Colour plane, or the index of a plane along every other axis, as in "2" or "2,0".
     axis
-        Index or name of the axis that counts frames; "frame": the first, where the file leaves it unnamed. None: the
-        file must say.
+        Index or name of the frame axis; "frame": the first, where the file does not name it. None: as stated in
+        the file.
     name
-        The file, for sentences.
+        File name for messages.
     pattern
-        Colours of a mosaic's 2x2 sites in reading order, such as "rggb"; None: no mosaic is known.
+        Colours of a mosaic's 2x2 sites in reading order, such as "rggb"; None: no mosaic.
 
     Raises
     ------
     BadInput
-        If an axis longer than 1 counts neither frames nor colours and no plane was chosen, or the choice is none.
+        If an axis longer than 1 is neither frames nor colours and no valid plane was selected.
     """
     if not data.size:
         raise BadInput(f"an array of frames must hold pixels, got the shape {data.shape} in {name}")
@@ -127,7 +213,7 @@ def frames_of(
 
 
 def _with_frame_axis(names: list[str], shape: Sequence[int], axis: str | None, name: str) -> list[str]:
-    """Return the names with the axis asked for as the one of frames."""
+    """Return the axis names with the requested axis as the frame axis."""
     if axis is None:
         return names
     if axis == FRAME:
@@ -144,14 +230,14 @@ def _with_frame_axis(names: list[str], shape: Sequence[int], axis: str | None, n
 
 
 def _index(names: list[str], axis: str) -> int | None:
-    """Return the place of an axis given by its number or its name."""
+    """Return the index of an axis given by number or name."""
     if axis.isdecimal():
         return int(axis) if int(axis) < len(names) else None
     return names.index(meaning(axis)) if meaning(axis) in names else None
 
 
 def _plane_index(shape: Sequence[int], names: list[str], others: list[int], plane: str | None, name: str) -> list[int]:
-    """Return the index of the plane on every axis that counts no frames; refuse where none was chosen."""
+    """Return the plane index along every other axis; BadInput where none was selected."""
     chosen = [] if plane is None else plane.split(",")
     if not others:
         return []
@@ -170,9 +256,45 @@ def _plane_index(shape: Sequence[int], names: list[str], others: list[int], plan
 
 
 def _describe_axes(names: Sequence[str], shape: Sequence[int]) -> str:
-    """Return the axes in words: (0 unnamed 16, 1 row 512, 2 col 640)."""
+    """Return the axes as text: (0 unnamed of 16, 1 row of 512, 2 col of 640)."""
     return (
         "("
         + ", ".join(f"{at} {what} of {size}" for at, (what, size) in enumerate(zip(names, shape, strict=True)))
         + ")"
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recorded:
+    """Pixels of a file before the choice of axes and plane.
+
+    Parameters
+    ----------
+    data
+        Pixels, any number of axes.
+    names
+        Meaning of each axis.
+    pattern
+        Colours of a mosaic's 2x2 sites in reading order, such as "rggb"; None: no mosaic.
+    black_dn
+        Black level, DN: one value, or one per site of the mosaic in reading order; empty: unknown.
+    full_scale_dn
+        Full scale, DN; None: not stated.
+    notes
+        Notes on the storage of the pixels.
+    doubts
+        Notes on the axes, omitted if the frame axis is selected.
+    """
+
+    data: NDArray
+    names: Sequence[str]
+    pattern: str | None = None
+    black_dn: tuple[float, ...] = ()
+    full_scale_dn: float | None = None
+    notes: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
+
+
+def lossy_note(how: str) -> str:
+    """Return the note of a lossy compression."""
+    return f"{how} compression is lossy: it alters fine detail and noise, so MTF, noise and their intervals may be off"

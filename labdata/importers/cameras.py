@@ -1,4 +1,4 @@
-"""Files of camera software: Princeton Instruments SPE, Andor SIF, SER of astronomical and machine cameras."""
+"""Readers of camera software files: Princeton Instruments SPE, Andor SIF, SER."""
 
 import struct
 import warnings
@@ -8,8 +8,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from labdata.errors import BadInput
-from labdata.importers.axes import COL, COLOUR, FRAME, ROW
-from labdata.importers.recorded import Recorded
+from labdata.importers.axes import COL, COLOUR, FRAME, ROW, Recorded
 
 SPE_HEADER_BYTES = 4100
 SPE_FIELDS = {
@@ -20,14 +19,14 @@ SPE_FIELDS = {
     "frames": (1446, "<i"),
     "version": (1992, "<f"),
 }
-"""Byte and form of what the header states (Princeton Instruments, SPE 3.0 File Format Specification, appendix A)."""
+"""Header fields: byte offset and format (Princeton Instruments, SPE 3.0 File Format Specification, appendix A)."""
 SPE_TYPES = {0: "<f4", 1: "<i4", 2: "<i2", 3: "<u2", 5: "<f8", 6: "u1", 8: "<u4"}
 
 SER_MAGIC = b"LUCAM-RECORDER"
 SER_HEADER_BYTES = 178
 SER_MOSAICS = {8: "rggb", 9: "grbg", 10: "gbrg", 11: "bggr"}
 SER_COLOURS = {0: 1, 100: 3, 101: 3}
-"""Samples of a pixel by ColorID: grey, RGB, BGR (SER format description version 3, Grischa Hahn)."""
+"""Samples per pixel by ColorID: grey, RGB, BGR (SER format description version 3, Grischa Hahn)."""
 
 
 def read(path: Path) -> Recorded:
@@ -57,7 +56,7 @@ def _spe(path: Path) -> Recorded:
         frame, regions = blocks[0], blocks[1:]
         if len(regions) != 1:
             raise BadInput(f"an SPE file must hold one region a frame, got {len(regions)} in {path}")
-        # Between two frames lie their time stamps, where they are recorded.
+        # Recorded time stamps lie between the frames.
         frames, stride = int(frame["count"]), int(frame["stride"])
         rows, cols = int(regions[0]["height"]), int(regions[0]["width"])
     if SPE_HEADER_BYTES + (frames - 1) * stride + rows * cols * kind.itemsize > content.size:
@@ -89,7 +88,7 @@ def _ser(path: Path) -> Recorded:
         raise BadInput(
             f"a SER file must be grey, a Bayer mosaic or RGB of up to 16 bits, got ColorID {colour} in {path}"
         )
-    # Most writers set the flag of the byte order the wrong way round: 0 is little-endian (Siril, FireCapture, PIPP).
+    # Most writers invert the byte-order flag: 0 is little-endian (Siril, FireCapture, PIPP).
     kind = np.dtype("u1" if bits <= 8 else ">u2" if little else "<u2")
     shape = (frames, rows, columns, samples)
     if SER_HEADER_BYTES + int(np.prod(shape, dtype=object)) * kind.itemsize > path.stat().st_size:

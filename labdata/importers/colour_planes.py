@@ -1,4 +1,4 @@
-"""Colour planes of a picture or of a mosaic: one is chosen, or the luminance is taken and a note says so."""
+"""Colour planes of an RGB image or of a mosaic."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,19 +7,19 @@ from labdata.errors import BadInput
 from labdata.frames import FrameStack
 from labdata.importers.thresholds import MOSAIC_LEVEL, MOSAIC_SIGNIFICANCE
 
-# Weights of red, green and blue in luminance, as the reference tables of ISO 12233 edges use them.
+# Weights of red, green and blue in luminance (ISO 12233).
 LUMINANCE = (0.2125, 0.7154, 0.0721)
 LUMINANCE_NOTE = "colour picture: the luminance 0.2125 R + 0.7154 G + 0.0721 B was taken"
 SITES = ("r", "g1", "g2", "b")
 
 
 def require_monochrome(data: NDArray, plane: str | None, name: str, pattern: str | None = None) -> FrameStack:
-    """Return frames of one sample a pixel, shape (frame, row, col), or one plane of them if they are a mosaic.
+    """Return frames of one sample per pixel, shape (frame, row, col), or one plane of a mosaic.
 
     Parameters
     ----------
     pattern
-        Colours of the 2x2 sites in reading order, as the file states them; None: a mosaic must show in the data.
+        Colours of the 2x2 sites in reading order, from the file; None: a mosaic is detected from the data.
     """
     if pattern is not None:
         return _of_mosaic(data, planes_of(np.arange(4).reshape(2, 2), pattern), plane, name)
@@ -47,7 +47,7 @@ def _of_mosaic(data: NDArray, sites: dict[str, tuple[int, int]], plane: str | No
 
 
 def site_of(sites: dict[str, tuple[int, int]], plane: str | None, name: str) -> tuple[int, int]:
-    """Return the row and column of a plane in a mosaic's pattern; a mosaic's plane must be chosen."""
+    """Return the row and column of a plane in a mosaic's pattern; a mosaic needs a plane."""
     if plane not in sites:
         raise BadInput(f"the plane of this mosaic must be one of {', '.join(sites)}, got {plane} for {name}")
     return sites[plane]
@@ -67,13 +67,13 @@ def planes_of(pattern: NDArray, description: str) -> dict[str, tuple[int, int]]:
 
 
 def green_diagonal(data: NDArray) -> int | None:
-    """Return which diagonal of the 2x2 sites holds the greens of a mosaic: 0 the main one, 1 the other; else None.
+    """Return the diagonal of the green sites of a mosaic: 0 main, 1 other; None if there is no mosaic.
 
     Notes
     -----
-    Of the brighter half of all 2x2 cells the checkerboard amplitude (p00 + p11 - p01 - p10) / 4 is compared with its
-    standard error over the cells and with the mean level. Gains of rows and of columns, as of two taps or two fields,
-    have none. The greens are the diagonal whose two sites differ less.
+    The checkerboard amplitude (p00 + p11 - p01 - p10) / 4 of the brighter half of all 2x2 cells is compared with its
+    standard error over the cells and with the mean signal. Row and column gains, as of two taps or two fields, do not
+    contribute. The green sites are the diagonal with the smaller difference.
     """
     if min(data.shape[1:]) < 16:
         return None
@@ -98,7 +98,7 @@ def select_plane(data: NDArray, plane: str | None, name: str) -> FrameStack:
     """Return one plane, or the luminance, of colour frames of the shape (frame, row, col, 3 or 4)."""
     if plane in (None, "luminance"):
         luminance = data[..., :3].astype(np.float64) @ np.asarray(LUMINANCE)
-        # A mean of 8-bit planes ends where they do; of wider ones nobody knows how many bits are used.
+        # The mean of 8-bit planes has their full scale; the bits used in wider planes are unknown.
         full_scale_dn = 255.0 if data.dtype == np.uint8 else None
         return FrameStack(data=luminance, full_scale_dn=full_scale_dn, plane="luminance", notes=(LUMINANCE_NOTE,))
     if plane not in ("r", "g", "b", "0", "1", "2"):

@@ -11,14 +11,14 @@ from labdata.importers.thresholds import MOST_EXPANSION, MOST_OF_MEMORY, MOST_PI
 
 
 def require_picture(rows: int, cols: int, name: str) -> None:
-    """Refuse a picture of more pixels than any camera has.
+    """Require an image to have no more pixels than a camera can have.
 
     Parameters
     ----------
     rows, cols
-        Its size, px.
+        Size of the image, px.
     name
-        The file, for the sentence.
+        File name for the message.
     """
     if rows * cols > MOST_PICTURE_PX:
         raise BadInput(
@@ -28,16 +28,16 @@ def require_picture(rows: int, cols: int, name: str) -> None:
 
 
 def require_memory(pixels: int, pixel_bytes: int, name: str) -> None:
-    """Refuse frames that do not fit into memory.
+    """Require frames to fit into memory.
 
     Parameters
     ----------
     pixels
         Pixels of all frames and colours.
     pixel_bytes
-        Bytes of one of them once unpacked.
+        Bytes of one pixel, unpacked.
     name
-        The file, for the sentence.
+        File name for the message.
     """
     most_bytes = memory_bytes() * MOST_OF_MEMORY
     if pixels * pixel_bytes > most_bytes:
@@ -49,14 +49,14 @@ def require_memory(pixels: int, pixel_bytes: int, name: str) -> None:
 
 
 def require_room(path: Path, *, pixels: int, pixel_bytes: int) -> None:
-    """Refuse a file that states more pixels than fit into memory, or than could come out of so small a file.
+    """Require the stated pixels to fit into memory and to be possible for the size of the file.
 
     Parameters
     ----------
     path
         The file, or the folder of an array.
     pixels, pixel_bytes
-        As in `require_memory`, as the file states them.
+        As in `require_memory`, from the header of the file.
     """
     require_memory(pixels, pixel_bytes, path.name)
     files = [path] if path.is_file() else path.rglob("*")

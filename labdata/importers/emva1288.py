@@ -1,15 +1,14 @@
-"""EMVA 1288 descriptor files: a photon-transfer series becomes a session that points at its images."""
+"""EMVA 1288 descriptor files: a session from a photon-transfer series."""
 
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from labdata.atomic_write import write_atomically
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
+from labdata.file_io import require_regular, write_atomically
 from labdata.file_records import SessionFile, StackRecord, stack_record
-from labdata.regular_file import require_regular
 from labdata.serialiser import from_mapping, to_mapping, to_toml
 from labdata.session import MANIFEST, Kind, Session, session_of
 
@@ -18,7 +17,7 @@ KINDS: dict[str, Kind] = {"b": "flat", "d": "dark"}
 
 @dataclass(frozen=True, kw_only=True)
 class DescriptorBlock:
-    """One block of the descriptor: an exposure, bright or dark, and its images.
+    """One block of the descriptor: a bright or dark exposure and its images.
 
     Parameters
     ----------
@@ -27,9 +26,9 @@ class DescriptorBlock:
     exposure_ns
         Exposure, ns.
     photons_per_px
-        Mean number of photons on a pixel in one exposure; None in the dark.
+        Mean number of photons per pixel and exposure; None for darks.
     images
-        Images as the descriptor names them, relative to it: two are a temporal pair, more a spatial series.
+        Paths of the images relative to the descriptor: two are a temporal pair, more a spatial series.
     """
 
     kind: Kind
@@ -40,7 +39,7 @@ class DescriptorBlock:
 
 @dataclass(frozen=True, kw_only=True)
 class Descriptor:
-    """What a descriptor file says.
+    """Content of a descriptor file.
 
     Parameters
     ----------
@@ -62,14 +61,14 @@ class Descriptor:
 
 
 def import_emva1288(file: str | Path, out: str | Path) -> Session:
-    """Make a session of an EMVA 1288 descriptor file; its images stay where they are.
+    """Make a session that refers to the images of an EMVA 1288 descriptor file.
 
     Parameters
     ----------
     file
         The descriptor: lines `v` version, `n` bits width height, `b` exposure photons, `d` exposure (ns), `i` image.
     out
-        Folder of the session, made where it is missing.
+        Folder of the session, created if missing.
 
     Raises
     ------
@@ -91,7 +90,7 @@ def import_emva1288(file: str | Path, out: str | Path) -> Session:
 
 
 def write_session(form: SessionFile, out: Path) -> Session:
-    """Return a new session, its manifest written once it has been checked."""
+    """Check a new session, write its manifest and return it."""
     if (out / MANIFEST).exists():
         raise BadInput(f"a new session needs a folder without one, got {out}")
     form = from_mapping(to_mapping(form), SessionFile, where=MANIFEST)
@@ -105,7 +104,7 @@ def write_session(form: SessionFile, out: Path) -> Session:
 
 
 def relative(path: Path, folder: Path) -> str:
-    """Return a path as a session in the folder would name it: relative if it lies close by, absolute otherwise."""
+    """Return a path for the manifest of a folder: relative inside the parent folder, absolute elsewhere."""
     path, folder = path.resolve(), folder.resolve()
     near = os.path.relpath(path, folder)
     return near if path.is_relative_to(folder.parent) else str(path)
@@ -153,7 +152,7 @@ def _level(key: str, values: Sequence[str]) -> DescriptorBlock:
 
 
 def _with_image(level: DescriptorBlock, image: str) -> DescriptorBlock:
-    # Descriptors are written on Windows too.
+    # Descriptors written on Windows have backslashes.
     name = image.replace("\\", "/")
     if not name or "\0" in name:
         raise ValueError
@@ -166,7 +165,7 @@ def _with_image(level: DescriptorBlock, image: str) -> DescriptorBlock:
 
 
 def _check_size(descriptor: Descriptor, file: Path) -> None:
-    """Look at the first image: a descriptor beside other images than its own is refused early."""
+    """Require the size of the first image to match the descriptor."""
     from labdata.importers import read_frames
 
     for image in descriptor.levels[0].images[:1]:

@@ -1,4 +1,4 @@
-"""FITS, plain or packed by gzip or fpack: the first image of the file, scaled as its header says."""
+"""Reader of FITS files, plain or packed by gzip or fpack."""
 
 import gzip
 import math
@@ -9,16 +9,15 @@ from pathlib import Path
 import numpy as np
 
 from labdata.errors import BadInput
-from labdata.importers.axes import COL, FRAME, ROW, UNNAMED, meaning
+from labdata.importers.axes import COL, FRAME, ROW, UNNAMED, Recorded, lossy_note, meaning
 from labdata.importers.decompression_limit import require_picture, require_room
-from labdata.importers.recorded import Recorded, lossy_note
 
 GZIP_MAGIC = b"\x1f\x8b"
 BLOCK_BYTES = 2880
 MOST_HEADER_BYTES = 1000 * BLOCK_BYTES  # 36,000 cards; the longest headers of observatories have some thousands
 
 FRAME_COUNTS = ("NFRAMES", "NUMFRAME", "NUMFRMS", "FRAMES", "NIMAGES", "NUMKIN")
-"""Cards in which camera software states how many frames an image holds."""
+"""Cards with the number of frames, as written by camera software."""
 
 
 def read(path: Path) -> Recorded:
@@ -28,7 +27,7 @@ def read(path: Path) -> Recorded:
     except ImportError:
         raise BadInput(f"FITS files need astropy, got {path.name}: pip install 'charact[fits]'") from None
     try:
-        # Headers out of order are common and harmless; a file that ends early is neither.
+        # Headers out of order are common and harmless; a truncated file is not.
         with warnings.catch_warnings(record=True) as warned, open(path, "rb") as content:
             warnings.simplefilter("always")
             _check_headers(path)
@@ -49,7 +48,7 @@ def _image_of(file, path: Path) -> Recorded:
         if not getattr(unit, "is_image", False) or axes < 2:
             continue
         packed = getattr(unit, "compression_type", None)
-        # Integers are packed as they are; reals are first rounded to a fraction of their noise.
+        # Integers are packed without loss; reals are rounded to a fraction of their noise first.
         lossy = (lossy_note(packed),) if packed is not None and unit.header["BITPIX"] < 0 else ()
         pattern = str(unit.header.get("BAYERPAT", "")).strip().lower()
         return Recorded(
@@ -62,12 +61,12 @@ def _image_of(file, path: Path) -> Recorded:
 
 
 def _check_headers(path: Path) -> None:
-    """Refuse an image that is too large and a header without an end; astropy would unpack either in full.
+    """Require a header with an end and an image that fits into memory, before astropy unpacks it.
 
     Notes
     -----
-    A header is a run of blocks of 2880 bytes, 36 cards of 80, the last card END; its data follow, padded to blocks
-    (FITS Standard 4.0, section 3). An image packed into the rows of a table has its sizes under names of its own
+    A header is a sequence of 2880-byte blocks of 36 cards of 80 bytes; its last card is END. Data follow, padded to
+    blocks (FITS Standard 4.0, section 3). An image packed into table rows has its sizes under separate names
     (section 10.1).
     """
     from astropy.io import fits
@@ -90,13 +89,13 @@ def _check_headers(path: Path) -> None:
 
 
 def _axes(header, prefix: str) -> tuple[list[int], int]:
-    """Return the length of each axis, and the bytes of a value, as the cards of a prefix state them."""
+    """Return the length of each axis, and the bytes of a value, from the cards with a prefix."""
     axes = [_number(header, f"{prefix}NAXIS{axis}") for axis in range(1, _number(header, f"{prefix}NAXIS") + 1)]
     return axes, abs(_number(header, f"{prefix}BITPIX")) // 8
 
 
 def _number(header, card: str, default: int | None = None) -> int:
-    """Return the whole number of a card; a missing one without a default is a KeyError."""
+    """Return the integer of a card; a missing one without a default is a KeyError."""
     return int(header[card] if default is None else header.get(card, default))
 
 
@@ -112,7 +111,7 @@ def _header_text(file: BufferedIOBase, path: Path) -> bytes:
 
 
 def _names(header, axes: int) -> tuple[str, ...]:
-    """Return what the axes count, slowest first; beyond columns and rows by CTYPE or a card that counts frames."""
+    """Return the axes, slowest first; beyond columns and rows from CTYPE or a frame-count card."""
     names = [COL, ROW]
     for axis in range(3, axes + 1):
         stated = str(header.get(f"CTYPE{axis}", "")).split("-")[0]

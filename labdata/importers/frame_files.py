@@ -1,4 +1,4 @@
-"""Loose files of frames become a session; a pattern reads conditions from their names."""
+"""Session from separate files of frames; a name pattern gives the conditions."""
 
 import re
 from collections.abc import Iterable
@@ -23,27 +23,27 @@ def import_frames(
     axis: str | None = None,
     plane: str | None = None,
 ) -> Session:
-    """Make a session of files of frames; they stay where they are.
+    """Make a session that refers to files of frames where they are.
 
     Parameters
     ----------
     files
         The files, each read as `labdata.importers.read_frames` reads it.
     out
-        Folder of the session, made where it is missing.
+        Folder of the session, created if missing.
     kind
         What the frames show.
     name_pattern
-        How conditions stand in the names, such as "{mcp_v}V_{gate_ns}ns_*": a condition in braces matches a number,
-        * anything. Files under the same conditions become one stack. None: a stack for each file.
+        Pattern of the file names, such as "{mcp_v}V_{gate_ns}ns_*": a condition in braces matches a number,
+        * anything. Files of equal conditions become one stack. None: one stack per file.
     axis, plane
-        The axis of the files that counts frames and the plane to read, kept in the session.
+        Frame axis of the files and plane to read, kept in the session.
 
     Raises
     ------
     BadInput
-        If a file is missing, of no known kind, holds no frames, does not match the pattern, or has not the picture size
-        of the others of its stack.
+        If a file is missing, of no known kind, without frames, does not match the pattern, or differs in image size
+        from its stack.
     """
     from labdata.importers import reader_of
 
@@ -59,7 +59,7 @@ def import_frames(
 
 
 def _findings(stacks: tuple[StackRecord, ...], out: Path) -> tuple[str, ...]:
-    """Read every file once; return what readers note of them and where stacks differ in size.
+    """Read every file once; return notes of the readers and on stacks of different sizes.
 
     Raises
     ------
@@ -122,7 +122,7 @@ def _group_files(paths: list[Path], out: Path, kind: Kind, pattern: str) -> tupl
 
 
 def name_expression(pattern: str) -> re.Pattern[str]:
-    """Return the regular expression of a name pattern; a condition that does not exist is a BadInput."""
+    """Return the regular expression of a name pattern; an unknown condition is a BadInput."""
     known = [item.name for item in fields(Conditions) if item.name not in SWITCHES]
     parts = re.split(r"(\{[^{}]*\}|\*)", pattern)
     names = [part[1:-1] for part in parts if part.startswith("{")]

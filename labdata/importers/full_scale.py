@@ -1,4 +1,4 @@
-"""Full scale of the digitiser, found from the data where it is not stated: the last code, where pixels pile up."""
+"""Full scale and byte order of frames, found from the data."""
 
 from dataclasses import replace
 
@@ -12,14 +12,14 @@ FOUND = "full scale found from the data"
 
 
 def with_full_scale(stack: FrameStack) -> FrameStack:
-    """Return frames with their full scale, if it is known or shows.
+    """Return frames with their full scale, if it is known or can be found.
 
     Notes
     -----
-    Whole numbers of 8 bits end at 255. In wider types full scale shows only where pixels sit on it: the highest value
-    is then 2^n - 1 steps of the digitiser, and not by the chance of a noise's single highest pixel, so several must be
-    there. The step is 1 in plain whole numbers, a power of 2 where n bits fill the upper ones of a wider type, and
-    1 / (2^n - 1) in real numbers from 0 to 1. Frames that stay below full scale do not show it, and need it least.
+    Full scale of 8-bit integers is 255. In wider types it can be found only if pixels are at full scale: the highest
+    value is then 2^n - 1 quantisation steps, and several pixels must have it, since noise has a single highest
+    pixel. The step is 1 in plain integers, a power of 2 where n bits are the upper ones of a wider type, and
+    1 / (2^n - 1) in real numbers from 0 to 1. Frames below full scale do not need it.
     """
     if stack.full_scale_dn is not None:
         return stack
@@ -38,17 +38,17 @@ def with_full_scale(stack: FrameStack) -> FrameStack:
 
 
 def ends_at(highest: int, held: int) -> bool:
-    """Whether the highest code in the data, in so many pixels, is the last one of a digitiser."""
+    """Return whether the highest value, with its number of pixels, is the full scale of a digitiser."""
     return highest.bit_length() >= LEAST_BITS and highest == 2 ** highest.bit_length() - 1 and held >= LEAST_PIXELS
 
 
 def _bits_of(data: NDArray, highest: float) -> int | None:
-    """Return the bits of the digitiser whose last code the highest value is; None if no digitiser ends there.
+    """Return the bits of the digitiser whose full scale is the highest value; None if there is none.
 
     Notes
     -----
-    Whole numbers are divided by the largest power of 2 that divides them all. Real numbers must all be multiples of the
-    highest one over 2^n - 1 within their rounding; those of the first frame are looked at.
+    Integers are divided by their largest common power of 2. Real numbers of the first frame must be multiples of the
+    highest one over 2^n - 1 within their rounding.
     """
     if data.dtype.kind in "ui":
         used = 0
@@ -68,7 +68,7 @@ def _bits_of(data: NDArray, highest: float) -> int | None:
 
 
 def _highest(data: NDArray) -> tuple[float | int, int]:
-    """Return the highest value and how many pixels hold it, in one pass."""
+    """Return the highest value and its number of pixels, in one pass."""
     highest, held = None, 0
     for block in blocks(data):
         top = block.max()
@@ -76,3 +76,25 @@ def _highest(data: NDArray) -> tuple[float | int, int]:
             highest, held = top, 0
         held += int(np.count_nonzero(block == top)) if top == highest else 0
     return (0 if highest is None else highest.item()), held
+
+
+def byte_order_note(data: NDArray) -> tuple[str, ...]:
+    """Return a note if the bytes of 16-bit pixels appear swapped.
+
+    Notes
+    -----
+    Most digitisers have at most 14 bits. With swapped bytes the two upper bits of the low byte are never set
+    while all bits of the high byte are used. In the right order, values that differ by more than 64 set them; bits
+    shifted left leave the lower bits of the low byte unused, not the upper ones.
+    """
+    if data.dtype.kind not in "ui" or data.dtype.itemsize != 2:
+        return ()
+    used = int(np.bitwise_or.reduce(np.asarray(data[0]).view(np.uint16), axis=None))
+    high, low = divmod(used, 256)
+    if high != 255 or not 0 < low < 64:
+        return ()
+    return (
+        f"the two bytes of each pixel look swapped: all bits of the high byte are in use and none above the "
+        f"{low.bit_length()} lowest of the low one; if so, no number here is right: write the file again in the other "
+        "byte order",
+    )

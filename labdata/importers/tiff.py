@@ -1,4 +1,4 @@
-"""TIFF: whole and real pixels of 1 to 64 bits, packed or not, many pages, their axes by the file's own description."""
+"""Reader of TIFF files: integer and real pixels of 1 to 64 bits, many pages."""
 
 import logging
 import math
@@ -7,14 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from labdata.errors import BadInput
-from labdata.importers.axes import COL, COLOUR, FRAME, ROW, UNNAMED, meaning, names_of_shape
+from labdata.importers.axes import COL, COLOUR, FRAME, ROW, UNNAMED, Recorded, lossy_note, meaning, names_of_shape
 from labdata.importers.decompression_limit import require_picture, require_room
-from labdata.importers.recorded import Recorded, lossy_note
 from labdata.importers.thresholds import THUMBNAIL
 
 LOSSY = ("JPEG", "WEBP", "JETRAW")
 CFA_PATTERN = 33422
-"""Tag of the colours of a mosaic's sites, 0 red, 1 green, 2 blue (TIFF/EP, ISO 12234-2)."""
+"""Tag of the mosaic colours, 0 red, 1 green, 2 blue (TIFF/EP, ISO 12234-2)."""
 
 
 def read(path: Path) -> Recorded:
@@ -22,7 +21,7 @@ def read(path: Path) -> Recorded:
     import tifffile
 
     logger = logging.getLogger("tifffile")
-    silent, logger.disabled = logger.disabled, True  # it logs what we turn into a sentence
+    silent, logger.disabled = logger.disabled, True  # its warnings become messages here
     try:
         with tifffile.TiffFile(path) as file:
             return _read_series(file, path)
@@ -60,7 +59,7 @@ def _read_series(file, path: Path) -> Recorded:
 
 
 def _largest(file, path: Path) -> tuple:
-    """Return the series of the largest pictures, and a note where reduced copies lie beside it."""
+    """Return the series of the largest images, and a note on reduced copies."""
     sizes = [math.prod(one.keyframe.shape[:2]) for one in file.series]
     series = file.series[int(np.argmax(sizes))]
     others = [size for one, size in zip(file.series, sizes, strict=True) if one is not series]
@@ -71,10 +70,10 @@ def _largest(file, path: Path) -> tuple:
 
 
 def _names(file, series) -> tuple[str, ...]:
-    """Return what the axes count, by the letters of the series.
+    """Return the axes from the letters of the series.
 
-    Pages without a description follow one another as frames, if their shape does not speak against it. ImageJ calls
-    every stack slices; only a hyperstack's are focus positions.
+    Pages without a description are frames, unless their shape excludes it. ImageJ labels every stack as
+    slices; only in a hyperstack these are focus positions.
     """
     names = [meaning(letter) for letter in series.axes]
     plain = (file.imagej_metadata or {}).get("hyperstack") is None and series.kind == "imagej"
@@ -94,7 +93,7 @@ def _pattern(page) -> str | None:
 
 
 def _check_whole(file, path: Path) -> None:
-    """Refuse a file that ends before its last strip: the decoder would fill the rest in silence."""
+    """Require all strips to lie within the file, since the decoder fills missing data silently."""
     if not file.pages:
         raise BadInput(f"a TIFF file must hold at least one page, got none in {path}")
     size = path.stat().st_size
@@ -106,7 +105,7 @@ def _check_whole(file, path: Path) -> None:
 
 
 def _check_possible(file, path: Path) -> None:
-    """Refuse pages of more pixels than can be; strips and tiles are unpacked whole, however few pixels are used."""
+    """Require a possible number of pixels; strips and tiles are unpacked completely."""
     pixels, pixel_bytes = 0, 1
     for page in file.pages:
         page = page.aspage()
@@ -117,11 +116,11 @@ def _check_possible(file, path: Path) -> None:
 
 
 def _check_meaning(page, path: Path) -> tuple[str, ...]:
-    """Refuse pixels that are no measure of light: indices of colours, or counts that fall with light."""
+    """Require pixel values to increase with light: no colour indices, no inverted scale."""
     photometric = getattr(page.photometric, "name", "")
     if photometric == "PALETTE":
         table = np.asarray(page.colormap, np.int64)
-        # A scale of grey, or of one colour as ImageJ has them, orders the stored values as a display shows them.
+        # A monotonic table, grey or of one colour as in ImageJ, keeps the order of the stored values.
         if (np.diff(table) >= 0).all() and (table[:, -1] > table[:, 0]).any():
             return ("the look-up table of the file rises with the stored values, which are measured as they are",)
         raise BadInput(

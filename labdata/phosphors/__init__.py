@@ -1,4 +1,4 @@
-"""Screens of image intensifiers: the shipped phosphors by name, others by path."""
+"""Phosphor screens: the shipped ones by name, others by path."""
 
 import os
 from importlib import resources

@@ -1,12 +1,12 @@
-"""Camera descriptions: the shipped ones by name, others by path."""
+"""Sensor descriptions: the shipped ones by name, others by path."""
 
 import os
 import tomllib
 from importlib import resources
 from pathlib import Path
 
-from labdata.atomic_write import write_atomically
 from labdata.errors import BadInput
+from labdata.file_io import write_atomically
 from labdata.sensor import Sensor
 from labdata.serialiser import from_toml, to_toml
 from labdata.solid_state import SolidStateCamera
@@ -48,7 +48,7 @@ def load_camera(name_or_path: str | Path, relative_to: str | Path | None = None)
         with resources.as_file(resources.files("labdata.sensors") / f"{name_or_path}.toml") as path:
             return from_toml(path, _type_of(path))
     path = Path(relative_to or ".") / Path(name_or_path).expanduser()
-    if not os.path.isfile(path):  # where a name is no path at all, is_file would raise
+    if not os.path.isfile(path):  # Path.is_file raises on invalid names
         raise BadInput(
             f"a sensor must be one of {', '.join(sensor_names())} or the path of a TOML file, got {str(name_or_path)!r}"
         )
@@ -56,7 +56,7 @@ def load_camera(name_or_path: str | Path, relative_to: str | Path | None = None)
 
 
 def _type_of(path: Path) -> type[Sensor] | type[SolidStateCamera]:
-    """Return what a file describes; what cannot be read as TOML is left to the border to refuse."""
+    """Return the type that a file describes; the serialiser refuses what is not TOML."""
     try:
         tables = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
@@ -65,5 +65,5 @@ def _type_of(path: Path) -> type[Sensor] | type[SolidStateCamera]:
 
 
 def save_sensor(camera: Sensor | SolidStateCamera, path: str | Path) -> None:
-    """Write a camera description, whole or not at all."""
+    """Write a camera description atomically."""
     write_atomically(path, to_toml(camera).encode())

@@ -7,8 +7,7 @@ and named, and never changed.
 
 from labdata.store.array_reader import ArrayFollower, read
 from labdata.store.journal import Acknowledged, Journal, is_ours, read_journal, sha256
-from labdata.store.session_writer import SessionWriter
-from labdata.store.stack_writer import StackWriter
+from labdata.store.session_writer import SessionWriter, StackWriter
 
 __all__ = [
     "Acknowledged",

@@ -1,4 +1,4 @@
-"""Reading the store: the acknowledged frames of an array, finished or growing, compared with what was acknowledged."""
+"""Read acknowledged frames of an array, complete or still growing."""
 
 from collections.abc import Sequence
 from itertools import groupby
@@ -15,19 +15,19 @@ from labdata.store.journal import JOURNAL, Acknowledged, read_journal, records_o
 
 
 def read(path: str | Path, *, verify: bool = True) -> FrameStack:
-    """Read the acknowledged frames of an array; those that its journal lost are counted and named in a note.
+    """Read the acknowledged frames of an array; frames lost by its journal are counted and noted.
 
     Parameters
     ----------
     path
         The array's folder.
     verify
-        Compare each frame with its SHA-256.
+        Whether to compare each frame with its SHA-256.
 
     Raises
     ------
     BadInput
-        If no frame was acknowledged, or one is not what was acknowledged.
+        If no frame was acknowledged, or one differs from its digest.
     """
     path = Path(path)
     journal = read_journal(path)
@@ -42,7 +42,7 @@ def read(path: str | Path, *, verify: bool = True) -> FrameStack:
 
 
 def open_array(path: Path) -> Any:
-    """Open the Zarr array itself, as large as it is now, without reading it."""
+    """Open the Zarr array in its present size, without reading it."""
     import zarr
 
     try:
@@ -52,7 +52,7 @@ def open_array(path: Path) -> Any:
 
 
 def read_frames(path: Path, array: Any, frames: Sequence[Acknowledged], *, verify: bool = True) -> NDArray:
-    """Read frames of an array opened by `open_array`, by place; altered or missing ones are a BadInput.
+    """Read frames of an array opened by `open_array`; altered or missing ones are a BadInput.
 
     Returns
     -------
@@ -71,17 +71,17 @@ def read_frames(path: Path, array: Any, frames: Sequence[Acknowledged], *, verif
 
 
 def _pixels(path: Path, array: Any, first: int, last: int) -> NDArray:
-    """Read frames first..last-1; files of other sizes than the array's description states are a BadInput."""
+    """Read frames first..last-1; files of a size other than stated by the metadata are a BadInput."""
     if array.shape[0] < last:
         raise BadInput(f"{path} must hold the {last} frames of its journal, got {array.shape[0]}")
     try:
         return array[first:last]
-    except Exception:  # decoding fails in as many ways as there are codecs
+    except Exception:  # each codec raises its own errors
         raise BadInput(f"the frames {first} to {last - 1} of {path} must be as it describes them, got others") from None
 
 
 class ArrayFollower:
-    """An array of the store that may still grow: only what is new is read, frame by frame.
+    """An array of the store that may still grow; only new frames are read, one by one.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ class ArrayFollower:
 
     Notes
     -----
-    It only reads, and never waits for the writer: what the journal acknowledges is whole.
+    It only reads and never waits for the writer: acknowledged frames are complete.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -100,11 +100,11 @@ class ArrayFollower:
         self._array: Any = None
 
     def __len__(self) -> int:
-        """Frames seen so far."""
+        """Number of acknowledged frames so far."""
         return self._frames
 
     def news(self) -> tuple[Acknowledged, ...]:
-        """Return what was acknowledged since the last look."""
+        """Return the frames acknowledged since the last call."""
         try:
             with open(self.path / JOURNAL, "rb") as file:
                 file.seek(self._read_bytes)
@@ -122,7 +122,7 @@ class ArrayFollower:
         return news
 
     def frame(self, entry: Acknowledged) -> Frame:
-        """Read one acknowledged frame; one that is not what was acknowledged is a BadInput."""
+        """Read one acknowledged frame; one that differs from its digest is a BadInput."""
         if self._array is None or self._array.shape[0] <= entry.index:
             self._array = open_array(self.path)
         pixels: NDArray = read_frames(self.path, self._array, (entry,))[0]

@@ -1,4 +1,4 @@
-"""Writing to the store: each frame is on the disk, whole and acknowledged, before `append` returns."""
+"""Append frames to an array; each is on the disk and acknowledged before `append` returns."""
 
 import os
 import shutil
@@ -10,27 +10,38 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata.atomic_write import ends_mid_line, sync_folder, write_atomically, write_whole
 from labdata.background import BackgroundWriter
 from labdata.capture import Frame
 from labdata.errors import BadInput
-from labdata.store.journal import JOURNAL, NUMBERS, Acknowledged, is_ours, read_journal, sha256
-from labdata.store.layout import METADATA, chunk, frame_bytes, metadata, read_metadata
+from labdata.file_io import ends_mid_line, sync_folder, write_atomically, write_whole
+from labdata.store.journal import (
+    JOURNAL,
+    METADATA,
+    NUMBERS,
+    Acknowledged,
+    chunk,
+    frame_bytes,
+    is_ours,
+    metadata,
+    read_journal,
+    read_metadata,
+    sha256,
+)
 
 FORCED_AT_ONCE = 8
-"""Chunks that are forced to the disk at once: it serves those that wait together about as fast as one of them."""
+"""Chunks synced in parallel: the disk serves them in about the time of one."""
 
 
 class ArrayWriter:
     """One array of the store, open for appending.
 
-    Nothing that an earlier writer acknowledged is changed: a journal that ends inside a line is gone on with in the
-    next, and chunks that the array counts but its journal does not are put aside before their places are taken.
+    Frames acknowledged by an earlier writer are never changed: after an incomplete last line the journal continues in
+    the next, and chunks counted by the array but not by its journal are set aside before their places are used.
 
     Parameters
     ----------
     path
-        Folder of the array; one that exists is continued behind its last acknowledged frame.
+        Folder of the array; an existing one is continued after its last acknowledged frame.
     shape
         Rows and columns of a frame.
     dtype
@@ -54,19 +65,19 @@ class ArrayWriter:
         journal = read_journal(path)
         self._frames, self._end = len(journal.frames), journal.end
         self.notes = self._set_aside(journal.array_frames)
-        """What was found and put aside at the start, one sentence each."""
+        """One sentence on chunks that were set aside at the start."""
         self._journal = open(path / JOURNAL, "ab+", buffering=0)  # noqa: SIM115 - open as long as the writer
         self._journal_bytes = self._journal.seek(0, os.SEEK_END)
         self._mid_line = ends_mid_line(self._journal.fileno())
-        # Daemons, so that a disk that never answers does not keep the process from ending.
+        # Daemon threads, so that a stuck disk does not keep the process from ending.
         self._disk = [BackgroundWriter(_force, name="disk") for _ in range(FORCED_AT_ONCE)]
 
     def __len__(self) -> int:
-        """Frames acknowledged so far that can be read."""
+        """Number of acknowledged frames that can be read."""
         return self._frames
 
     def append(self, frame: NDArray, time_s: float, frame_number: int) -> Acknowledged:
-        """Write one frame; when this returns it survives a kill and a power cut.
+        """Write one frame; when this returns it survives a kill or a power cut.
 
         Parameters
         ----------
@@ -80,12 +91,12 @@ class ArrayWriter:
         return self.extend([Frame(pixels=np.asarray(frame), number=frame_number, time_s=time_s)])[0]
 
     def extend(self, frames: Sequence[Frame]) -> tuple[Acknowledged, ...]:
-        """Write some frames together, which forces the disk once for all of them; as safe as one after the other.
+        """Write several frames with one sync of the disk; as safe as one after the other.
 
         Notes
         -----
-        The order is what makes it safe: the chunks are forced to the disk, then the array grows over them, then the
-        journal acknowledges them. A chunk torn by a crash lies behind the end of the array and is written over.
+        Safe by order: the chunks are synced to the disk, then the array grows over them, then the
+        journal acknowledges them. A chunk torn by a crash lies after the end of the array and is overwritten.
         """
         for frame in frames:
             self._require_fit(frame)
@@ -102,7 +113,7 @@ class ArrayWriter:
         return entries
 
     def close(self) -> None:
-        """Close the journal; frames so far are safe with or without it."""
+        """Close the journal; acknowledged frames are safe without it."""
         for disk in self._disk:
             disk.close(None)
         self._journal.close()
@@ -117,7 +128,7 @@ class ArrayWriter:
             raise BadInput(f"a frame's number must fit into 64 bits, got {frame.number} in {self.path.name}")
 
     def _write(self, frames: Sequence[Frame]) -> tuple[Acknowledged, ...]:
-        """Put the chunks on the disk; digests are made while the disk is at work."""
+        """Write and sync the chunks; digests are computed meanwhile."""
         files: list[int] = []
         try:
             for place, frame in enumerate(frames):
@@ -125,10 +136,10 @@ class ArrayWriter:
                 write_whole(files[-1], frame_bytes(frame.pixels))
                 _start_writing_out(files[-1])
             for place, file in enumerate(files):
-                self._disk[place % FORCED_AT_ONCE].put(file)
+                self._disk[place % FORCED_AT_ONCE].enqueue(file)
             entries = tuple(_entry(self._end + place, frame) for place, frame in enumerate(frames))
         finally:
-            for disk in self._disk:  # no file is closed under a thread that forces it
+            for disk in self._disk:  # no file is closed while a thread syncs it
                 disk.flush(None)
             for file in files:
                 os.close(file)
@@ -136,7 +147,7 @@ class ArrayWriter:
         return entries
 
     def _raise_failure(self) -> None:
-        """Raise what a thread met that forced chunks."""
+        """Raise the error of a thread that synced chunks."""
         failures = [disk.failure for disk in self._disk if disk.failure is not None]
         for disk in self._disk:
             disk.failure = None
@@ -144,13 +155,13 @@ class ArrayWriter:
             raise failures[0]
 
     def _describe(self, frames: int) -> None:
-        # Forces the list of names to the disk too, those of the chunks included.
+        # Also syncs the folder, the names of the chunks included.
         write_atomically(self.path / METADATA, metadata(frames, self._shape, self._dtype))
 
     def _acknowledge(self, entries: Sequence[Acknowledged]) -> None:
         journal = self._journal.fileno()
         if os.fstat(journal).st_size > self._journal_bytes:
-            # Lines of our own that the disk did not take whole: their frames were never acknowledged.
+            # Incomplete lines of this writer: their frames were never acknowledged.
             os.ftruncate(journal, self._journal_bytes)
         lines = (b"\n" if self._mid_line else b"") + b"".join(entry.line() for entry in entries)
         write_whole(journal, lines)
@@ -159,7 +170,7 @@ class ArrayWriter:
         self._mid_line = False
 
     def _set_aside(self, array_frames: int) -> tuple[str, ...]:
-        """Rename the chunks that the array counts behind the end of its journal, and have it count them no more."""
+        """Rename the chunks that the array counts beyond the end of its journal, and shorten the array."""
         behind = range(self._end, array_frames)
         if not behind:
             return ()
@@ -178,7 +189,7 @@ class ArrayWriter:
         )
 
     def _create(self) -> None:
-        """Make the array with its empty journal under another name, then put it in place whole."""
+        """Create the array with an empty journal under another name, then rename it into place."""
         partial = self.path.with_name(f".{self.path.name}.partial")
         shutil.rmtree(partial, ignore_errors=True)
         if self.path.exists():
@@ -209,6 +220,6 @@ def _force(file: int) -> None:
 
 
 def _start_writing_out(file: int) -> None:
-    """Have the kernel send a file to the disk without waiting for it, where the kernel can be told."""
+    """Start writing a file to the disk without waiting, where the kernel supports it."""
     if hasattr(os, "posix_fadvise"):
         os.posix_fadvise(file, 0, 0, os.POSIX_FADV_DONTNEED)

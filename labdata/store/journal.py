@@ -13,21 +13,65 @@ from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+import numpy as np
 from numpy.typing import NDArray
 
 from labdata.errors import BadInput
-from labdata.store.layout import chunk, frame_bytes, read_metadata
+
+METADATA = "zarr.json"
+
+
+def metadata(frames: int, shape: tuple[int, int], dtype: np.dtype) -> bytes:
+    """Return the metadata of an array of `frames` frames of a shape (row, col) and type of pixel."""
+    bytes_codec: dict = {"name": "bytes"}
+    if dtype.itemsize > 1:
+        bytes_codec["configuration"] = {"endian": "little"}
+    document = {
+        "zarr_format": 3,
+        "node_type": "array",
+        "shape": [frames, *shape],
+        "data_type": dtype.name,
+        "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": [1, *shape]}},
+        # One flat folder: subfolders would need syncs of their own.
+        "chunk_key_encoding": {"name": "default", "configuration": {"separator": "."}},
+        "fill_value": 0.0 if dtype.kind == "f" else 0,
+        "codecs": [bytes_codec],
+        "attributes": {},
+        "storage_transformers": [],
+    }
+    return json.dumps(document, indent=1).encode()
+
+
+def read_metadata(path: Path) -> tuple[int, tuple[int, ...], str]:
+    """Return frames, shape of a frame and name of the pixel type from an array's metadata."""
+    try:
+        document = json.loads((path / METADATA).read_bytes())
+        frames, *shape = map(int, document["shape"])
+        return frames, tuple(shape), str(document["data_type"])
+    except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
+        raise BadInput(f"a stack of the store must be a readable Zarr array, got {path}") from None
+
+
+def chunk(path: Path, index: int) -> Path:
+    """Return the file of a frame."""
+    return path / f"c.{index}.0.0"
+
+
+def frame_bytes(frame: NDArray) -> memoryview:
+    """Return a frame's bytes as they lie in its file: rows first, little-endian."""
+    return np.ascontiguousarray(frame, dtype=frame.dtype.newbyteorder("<")).data.cast("B")
+
 
 JOURNAL = "journal.jsonl"
 
 MAX_RESTORED_LINES = 8
-"""Damaged lines up to which they are tried to be restored; each costs some 10 ms, and more are no single bytes."""
+"""Largest number of damaged lines to restore; each takes about 10 ms, and more are not single-byte errors."""
 
 MAX_LINE_BYTES = 320
-"""Longest text that is tried to be restored: a line has at most 200 bytes."""
+"""Longest text to restore; a line has at most 200 bytes."""
 
 MAX_NAMED = 5
-"""Lines or frames that a sentence names one by one."""
+"""Largest number of lines or frames listed in a message."""
 
 RECORD = re.compile(
     rb'(?P<body>\{"index": (?P<index>\d{1,18}), "frame_number": (?P<frame_number>-?\d{1,19}), '
@@ -37,12 +81,12 @@ RECORD = re.compile(
 BEGINNING = re.compile(rb'\{"index": \d+, "frame_number": ')
 END = re.compile(rb'", "checksum": "[0-9a-f]{16}"\}$')
 EDGE_BYTES = 48
-"""Longest text that either of the two matches."""
+"""Longest match of either of the two, bytes."""
 
 VALUE_BYTES = tuple(bytes([byte]) for byte in b"0123456789abcdef.-+")
 LINE_BYTES = tuple(bytes([byte]) for byte in sorted({*b'{}"_:, -+.0123456789indexframe_numbertime_ssha256checksum'}))
 NUMBERS = range(-(2**63), 2**63)
-"""Frame numbers that an array of whole numbers can hold."""
+"""Frame numbers of 64 bits."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,7 +96,7 @@ class Acknowledged:
     Parameters
     ----------
     index
-        Place of the frame in the array.
+        Index of the frame in the array.
     frame_number
         The camera's own number.
     time_s
@@ -67,25 +111,25 @@ class Acknowledged:
     sha256: str
 
     def line(self) -> bytes:
-        """Return the line as it is written, with its checksum and its end."""
+        """Return the line as written, with checksum and line end."""
         body = json.dumps(asdict(self)).encode()[:-1]
         return body + b', "checksum": "%s"}\n' % _checksum(body)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Journal:
-    """What a journal and its array say.
+    """Content of a journal and its array.
 
     Parameters
     ----------
     path
         Folder of the array.
     frames
-        Acknowledged frames that can be read, by place; places may be missing.
+        Acknowledged frames that can be read, by index; indices may be missing.
     array_frames
-        Number of frames that the array's metadata states.
+        Number of frames in the metadata of the array.
     damaged_lines
-        Numbers, from 1, of the lines that are not one whole record.
+        Numbers, from 1, of the lines that are not one complete record.
     """
 
     path: Path
@@ -95,17 +139,17 @@ class Journal:
 
     @property
     def end(self) -> int:
-        """One behind the last place that the journal names."""
+        """One after the last index in the journal."""
         return self.frames[-1].index + 1 if self.frames else 0
 
     @property
     def lost_frames(self) -> int:
-        """Number of frames that the array or its journal counts and that are not read."""
+        """Number of frames counted by the array or its journal that cannot be read."""
         return max(self.end, self.array_frames) - len(self.frames)
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """One sentence where lines are damaged or missing; none otherwise."""
+        """One sentence if lines are damaged or missing, else empty."""
         if not self.damaged_lines and not self.lost_frames:
             return ()
         lines = f": {_subject('line', self.damaged_lines)} damaged" if self.damaged_lines else ""
@@ -120,7 +164,7 @@ class Journal:
         )
 
     def require_frames(self) -> None:
-        """Raise BadInput if no frame can be read."""
+        """Require at least one readable frame."""
         if not self.frames:
             found = self.notes[0] if self.notes else f"got none in {self.path}"
             raise BadInput(f"a stack must hold at least one frame, {found}")
@@ -128,7 +172,7 @@ class Journal:
 
 def is_ours(path: Path) -> bool:
     """Whether a folder is an array of this store."""
-    return os.path.isfile(path / JOURNAL)  # where a name is no path at all, Path.is_file would raise
+    return os.path.isfile(path / JOURNAL)  # Path.is_file raises on invalid names
 
 
 def read_journal(path: str | Path) -> Journal:
@@ -142,12 +186,12 @@ def read_journal(path: str | Path) -> Journal:
     Raises
     ------
     BadInput
-        If the folder is no array of the store, or its metadata cannot be read.
+        If the folder is not an array of the store, or its metadata cannot be read.
 
     Notes
     -----
-    A last line without its end was cut short by a crash: its frame is not acknowledged, unless all of it but the end is
-    there and meets its checksum.
+    A last line without line end was interrupted by a crash: its frame is not acknowledged, unless only the line end is
+    missing and the checksum is valid.
     """
     path = Path(path)
     array_frames, _, _ = read_metadata(path)
@@ -173,7 +217,7 @@ def read_journal(path: str | Path) -> Journal:
 
 
 def records_of(line: bytes, place: int, path: Path) -> tuple[Acknowledged, ...]:
-    """Return the whole records of a line, without its end; a line whose end was damaged has those of the next, too.
+    """Return the complete records of a line; a line with a damaged line end includes those of the next.
 
     Parameters
     ----------
@@ -186,7 +230,7 @@ def records_of(line: bytes, place: int, path: Path) -> tuple[Acknowledged, ...]:
 
     Notes
     -----
-    A record without a checksum must stand at its place, or its frame's chunk must have its digest.
+    A record without checksum must be at its index, or its frame's chunk must have its digest.
     """
     found = []
     for match in RECORD.finditer(line):
@@ -211,12 +255,12 @@ def sha256(frame: NDArray) -> str:
 
 
 def _checksum(body: bytes) -> bytes:
-    """Return the checksum of a line: the first 64 bits of the SHA-256 of what stands before it."""
+    """Return the checksum of a line: the first 64 bits of the SHA-256 of its body."""
     return hashlib.sha256(body).hexdigest()[:16].encode()
 
 
 def _has_chunk(path: Path, frame: Acknowledged) -> bool:
-    """Return whether the chunk of a frame is there and has its digest."""
+    """Return whether the chunk of a frame exists and has its digest."""
     try:
         with open(chunk(path, frame.index), "rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest() == frame.sha256
@@ -225,11 +269,11 @@ def _has_chunk(path: Path, frame: Acknowledged) -> bool:
 
 
 def _restore_frames(damaged: Mapping[int, bytes], there: Container[int], path: Path) -> Iterator[Acknowledged]:
-    """Yield the frames that are not there and whose damaged lines one byte explains, in one way only."""
+    """Yield missing frames whose damaged line has exactly one single-byte correction."""
     if len(damaged) > MAX_RESTORED_LINES:
         return
     for place, line in damaged.items():
-        # The one byte may have become a line's end, or be an end that was inserted.
+        # The byte may have become a line end, or be an inserted line end.
         for text in (line, line + b"\n" + damaged[place + 1]) if place + 1 in damaged else (line,):
             found = {
                 frame
@@ -243,7 +287,7 @@ def _restore_frames(damaged: Mapping[int, bytes], there: Container[int], path: P
 
 
 def _one_byte_from(text: bytes) -> Iterator[bytes]:
-    """Yield the texts that may be records and from which one changed, inserted or removed byte makes this one."""
+    """Yield candidate records at a distance of one changed, inserted or removed byte."""
     if len(text) > MAX_LINE_BYTES:
         return
     begins, ends = BEGINNING.match(text), END.search(text)
@@ -263,7 +307,7 @@ def _one_byte_from(text: bytes) -> Iterator[bytes]:
 
 
 def _subject(word: str, numbers: Sequence[int], total: int = 0) -> str:
-    """Name lines or frames, the first few by number, as the subject of a sentence with its verb."""
+    """Return lines or frames by number as subject and verb of a sentence."""
     total = max(total, len(numbers))
     named = ", ".join(map(str, numbers[:MAX_NAMED])) + (f" and {total - MAX_NAMED} more" if total > MAX_NAMED else "")
     return f"{word} {named} is" if total == 1 else f"{word}s {named} are"

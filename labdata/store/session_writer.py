@@ -1,29 +1,135 @@
-"""Writing a session while it is taken: stack after stack, readable at every moment, resumable after a crash."""
+"""Write a session stack by stack; it is readable at any time and resumable after a crash."""
 
 import fcntl
 import shutil
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
 from typing import Any
 
-from labdata.atomic_write import write_atomically
+import numpy as np
+from numpy.typing import NDArray
+
+from labdata.capture import Frame, LostFrames
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
+from labdata.file_io import write_atomically
 from labdata.file_records import SessionFile, StackRecord, stack_record
 from labdata.serialiser import from_toml, to_toml
 from labdata.session import MANIFEST, Kind, Session, open_session
 from labdata.store.array_writer import ArrayWriter
-from labdata.store.journal import is_ours, read_journal
-from labdata.store.stack_writer import StackWriter
+from labdata.store.journal import Acknowledged, is_ours, read_journal
 from labdata.target import Target
+
+
+class StackWriter:
+    """One stack while it is taken; made by `SessionWriter.begin_stack`. Use it with `with`.
+
+    Leaving the `with` without `finish` leaves the stack readable and marked as broken off.
+    """
+
+    def __init__(self, array: ArrayWriter, entry: StackRecord, enter: Callable[[StackRecord], None]) -> None:
+        self._array = array
+        self._entry = entry
+        self._enter = enter
+        if len(array):
+            enter(entry)
+
+    def __len__(self) -> int:
+        """Frames acknowledged so far, those of an earlier run included."""
+        return len(self._array)
+
+    def __enter__(self) -> "StackWriter":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def label(self) -> str:
+        """Label of the stack."""
+        return self._entry.label
+
+    def append(self, frame: NDArray, time_s: float, frame_number: int) -> Acknowledged:
+        """Store one frame; it is on the disk and part of the session when this returns.
+
+        Parameters
+        ----------
+        frame
+            Pixels, shape (row, col), with the shape and type of the stack.
+        time_s
+            Time stamp, s.
+        frame_number
+            The camera's own number.
+        """
+        return self.extend([Frame(pixels=np.asarray(frame), number=frame_number, time_s=time_s)])[0]
+
+    def extend(self, frames: Sequence[Frame]) -> tuple[Acknowledged, ...]:
+        """Store several frames with one sync of the disk; as safe as one after the other."""
+        first = not len(self._array)
+        acknowledged = self._array.extend(frames)
+        if first:
+            self._enter(self._entry)
+        return acknowledged
+
+    def finish(
+        self,
+        losses: tuple[LostFrames, ...] = (),
+        notes: tuple[str, ...] = (),
+        conditions: Conditions | None = None,
+    ) -> None:
+        """Mark the stack as complete.
+
+        Parameters
+        ----------
+        losses
+            Frames that the camera numbered and that were not recorded, in addition to those of `lose`.
+        notes
+            Remarks on the stack.
+        conditions
+            Conditions read back at the end, if they replace those of the beginning.
+        """
+        if not len(self._array):
+            raise BadInput(f"a finished stack must hold at least one frame, got none in {self.label!r}")
+        entry = self._entry if conditions is None else stack_record(conditions, **_other_keys(self._entry))
+        self._entry = _with_losses(replace(entry, finished=None, notes=(*entry.notes, *notes)), losses)
+        self._enter(self._entry)
+        self.close()
+
+    def lose(self, losses: tuple[LostFrames, ...]) -> None:
+        """Record lost frames; a stack without frames is not part of the session and records nothing."""
+        if losses and len(self._array):
+            self._entry = _with_losses(self._entry, losses)
+            self._enter(self._entry)
+
+    def doubt(self, why: str) -> None:
+        """Record a reason to doubt the frames so far; a resumed run acquires the stack again."""
+        if len(self._array):
+            self._entry = replace(self._entry, doubt=why)
+            self._enter(self._entry)
+
+    def close(self) -> None:
+        """Close the stack as it is; acknowledged frames are kept."""
+        self._array.close()
+
+
+def _with_losses(entry: StackRecord, losses: tuple[LostFrames, ...]) -> StackRecord:
+    """Return the entry of a stack with further losses added."""
+    count = (entry.lost_frames or 0) + sum(map(len, losses))
+    return replace(entry, lost=(*entry.lost, *losses), lost_frames=count or None)
+
+
+def _other_keys(entry: StackRecord) -> dict[str, Any]:
+    return {name: getattr(entry, name) for name in StackRecord.__annotations__}
+
 
 FRAMES = "frames"
 LOCK = ".lock"
 
 
 class SessionWriter:
-    """A session while it is taken; make it with `create` or `resume` and use it with `with`."""
+    """A session during acquisition; make it with `create` or `resume` and use it in a `with` block."""
 
     def __init__(self, folder: Path, form: SessionFile) -> None:
         self.folder = folder
@@ -42,12 +148,12 @@ class SessionWriter:
         interlaced: bool | None = None,
         notes: tuple[str, ...] = (),
     ) -> "SessionWriter":
-        """Begin a session in a folder that does not hold one.
+        """Begin a session in a folder without one.
 
         Parameters
         ----------
         folder
-            The session's folder; made where it is missing.
+            The session folder; created if missing.
         name
             Name of the session.
         sensor
@@ -72,7 +178,7 @@ class SessionWriter:
 
     @classmethod
     def resume(cls, folder: str | Path) -> "SessionWriter":
-        """Go on with a session that was broken off."""
+        """Continue an interrupted session."""
         folder = Path(folder)
         return cls(folder, from_toml(folder / MANIFEST, SessionFile))
 
@@ -83,13 +189,13 @@ class SessionWriter:
         self.close()
 
     @property
-    def finished(self) -> tuple[str, ...]:
+    def finished_labels(self) -> tuple[str, ...]:
         """Labels of the stacks that are complete."""
         return tuple(entry.label for entry in self._form.stack if entry.finished is not False)
 
     @property
     def partial(self) -> dict[str, int]:
-        """Labels of the stacks that were broken off, with the number of their acknowledged frames."""
+        """Labels of the interrupted stacks, with their numbers of acknowledged frames."""
         return {
             entry.label: len(read_journal(self._path(entry.label)).frames)
             for entry in self._form.stack
@@ -106,25 +212,25 @@ class SessionWriter:
         asked: Conditions | None = None,
         target: Target | None = None,
     ) -> StackWriter:
-        """Begin a stack, or go on with one that was broken off: its length then tells how many frames it has.
+        """Begin a stack, or continue an interrupted one; its length is then its number of frames.
 
         Parameters
         ----------
         label, kind
-            Name, unique in the session, and what the stack shows.
+            Name, unique in the session, and kind of target.
         shape, dtype
-            Rows and columns of a frame, and the type of a pixel.
+            Rows and columns of a frame, and type of a pixel.
         conditions
-            Conditions in force: read back where an instrument can be read.
+            Conditions in force: read-backs where an instrument can be read.
         asked
-            Conditions asked of the instruments.
+            Requested conditions.
         target
-            What stands before the camera.
+            Target in front of the camera.
 
         Raises
         ------
         BadInput
-            If the stack is complete already, or was begun otherwise.
+            If the stack is already complete, or was begun with other settings.
         """
         path = self._path(label)
         entry = stack_record(
@@ -146,16 +252,16 @@ class SessionWriter:
 
     @property
     def doubtful(self) -> dict[str, str]:
-        """Labels of the stacks whose frames may not show what they say, with why."""
+        """Labels of the stacks with doubtful frames, with the reasons."""
         return {entry.label: entry.doubt for entry in self._form.stack if entry.doubt is not None}
 
     def set_aside(self, label: str) -> Path:
-        """Take a stack that was broken off out of the session, so that it can be taken anew; its frames are kept.
+        """Remove an interrupted stack from the session, to acquire it again; its frames are kept.
 
         Returns
         -------
         Path
-            Where its frames are now.
+            Present folder of its frames.
         """
         path = self._path(label)
         aside = _aside(path)
@@ -172,14 +278,14 @@ class SessionWriter:
         return open_session(self.folder)
 
     def close(self) -> None:
-        """Let another process write to the session."""
+        """Release the lock of the session."""
         self._lock.close()
 
     def _clear_folder(self, path: Path, entry: StackRecord, *, begun: bool) -> StackRecord:
-        """Make room where an array holds nothing to go on with, and note in the stack's entry what was put aside.
+        """Clear the folder of an array that cannot be continued, and note in the entry what was set aside.
 
-        A kill between the first frames and the manifest leaves frames that belong to no stack; a damaged journal may
-        leave a stack without frames that can be read.
+        A kill between the first frames and the manifest leaves frames without a stack; a damaged journal may
+        leave a stack without readable frames.
         """
         journal = read_journal(path)
         if journal.frames and begun:
@@ -194,7 +300,7 @@ class SessionWriter:
         return replace(entry, notes=(*entry.notes, f"taken anew, the frames before are in {aside.name}: {why}"))
 
     def _forget(self, label: str) -> None:
-        if label in self.finished:
+        if label in self.finished_labels:
             raise BadInput(f"only a stack that was broken off can leave its session, got the complete {label!r}")
         self._save(replace(self._form, stack=tuple(one for one in self._form.stack if one.label != label)))
 
@@ -213,14 +319,14 @@ class SessionWriter:
 
 
 def _aside(path: Path) -> Path:
-    """Return where frames can be kept that are no part of their session any more."""
+    """Return a free folder name for frames removed from their session."""
     return next(
         other for number in count(1) if not (other := path.with_name(f"{path.stem}.aside-{number}.zarr")).exists()
     )
 
 
 def _resume_entry(known: StackRecord, entry: StackRecord) -> StackRecord:
-    """Return the entry of a stack that is gone on with: as it was begun, if it was begun the same."""
+    """Return the original entry of a continued stack; other settings are a BadInput."""
     if known.finished is not False:
         raise BadInput(f"a complete stack cannot be begun again, got {known.label!r}")
     if (known.kind, known.asked, known.target) != (entry.kind, entry.asked, entry.target):
@@ -229,8 +335,8 @@ def _resume_entry(known: StackRecord, entry: StackRecord) -> StackRecord:
 
 
 def _lock_session(folder: Path) -> Any:
-    """Return the open lock file of a session; another process that holds it is a BadInput."""
-    file = open(folder / LOCK, "w")  # noqa: SIM115 - it stays open as long as the writer
+    """Return the open lock file of a session; BadInput if another process has the lock."""
+    file = open(folder / LOCK, "w")  # noqa: SIM115 - open as long as the writer
     try:
         fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
@@ -240,7 +346,7 @@ def _lock_session(folder: Path) -> Any:
 
 
 class ManifestWriter:
-    """Saves the manifest of one session whole at every change, at the cost of what changed.
+    """Writes the complete manifest at every change; only changed stacks are serialised again.
 
     Parameters
     ----------
@@ -253,8 +359,8 @@ class ManifestWriter:
         self._written: dict[StackRecord, str] = {}
 
     def save(self, form: SessionFile) -> None:
-        """Save the manifest; when this returns it survives a kill and a power cut."""
-        # A sweep of hundreds of stacks is saved at every one of them: those that did not change are not worded anew.
+        """Save the manifest; when this returns it survives a kill or a power cut."""
+        # A sweep saves the manifest after each of hundreds of stacks: unchanged ones are not serialised again.
         texts = {entry: self._written.get(entry) or _stack_text(entry) for entry in form.stack}
         header = to_toml(replace(form, stack=()))
         write_atomically(self._path, "\n".join((header, *texts.values())).encode())
@@ -263,7 +369,7 @@ class ManifestWriter:
 
 @dataclass(frozen=True)
 class _OneStack:
-    """The part of a session file that is one stack's."""
+    """The part of a session file for one stack."""
 
     stack: tuple[StackRecord, ...]
 
@@ -273,5 +379,5 @@ def _stack_text(entry: StackRecord) -> str:
     return text[: text.rindex("[[stack]]")]
 
 
-# TOML's writer puts short tables on one line, which cannot be joined with others; beside a long one it does not.
+# The TOML writer puts short tables on one line, which cannot be concatenated; next to a long one it does not.
 _LONG = StackRecord(label="x" * 200, kind="dark", frames="")

@@ -1,4 +1,4 @@
-"""The storage thread: frames are written beside the camera through a bounded queue, and none is lost in silence."""
+"""Storage thread: a bounded queue between the camera and the disk."""
 
 import os
 import threading
@@ -12,44 +12,43 @@ from typing import Any, Self
 
 from labdata.capture import Frame, LostFrames, lost_frames_with_reason
 from labdata.errors import BadInput
-from labdata.store.session_writer import SessionWriter
-from labdata.store.stack_writer import StackWriter
+from labdata.store.session_writer import SessionWriter, StackWriter
 
 CAPACITY_BYTES = 256 << 20
-"""Bytes of frames that may wait for the disk: 11 s of a 768 x 493 camera of 16 bits, as a busy disk pauses for some."""
+"""Queued bytes of frames: 11 s of a 768 x 493 camera of 16 bits; a busy disk pauses for several seconds."""
 
 TOGETHER_BYTES = 12 << 20
-"""Bytes that are forced to the disk together: more gains nothing and acknowledges late."""
+"""Bytes per sync of the disk: more gain nothing and delay the acknowledgement."""
 
 PATIENCE_S = 0.4
-"""Longest wait for room in the queue, s; a camera's driver buffers two seconds at 30 frames/s."""
+"""Longest wait for space in the queue, s; a camera driver buffers two seconds at 30 frames/s."""
 
 
 STALLED_S = 10.0
-"""Longest time without any progress, s, after which a disk is given up: a busy one pauses for some seconds."""
+"""Longest time without progress before the disk is considered stuck, s; a busy disk pauses for several seconds."""
 
 LOOK_S = 0.1
-"""Time between two looks at the progress of the disk, s."""
+"""Polling interval of the progress of the disk, s."""
 
 RESERVE_BYTES = 1 << 20
-"""Bytes of the session's disk that are kept free for its last words."""
+"""Bytes reserved on the session's disk for the last entries of manifest and log."""
 
 
 class Storage:
-    """Writes the stacks of a session in a thread of its own, between `with` and the end of its block.
+    """Writes the stacks of a session in a separate thread; use it in a `with` block.
 
-    The first error of the disk ends all writing: what was not acknowledged by then is recorded as lost, with numbers
-    and reason, in the room that was kept for it; every later call raises that error. A disk that makes no progress for
-    `STALLED_S` while `wait` or the end of the block waits for it is given up with an error, too.
+    The first disk error ends all writing: frames not yet acknowledged are recorded as lost, with numbers
+    and reason, in the reserved space; every later call raises that error. A disk without progress for
+    `STALLED_S` during `wait` or at the end of the block is an error too.
 
     Parameters
     ----------
     writer
-        The session; nobody else may use it meanwhile.
+        The session; not to be used elsewhere meanwhile.
     capacity_bytes
-        Bytes of frames that may wait.
+        Largest number of queued bytes.
     patience_s
-        Longest wait for room, s.
+        Longest wait for space, s.
     """
 
     def __init__(
@@ -64,7 +63,7 @@ class Storage:
         self._idle, self._over, self._ended = True, False, False
         self._progress_s = time.monotonic()
         self.failure: Exception | None = None
-        """What ended the writing, if anything did."""
+        """The error that ended writing, if any."""
         self._thread = threading.Thread(target=self._work, name="storage", daemon=True)
 
     def __enter__(self) -> Self:
@@ -87,26 +86,26 @@ class Storage:
 
     @property
     def waiting_bytes(self) -> int:
-        """Bytes of frames that wait for the disk."""
+        """Queued bytes of frames."""
         return self._waiting_bytes
 
     @property
     def stall_s(self) -> float:
-        """Time for which the disk has made no progress while work waits for it, s; 0 where none waits."""
+        """Time without progress of the disk while work is queued, s; 0 without queued work."""
         return 0.0 if self._idle else time.monotonic() - self._progress_s
 
     def begin_stack(self, *settings: Any, **named: Any) -> "StoredStack":
-        """Begin a stack as `SessionWriter.begin_stack` does, without waiting; the one before is left as it is."""
+        """Begin a stack as by `SessionWriter.begin_stack`, without waiting; the previous one is closed."""
         stack = StoredStack(self)
         self.post(lambda: self._open(stack, *settings, **named))
         return stack
 
     def post(self, work: Callable[[], object]) -> None:
-        """Have something done in the thread, after all that was asked before; does not wait."""
-        self._put(_Job(work=work))
+        """Run a task in the thread after all queued work; does not wait."""
+        self._enqueue(_Job(work=work))
 
     def set_aside(self, label: str) -> Path:
-        """Take a stack that was broken off out of the session, as `SessionWriter.set_aside` does; waits for it."""
+        """Set an interrupted stack aside as by `SessionWriter.set_aside`; waits for it."""
         where: list[Path] = []
         self.post(lambda: where.append(self._writer.set_aside(label)))
         self.wait()
@@ -117,13 +116,13 @@ class Storage:
         self.post(lambda: self._writer.add_note(note))
 
     def wait(self) -> None:
-        """Wait until all that was asked is done; raise what went wrong, or that the disk makes no progress."""
+        """Wait for all queued work; raise its error, or that the disk makes no progress."""
         with self._turn:
             self._wait_for(lambda: not self._jobs and self._idle)
         self._raise_failure()
 
-    def put(self, stack: "StoredStack", frame: Frame) -> None:
-        """Queue a frame; a queue that stays full is a BadInput, and the frame is recorded as lost."""
+    def enqueue(self, stack: "StoredStack", frame: Frame) -> None:
+        """Queue a frame; if the queue stays full, the frame is recorded as lost and BadInput is raised."""
         size = frame.pixels.nbytes
         with self._turn:
             room = self._turn.wait_for(
@@ -137,9 +136,9 @@ class Storage:
             raise BadInput(
                 f"the disk must keep up with the camera, got {waiting} frames waiting for {self._patience_s:g} s"
             )
-        self._put(_Job(stack=stack, frame=frame))
+        self._enqueue(_Job(stack=stack, frame=frame))
 
-    def _put(self, job: "_Job") -> None:
+    def _enqueue(self, job: "_Job") -> None:
         self._raise_failure()
         with self._turn:
             if self._idle:
@@ -153,13 +152,13 @@ class Storage:
             raise self.failure
 
     def _wait_for(self, condition: Callable[[], bool]) -> None:
-        """Wait, holding the turn, until a condition holds or the disk is given up."""
+        """Wait, with the lock held, until a condition is true or the disk is considered stuck."""
         while not self._turn.wait_for(condition, LOOK_S):
             if self.stall_s > STALLED_S:
                 return self._give_up()
 
     def _give_up(self) -> None:
-        """Take nothing more: the thread may hang for ever, and if it does not, it still writes what waits."""
+        """Accept no further work; a thread that continues still writes the queue."""
         frames = sum(job.frame is not None for job in (*self._in_hand, *self._jobs))
         self.failure = self.failure or BadInput(
             f"the disk must take every frame, got no progress for {STALLED_S:g} s: {frames} frames of "
@@ -172,7 +171,7 @@ class Storage:
         while jobs := self._next():
             try:
                 self._do(jobs)
-            except Exception as error:  # whatever it is, it is raised where frames are put
+            except Exception as error:  # raised again where frames are queued
                 self._fail(error, jobs)
             with self._turn:
                 self._waiting_bytes -= sum(job.bytes for job in jobs)
@@ -189,7 +188,7 @@ class Storage:
             self._turn.notify_all()
 
     def _next(self) -> list["_Job"]:
-        """Wait for work: one thing to do, or frames of one stack that can be written together; [] at the end."""
+        """Wait for work: one task, or frames of one stack that can be written together; [] at the end."""
         with self._turn:
             self._idle = not self._jobs
             self._turn.notify_all()
@@ -207,7 +206,7 @@ class Storage:
     def _open(self, stack: "StoredStack", *settings: Any, **named: Any) -> None:
         self._close_stack()
         self._open_stack = self._writer.begin_stack(*settings, **named)
-        stack.opened(self._open_stack)
+        stack.attach(self._open_stack)
 
     def _close_stack(self) -> None:
         if self._open_stack is not None:
@@ -233,7 +232,7 @@ class Storage:
 
 @dataclass(frozen=True)
 class _Job:
-    """A frame of a stack, or something to do."""
+    """A frame of a stack, or a task."""
 
     work: Callable[[], object] | None = None
     stack: "StoredStack | None" = None
@@ -248,43 +247,43 @@ class _Job:
 
 
 class StoredStack:
-    """One stack as the acquiring thread sees it; made by `Storage.begin_stack`."""
+    """Handle of one stack in the acquiring thread; made by `Storage.begin_stack`."""
 
     def __init__(self, storage: Storage) -> None:
         self._storage = storage
         self._writer: StackWriter | None = None
         self.acknowledged = 0
-        """Frames that are on the disk, those of an earlier run included."""
+        """Frames on the disk, including those of an earlier run."""
 
-    def put(self, frame: Frame) -> None:
-        """Queue a frame; see `Storage.put`."""
-        self._storage.put(self, frame)
+    def enqueue(self, frame: Frame) -> None:
+        """Queue a frame; see `Storage.enqueue`."""
+        self._storage.enqueue(self, frame)
 
     def finish(self, losses: tuple[LostFrames, ...] = (), notes: tuple[str, ...] = ()) -> None:
         """Mark the stack as complete once its frames are stored; does not wait."""
-        self._storage.post(lambda: self._known.finish(losses, notes))
+        self._storage.post(lambda: self._open_writer.finish(losses, notes))
 
     def lose(self, losses: tuple[LostFrames, ...]) -> None:
-        """Record frames that are not here; does not wait."""
-        self._storage.post(lambda: self._known.lose(losses))
+        """Record lost frames; does not wait."""
+        self._storage.post(lambda: self._open_writer.lose(losses))
 
     def doubt(self, why: str) -> None:
-        """Say why the frames so far may not show what the stack says, once they are stored; does not wait."""
-        self._storage.post(lambda: self._known.doubt(why))
+        """Record a reason to doubt the frames so far, once they are stored; does not wait."""
+        self._storage.post(lambda: self._open_writer.doubt(why))
 
     # In the thread
 
-    def opened(self, writer: StackWriter) -> None:
+    def attach(self, writer: StackWriter) -> None:
         """Take the writer."""
         self._writer, self.acknowledged = writer, len(writer)
 
     def write(self, frames: list[Frame]) -> None:
         """Write frames together."""
-        self._known.extend(frames)
-        self.acknowledged = len(self._known)
+        self._open_writer.extend(frames)
+        self.acknowledged = len(self._open_writer)
 
     def record_lost(self, losses: tuple[LostFrames, ...]) -> None:
-        """Record frames that the disk did not take; where even that fails, the first error is told all the same."""
+        """Record frames that the disk did not accept; if that fails, the first error is still reported."""
         try:
             if self._writer is not None:
                 self._writer.lose(losses)
@@ -293,13 +292,13 @@ class StoredStack:
                 self._storage.failure.add_note(f"what was lost could not be recorded in the session: {second}")
 
     @property
-    def _known(self) -> StackWriter:
+    def _open_writer(self) -> StackWriter:
         assert self._writer is not None
         return self._writer
 
 
 class Reserve:
-    """Room kept free on a disk, so that a full one still takes a last manifest and a last line of the log.
+    """Space reserved on a disk, so that a full disk can still store the manifest and the log.
 
     Parameters
     ----------
@@ -315,5 +314,5 @@ class Reserve:
             os.fsync(file.fileno())
 
     def release(self) -> None:
-        """Give the room back."""
+        """Release the space."""
         self._path.unlink(missing_ok=True)

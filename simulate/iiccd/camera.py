@@ -35,17 +35,17 @@ class IntensifiedCamera(DescribedCamera):
             protection from bright sources lowers the gap's voltage with it.
         """
         stages: tuple[Stage, ...] = (
-            self._optics(),
+            self.optics(),
             self.photocathode(conditions),
-            self._gap(cathode_lux),
-            *((self._fibre_geometry(),) if self.geometry and "fibre geometry" not in self.left_out else ()),
+            self.gap(cathode_lux),
+            *((self.fibre_geometry(),) if self.geometry and "fibre geometry" not in self.left_out else ()),
             self.plate(conditions),
-            self._phosphor(),
-            self._taper(),
+            self.phosphor(),
+            self.taper(),
             Collection(row_pairs=self.interlaced),
             self.afterglow(conditions),
             FieldReadout(interlaced=self.interlaced),
-            self._ccd(conditions),
+            self.ccd(conditions),
             self.video(conditions),
         )
         return Chain(stages)

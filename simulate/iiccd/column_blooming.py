@@ -1,6 +1,7 @@
 """Blooming in the CCD: charge beyond the full well goes down the drain, and what the drain leaves along the column."""
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 
@@ -34,8 +35,64 @@ def apply_column_blooming(
     settled = np.asarray(charge_e, np.float64).copy()
     total = settled.sum()
     for col in np.flatnonzero((settled > limit).any(axis=0)):
-        from simulate.iiccd.blooming_solver import spread_excess_charge
-
         settled[:, col] = spread_excess_charge(settled[:, col], limit)
     settled = np.minimum(settled, full_well_e)
     return settled, float(total - settled.sum())
+
+
+def spread_excess_charge(column_e: NDArray[np.float64], limit_e: float) -> NDArray[np.float64]:
+    """Return a column after every excess has gone half up, half down; charge leaves only at the ends.
+
+    Parameters
+    ----------
+    column_e
+        Charge, shape (row,), e-.
+    limit_e
+        Charge that a pixel takes, e-.
+
+    Notes
+    -----
+    Half up and half down is a walk: what a run of full pixels sheds arrives at its two ends in inverse proportion to
+    the distance (gambler's ruin; Feller, An Introduction to Probability Theory, 3rd ed., XIV.2). Which pixels end up
+    full follows from one pass along the column with a stack, as for a convex hull: a pixel that would then hold too
+    much joins the run on either side of it. The ends of the column are pixels that take everything.
+    """
+    return _solve_column(np.ascontiguousarray(column_e, np.float64), float(limit_e))
+
+
+@njit(cache=True)
+def _solve_column(column, limit):
+    count = column.size
+    # Pixels that are not full so far, -1 and count the drains at the ends; of the full run below each of them, the
+    # excess and its first moment about pixel 0.
+    kept = np.empty(count + 2, np.int64)
+    excess = np.zeros(count + 2)
+    moment = np.zeros(count + 2)
+    kept[0] = -1
+    top = 0
+    for row in range(count + 1):
+        run_excess, run_moment = 0.0, 0.0
+        while top > 0:
+            last, before = kept[top], kept[top - 1]
+            from_below = (moment[top] - excess[top] * before) / (last - before)
+            from_above = (run_excess * row - run_moment) / (row - last)
+            own = column[last] - limit
+            if own + from_below + from_above <= 0.0:
+                break
+            run_excess += excess[top] + own
+            run_moment += moment[top] + own * last
+            top -= 1
+        top += 1
+        kept[top], excess[top], moment[top] = row, run_excess, run_moment
+    settled = column.copy()
+    for place in range(1, top + 1):
+        before, last = kept[place - 1], kept[place]
+        if last - before == 1:
+            continue
+        settled[before + 1 : last] = limit
+        upward = (moment[place] - excess[place] * before) / (last - before)
+        if last < count:
+            settled[last] += upward
+        if before >= 0:
+            settled[before] += excess[place] - upward
+    return settled

@@ -1,9 +1,16 @@
 """The lattice of cells on which light is carried: finer than the pixels, wider than the picture."""
 
+import zlib
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from labdata.sensor import Sensor
+from labdata.solid_state import SolidStateCamera
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,3 +90,77 @@ def fast_length(length: int) -> int:
     while length % 8 or next_fast_len(length, real=True) != length or length & (length - 1) == 0:
         length += 1
     return length
+
+
+def rfft_image(image: NDArray) -> NDArray[Any]:
+    """Return the transform of real images (..., row, col), its last axis half as long plus one."""
+    from scipy import fft
+
+    transform: Any = fft.rfft2(image)
+    return transform
+
+
+def irfft_image(transform: NDArray, shape: tuple[int, int]) -> NDArray[Any]:
+    """Return the real images (..., row, col) of the given shape that have a transform."""
+    from scipy import fft
+
+    image: Any = fft.irfft2(transform, s=shape)
+    return image
+
+
+# The picture of a target is needed this far beyond the frame: the halo reaches 23 pixels.
+SCENE_MARGIN_PX = 40
+DRAW_MARGIN_PX = 10
+# Dark current is stated at this temperature.
+DARK_REFERENCE_C = 25.0
+
+
+class SensorGeometryCamera(ABC):
+    """A camera with a chip, with a tube before it or without."""
+
+    @property
+    @abstractmethod
+    def described(self) -> Sensor | SolidStateCamera:
+        """Its description."""
+
+    @property
+    @abstractmethod
+    def interlaced(self) -> bool:
+        """Whether a frame is two fields exposed one after the other."""
+
+    @property
+    def demagnification(self) -> float:
+        """Size of the picture where light arrives over its size on the chip, dimensionless."""
+        return 1.0
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of a frame."""
+        return self.described.ccd.rows, self.described.ccd.columns
+
+    @property
+    def specimen(self) -> int:
+        """Seed of the fixed patterns, which belong to the camera of this name."""
+        return zlib.crc32(self.described.name.encode())
+
+    @cached_property
+    def cells(self) -> Grid:
+        """Cells on which photoelectrons are drawn or collected, two per pixel."""
+        return self._grid(2, DRAW_MARGIN_PX)
+
+    @cached_property
+    def scene_cells(self) -> Grid:
+        """Cells on which the scene arrives, four per pixel."""
+        return self._grid(4, SCENE_MARGIN_PX)
+
+    def _grid(self, per_pixel: int, margin: int) -> Grid:
+        ccd, (rows, columns) = self.described.ccd, self.shape
+        # Field integration sums rows r and r + 1, so the chip has one row more than the frame.
+        return grid_with_margin(
+            rows + (1 if self.interlaced else 0),
+            columns,
+            per_pixel=per_pixel,
+            margin=margin,
+            pitch_x_mm=float(ccd.pitch_x_um) * self.demagnification * 1e-3,
+            pitch_y_mm=float(ccd.pitch_y_um) * self.demagnification * 1e-3,
+        )

@@ -7,12 +7,41 @@ from numpy.typing import NDArray
 
 from labdata.errors import BadInput
 from labdata.sensor import Optics as OpticsDescription
-from simulate.iiccd import fourier, image_placement, tube_photometry, warp
-from simulate.iiccd.grid import Grid
-from simulate.iiccd.optics import add_veiling_glare
-from simulate.iiccd.stage_image import StageImage
-from simulate.iiccd.transfer import Defocus, Lens
+from simulate.iiccd import image_placement, tube_photometry
+from simulate.iiccd.grid import Grid, irfft_image, rfft_image
+from simulate.iiccd.stage_image import NoiselessStage, StageImage
+from simulate.iiccd.transfer import Defocus, Lens, StageBlur
 from simulate.radiance.cube import RadianceCube
+
+
+@dataclass(frozen=True, kw_only=True)
+class Optics(NoiselessStage):
+    """Lens between the scene and the photocathode.
+
+    Parameters
+    ----------
+    blur
+        Its blur.
+    veiling_glare_fraction
+        Share of the light that is spread evenly over the picture, dimensionless.
+    """
+
+    blur: StageBlur
+    veiling_glare_fraction: float
+    name: str = "optics"
+    takes: str = "photons"
+    emits: str = "photons"
+
+    def mean(self, light: StageImage) -> StageImage:
+        """Return (1 - v) E + v mean(E), owing the blur; the light per cell keeps its sum."""
+        return light.with_values(add_veiling_glare(light.values, self.veiling_glare_fraction)).blurred(self.blur)
+
+
+def add_veiling_glare(image: NDArray, fraction: float) -> NDArray:
+    """Return (1 - v) E + v mean(E): a share of the light spread evenly."""
+    level = image.mean(axis=(-2, -1), keepdims=True, dtype=np.float64)
+    return (1.0 - fraction) * image + np.asarray(fraction * level, image.dtype)
+
 
 # Wavelengths between which the focal shift is stated.
 FOCUS_SPAN_NM = (500.0, 925.0)
@@ -21,7 +50,7 @@ TRANSFER_ERROR, FREQUENCIES = 1e-4, 1500
 
 
 @dataclass(frozen=True, kw_only=True)
-class RadiometricLens:
+class RadiometricLens(NoiselessStage):
     """Lens that images a scene of known spectral radiance on the photocathode, or on a chip without a tube.
 
     Parameters
@@ -129,7 +158,7 @@ class RadiometricLens:
     def falloff(self, radius_mm: NDArray[np.floating]) -> NDArray[np.floating]:
         """Return cos^4(theta) times vignetting at distances from the axis, dimensionless."""
         square = np.square(radius_mm)
-        lost = square * (self.vignetting_fraction / warp.corner_mm(self.grid) ** 2)
+        lost = square * (self.vignetting_fraction / image_placement.corner_mm(self.grid) ** 2)
         secant = 1.0 + square / (self.focal_length_mm * (1.0 + self.magnification)) ** 2
         return np.maximum(1.0 - lost, 0.0) / (secant * secant)
 
@@ -164,16 +193,10 @@ class RadiometricLens:
         fx, fy = self.grid.frequencies()
         radius = np.hypot(fx, fy)
         total = sum(
-            fourier.rfft_image(image) * np.interp(radius, frequency, shape).astype(np.float32)
+            rfft_image(image) * np.interp(radius, frequency, shape).astype(np.float32)
             for image, shape in zip(images, shapes, strict=True)
         )
-        return StageImage(
-            values=fourier.irfft_image(np.asarray(total), self.grid.shape).astype(np.float32), grid=self.grid
-        )
-
-    def draw(self, light: RadianceCube, rng: np.random.Generator) -> StageImage:
-        """Return the mean: light has no noise of its own before it is detected."""
-        return self.mean(light)
+        return StageImage(values=irfft_image(np.asarray(total), self.grid.shape).astype(np.float32), grid=self.grid)
 
     def _photons_per_radiance(self, light: RadianceCube) -> NDArray[np.float64]:
         relative = np.asarray(self.detector_efficiency) / max(self.detector_efficiency)
@@ -189,14 +212,18 @@ class RadiometricLens:
     def _arriving(self, images: list[NDArray[np.float32]]) -> list[NDArray[np.float32]]:
         """Sharp images on the cells with the lens's geometry and falloff; they are given per cell area."""
         on_cells = [image_placement.place_on_cells(image, self.grid, row_pairs=self.row_pairs) for image in images]
-        x, y = (axis.astype(np.float32) for axis in warp.cell_centres(self.grid))
+        x, y = (axis.astype(np.float32) for axis in image_placement.cell_centres(self.grid))
         bright = self.falloff(np.hypot(x, y))
         if self.distortion_fraction == 0.0:
             return [np.asarray(image * bright, np.float32) for image in on_cells]
-        radial = warp.Radial(fraction=self.distortion_fraction, corner_mm=warp.corner_mm(self.grid))
+        radial = image_placement.Radial(
+            fraction=self.distortion_fraction, corner_mm=image_placement.corner_mm(self.grid)
+        )
         from_x, from_y, area = radial.source(x, y)
         bright = (bright * area).astype(np.float32)
-        return [warp.resample_image(image, self.grid, from_x, from_y, order=1) * bright for image in on_cells]
+        return [
+            image_placement.resample_image(image, self.grid, from_x, from_y, order=1) * bright for image in on_cells
+        ]
 
 
 def refuse_impossible(cube: RadianceCube) -> None:

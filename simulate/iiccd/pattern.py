@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata.frames import read_only
-from simulate.iiccd import fourier
-from simulate.iiccd.grid import Grid
+from simulate.iiccd.grid import Grid, irfft_image, rfft_image
 
 GRANULARITY_MM = 0.06
 
@@ -23,14 +22,14 @@ def _row_means(cells: NDArray[np.float32]) -> NDArray[np.float32]:
 
 @lru_cache(maxsize=4)
 def phosphor_granularity(grid: Grid, relative_sd: float, specimen: int) -> NDArray[np.float32]:
-    """Return the screen's gain on cells, mean 1, Gaussian with a correlation length of `GRANULARITY_MM` at the cathode."""
+    """Return the phosphor's gain on cells, mean 1, Gaussian with correlation length `GRANULARITY_MM` at the cathode."""
     if grid.per_row == 1:
         return _row_means(phosphor_granularity(_split_rows(grid), relative_sd, specimen))
     rng = np.random.default_rng([specimen, 1])
     fx, fy = grid.frequencies()
     grain = np.exp(-2.0 * (np.pi * GRANULARITY_MM * np.hypot(fx, fy)) ** 2)
     grain[0, 0] = 0.0
-    smooth = fourier.irfft_image(fourier.rfft_image(rng.standard_normal(grid.shape)) * grain, grid.shape)
+    smooth = irfft_image(rfft_image(rng.standard_normal(grid.shape)) * grain, grid.shape)
     return read_only((1.0 + relative_sd * smooth / smooth.std()).astype(np.float32))
 
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from labdata.errors import BadInput
 from simulate.iiccd import pattern
-from simulate.iiccd.stage_image import StageImage
+from simulate.iiccd.stage_image import NoiselessStage, StageImage
 from simulate.iiccd.transfer import StageBlur
 
 # Light that comes later than the remembered fields is less than this share.
@@ -18,7 +18,7 @@ PULSES = 2000
 
 
 @dataclass(frozen=True, kw_only=True)
-class Phosphor:
+class Phosphor(NoiselessStage):
     """Screen with all the spread between the plate's input and the fibre window.
 
     Parameters
@@ -48,13 +48,9 @@ class Phosphor:
             values *= pattern.phosphor_granularity(light.grid, self.gain_nonuniformity, self.specimen)
         return light.with_values(values).blurred(self.spread)
 
-    def draw(self, light: StageImage, rng: np.random.Generator) -> StageImage:
-        """Return the mean: photons are so many that their noise is drawn where they are detected."""
-        return self.mean(light)
-
 
 @dataclass(frozen=True, kw_only=True)
-class PhosphorDecay:
+class PhosphorDecay(NoiselessStage):
     """The screen's decay, field by field.
 
     It commutes with the linear optics behind the screen and stands after them, where images are small.
@@ -151,10 +147,6 @@ class PhosphorDecay:
         shares = self.weights if fields.ndim == 3 else self.halves
         return light.with_values(apply_phosphor_decay(np.concatenate([before, fields]), shares))
 
-    def draw(self, light: StageImage, rng: np.random.Generator) -> StageImage:
-        """Return the mean: decay adds no noise of its own."""
-        return self.mean(light)
-
 
 def apply_phosphor_decay(
     fields: NDArray, shares: NDArray[np.float64], order: NDArray[np.integer] | None = None
@@ -174,17 +166,18 @@ def apply_phosphor_decay(
     -----
     sum_j shares[j] fields[n - j], summed over halves.
     """
-    from simulate.iiccd.weighted_sum import sum_weighted_images
-
     by_half = np.atleast_2d(shares)
     halves, fields_seen = by_half.shape
     slots = np.arange(len(fields)) if order is None else order
-    images = fields.reshape(-1, *fields.shape[-2:])
+    images = fields.astype(np.float32, copy=False).reshape(-1, *fields.shape[-2:])
     # Latest field first, its halves side by side, as the images lie in memory.
     weights = by_half.T.ravel()
     shown = []
     for n in range(fields_seen - 1, len(fields)):
         latest_first = slots[n - fields_seen + 1 : n + 1][::-1]
         which = (latest_first[:, None] * halves + np.arange(halves)).ravel()
-        shown.append(sum_weighted_images(images, which, weights))
+        total = np.zeros(images.shape[1:], np.float32)
+        for image, weight in zip(which, weights.astype(np.float32), strict=True):
+            total += weight * images[image]
+        shown.append(total)
     return np.stack(shown)

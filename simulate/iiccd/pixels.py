@@ -6,14 +6,13 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.iiccd import fourier
-from simulate.iiccd.grid import Grid
-from simulate.iiccd.stage_image import StageImage
+from simulate.iiccd.grid import Grid, irfft_image, rfft_image
+from simulate.iiccd.stage_image import NoiselessStage, StageImage
 from simulate.iiccd.transfer import PixelAperture, StageBlur, fold_transfer, product
 
 
 @dataclass(frozen=True, kw_only=True)
-class Collection:
+class Collection(NoiselessStage):
     """The pixels' aperture, summed over row pairs where fields are integrated.
 
     Parameters
@@ -39,18 +38,14 @@ class Collection:
         if grid is None or grid.per_column != 2 or grid.per_row > 2:
             raise ValueError("pixels collect light on two cells per column and one or two per row")
         height = 2 if self.row_pairs else 1
-        spectrum = fourier.rfft_image(light.values) * pixel_transfer(light.pending_blurs, grid, height)
+        spectrum = rfft_image(light.values) * pixel_transfer(light.pending_blurs, grid, height)
         folded = fold_columns(fold_rows(spectrum) if grid.per_row == 2 else spectrum)
-        pixels = fourier.irfft_image(folded, (grid.shape[0] // grid.per_row, grid.shape[1] // 2))
+        pixels = irfft_image(folded, (grid.shape[0] // grid.per_row, grid.shape[1] // 2))
         # So far the amount in a cell around the pixel's centre, averaged by its aperture.
         pixels *= pixels.dtype.type(grid.per_column * grid.per_row * height)
         top, left = grid.margin_rows, grid.margin_columns
         rows = grid.rows - height + 1
         return StageImage(values=pixels[..., top : top + rows, left : left + grid.columns])
-
-    def draw(self, light: StageImage, rng: np.random.Generator) -> StageImage:
-        """Return the mean; the photons' noise is drawn where they become charge."""
-        return self.mean(light)
 
 
 @lru_cache(maxsize=8)
@@ -98,7 +93,7 @@ def fold_columns(spectrum: NDArray) -> NDArray:
 
 
 @dataclass(frozen=True, kw_only=True)
-class FieldReadout:
+class FieldReadout(NoiselessStage):
     """The order of reading: frame row r is read in field r % 2 where video is interlaced.
 
     Takes (field, row, col) with two fields a frame, earlier field first, and emits (frame, row, col); without
@@ -120,7 +115,3 @@ class FieldReadout:
         frames = fields[0::2].copy()
         frames[:, 1::2] = fields[1::2, 1::2]
         return light.with_values(frames)
-
-    def draw(self, light: StageImage, rng: np.random.Generator) -> StageImage:
-        """Return the mean: reading order adds no noise."""
-        return self.mean(light)

@@ -5,11 +5,25 @@ from numpy.typing import NDArray
 
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
+from labdata.sensor import Sensor
+from labdata.solid_state import SolidStateCamera
 from simulate.iiccd import image_placement
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.solid_state import SiliconCamera
 from simulate.iiccd.stage_image import StageImage
 from simulate.radiance.cube import RadianceCube
+
+Camera = IntensifiedCamera | SiliconCamera
+
+
+def camera_from_description(description: Sensor | SolidStateCamera) -> Camera:
+    """Return the camera as it sees scenes and pictures: whole, with the geometry of its fibres and local depletion.
+
+    The lab bench builds its own, without geometry: there a target's place on the frame is known.
+    """
+    if isinstance(description, SolidStateCamera):
+        return SiliconCamera(description)
+    return IntensifiedCamera(description, geometry=True, local_depletion=True)
 
 
 def mcp_input_from_radiance(

@@ -10,17 +10,53 @@ from numpy.typing import NDArray
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.solid_state import SolidStateCamera
-from simulate.iiccd.back_end import DigitalBackEnd
-from simulate.iiccd.ccd import Ccd
+from simulate.iiccd.ccd import Ccd, Register
 from simulate.iiccd.chain import Chain
-from simulate.iiccd.chip import DARK_REFERENCE_C, SensorGeometryCamera
-from simulate.iiccd.lens import RadiometricLens
-from simulate.iiccd.optics import Optics
+from simulate.iiccd.grid import DARK_REFERENCE_C, Grid, SensorGeometryCamera
+from simulate.iiccd.lens import Optics, RadiometricLens
 from simulate.iiccd.pixels import Collection
-from simulate.iiccd.register import Register
-from simulate.iiccd.silicon import Silicon
-from simulate.iiccd.stage_image import StageImage
+from simulate.iiccd.stage_image import NoiselessStage, StageImage
 from simulate.iiccd.transfer import Lens
+from simulate.iiccd.video import Video
+
+
+@dataclass(frozen=True, kw_only=True)
+class Silicon(NoiselessStage):
+    """Photosensitive chip behind an electronic shutter.
+
+    Parameters
+    ----------
+    quantum_efficiency
+        Photoelectrons per photon at the wavelength to which the photons have been referred, dimensionless.
+    exposure_s
+        Time the shutter is open, s.
+    grid
+        Cells on which the chip's pixels collect, half as many per pixel as those of the light.
+
+    Notes
+    -----
+    Takes photons per second and cell, emits the expected photoelectrons per exposure and cell. Photoelectrons collected
+    in a well are drawn there, `simulate.iiccd.ccd`: independent photons are Poisson in number, and so are those that a
+    blur before detection has displaced.
+    """
+
+    quantum_efficiency: float
+    exposure_s: float
+    grid: Grid
+    name: str = "silicon"
+    takes: str = "photons"
+    emits: str = "photoelectrons in the chip"
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.quantum_efficiency <= 1.0:
+            raise BadInput(f"quantum_efficiency must lie in (0, 1], got {self.quantum_efficiency:g}")
+        if not self.exposure_s > 0.0:
+            raise BadInput(f"exposure_s must be positive, got {self.exposure_s:g}")
+
+    def mean(self, light: StageImage) -> StageImage:
+        """Return photoelectrons per exposure and cell, all blurs so far computed."""
+        counted = light.values * np.asarray(self.quantum_efficiency * self.exposure_s, light.values.dtype)
+        return light.with_values(counted).resample_to(self.grid)
 
 
 @dataclass(frozen=True)
@@ -152,12 +188,12 @@ class SiliconCamera(SensorGeometryCamera):
             dark_e=self._dark_e(conditions),
         )
 
-    def video(self, conditions: Conditions) -> DigitalBackEnd:
+    def video(self, conditions: Conditions) -> Video:
         """Return the digitiser; automatic gain that was on is refused, as such cameras have none."""
         if conditions.automatic_gain or conditions.brightness_control:
             raise BadInput(f"automatic controls must be off, as {self.description.name!r} has none; got one on")
         video = self.description.video
-        return DigitalBackEnd(
+        return Video(
             gain=10.0 ** ((conditions.camera_gain_db or 0.0) / 20.0),
             conversion_gain_dn_per_e=float(video.conversion_gain_dn_per_e),
             black_level_dn=float(video.black_level_dn),

@@ -2,13 +2,12 @@
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.iiccd import fourier
-from simulate.iiccd.grid import Grid
+from simulate.iiccd.grid import Grid, irfft_image, rfft_image
 from simulate.iiccd.transfer import StageBlur, product
 
 Quantity = Literal["photons", "photoelectrons", "electrons", "photoelectrons at the plate", "screen photons", "DN"]
@@ -49,10 +48,8 @@ class StageImage:
         """Return the light with its blurs computed, on the same cells."""
         if not self.pending_blurs or self.grid is None:
             return self
-        spectrum = fourier.rfft_image(self.values) * _transfer(self.pending_blurs, self.grid)
-        return replace(
-            self, values=fourier.irfft_image(spectrum, self.grid.shape).astype(self.values.dtype), pending_blurs=()
-        )
+        spectrum = rfft_image(self.values) * _transfer(self.pending_blurs, self.grid)
+        return replace(self, values=irfft_image(spectrum, self.grid.shape).astype(self.values.dtype), pending_blurs=())
 
     def in_whole_rows(self) -> "StageImage":
         """Return the light gathered into cells one row high, nowhere below zero."""
@@ -71,13 +68,25 @@ class StageImage:
         if fine is None or fine.per_column != 2 * grid.per_column:
             raise ValueError("light is resampled to half as many cells per pixel")
         rows, columns = fine.shape[0] // 2, fine.shape[1] // 2
-        spectrum = fourier.rfft_image(self.values)
+        spectrum = rfft_image(self.values)
         half = rows // 2
         kept = np.concatenate([spectrum[..., :half, :], spectrum[..., -half:, :]], axis=-2)[..., : columns // 2 + 1]
         # Four cells become one, and the inverse transform divides by a quarter of the number: the two cancel.
-        values = fourier.irfft_image(kept * _resampling(self.pending_blurs, fine, grid.per_column), (rows, columns))
+        values = irfft_image(kept * _resampling(self.pending_blurs, fine, grid.per_column), (rows, columns))
         row, col = grid.window_of(fine)
         return StageImage(values=np.ascontiguousarray(values[..., row, col], dtype=np.float32), grid=grid)
+
+
+class NoiselessStage:
+    """Stage that adds no noise: what it draws is its mean."""
+
+    def mean(self, light: Any) -> StageImage:
+        """Return the image behind the stage."""
+        raise NotImplementedError
+
+    def draw(self, light: Any, rng: np.random.Generator) -> StageImage:
+        """Return the mean."""
+        return self.mean(light)
 
 
 @lru_cache(maxsize=16)

@@ -4,25 +4,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from labdata.camera_description import Parameter
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from labdata.parameter import Parameter
 from labdata.sensor import Sensor
 from simulate.iiccd import tube_photometry
 from simulate.iiccd.automatic_controls import SET_LEVEL, AutomaticGain, BrightnessControl
-from simulate.iiccd.back_end import DigitalBackEnd
-from simulate.iiccd.bright_source import BrightSourceProtection
 from simulate.iiccd.ccd import Ccd
-from simulate.iiccd.chip import DARK_REFERENCE_C, SensorGeometryCamera
-from simulate.iiccd.fibre_geometry import FibreGeometry
-from simulate.iiccd.lens import RadiometricLens
+from simulate.iiccd.grid import DARK_REFERENCE_C, SensorGeometryCamera
+from simulate.iiccd.lens import Optics, RadiometricLens
 from simulate.iiccd.microchannel import MicrochannelPlate
-from simulate.iiccd.optics import Optics
 from simulate.iiccd.phosphor import Phosphor, PhosphorDecay
-from simulate.iiccd.photocathode import Photocathode, ProximityGap
-from simulate.iiccd.taper import Taper
+from simulate.iiccd.photocathode import BrightSourceProtection, Photocathode, ProximityGap
+from simulate.iiccd.taper import FibreGeometry, Taper
 from simulate.iiccd.transfer import FibreTaper, HaloBlur, Lens, TubeShare, VideoFilter
-from simulate.iiccd.video import Video
+from simulate.iiccd.video import NoFilter, Video
 
 
 @dataclass(frozen=True)
@@ -100,7 +96,7 @@ class DescribedCamera(SensorGeometryCamera):
             self.sensor.optics, detector, self.scene_cells, magnification=magnification, row_pairs=self.interlaced
         )
 
-    def _optics(self) -> Optics:
+    def optics(self) -> Optics:
         optics = self.sensor.optics
         blur = Lens(aberration_blur_um=float(optics.aberration_blur_um), f_number=float(optics.f_number))
         return Optics(blur=blur, veiling_glare_fraction=float(optics.veiling_glare_fraction))
@@ -118,7 +114,7 @@ class DescribedCamera(SensorGeometryCamera):
             field_s=self.field_s,
         )
 
-    def _gap(self, cathode_lux: float) -> ProximityGap:
+    def gap(self, cathode_lux: float) -> ProximityGap:
         cathode = self.sensor.photocathode
         halo = HaloBlur(
             fraction=self._unless("halo", cathode.halo_fraction),
@@ -149,7 +145,7 @@ class DescribedCamera(SensorGeometryCamera):
             lateral_energy_ev=float(cathode.lateral_energy_ev),
         )
 
-    def _fibre_geometry(self) -> FibreGeometry:
+    def fibre_geometry(self) -> FibreGeometry:
         taper = self.sensor.taper
         return FibreGeometry(
             distortion_fraction=float(taper.distortion_fraction),
@@ -196,7 +192,7 @@ class DescribedCamera(SensorGeometryCamera):
     def _depletes_locally(self) -> bool:
         return self.local_depletion and "local depletion" not in self.left_out
 
-    def _phosphor(self) -> Phosphor:
+    def phosphor(self) -> Phosphor:
         return Phosphor(
             photons_per_electron=float(self.sensor.phosphor.photons_per_electron),
             spread=self._share(float(self.sensor.tube.post_gain_share)),
@@ -204,7 +200,7 @@ class DescribedCamera(SensorGeometryCamera):
             specimen=self.specimen,
         )
 
-    def _taper(self) -> Taper:
+    def taper(self) -> Taper:
         taper = self.sensor.taper
         blur = FibreTaper(
             fibre_pitch_um=float(taper.fibre_pitch_um),
@@ -232,7 +228,7 @@ class DescribedCamera(SensorGeometryCamera):
             field_s=self.field_s,
         )
 
-    def _ccd(self, conditions: Conditions) -> Ccd:
+    def ccd(self, conditions: Conditions) -> Ccd:
         ccd = self.sensor.ccd
         warmer = 0.0 if conditions.temperature_c is None else conditions.temperature_c - DARK_REFERENCE_C
         warmth = 2.0 ** (warmer / float(ccd.dark_current_doubling_k))
@@ -250,36 +246,31 @@ class DescribedCamera(SensorGeometryCamera):
             specimen=self.specimen,
         )
 
-    def video(self, conditions: Conditions | None = None) -> Video | DigitalBackEnd:
+    def video(self, conditions: Conditions | None = None) -> Video:
         """Return the video with its digitiser, or the digitiser alone of a camera without video.
 
         The camera's gain in the conditions, dB, multiplies charge and noise alike.
         """
         gain_db = None if conditions is None else conditions.camera_gain_db
-        video, gain = self.sensor.video, 10.0 ** ((gain_db or 0.0) / 20.0)
-        if video.low_pass is None:
-            return DigitalBackEnd(
-                conversion_gain_dn_per_e=float(video.conversion_gain_dn_per_e),
-                black_level_dn=float(video.black_level_dn),
-                gamma=float(video.gamma),
-                bit_depth=video.bit_depth,
-                gain=gain,
+        video = self.sensor.video
+        low_pass, jitter_px = NoFilter(), 0.0
+        if video.low_pass is not None:
+            bandwidth_mhz, clock_mhz, order = video.low_pass
+            low_pass = VideoFilter(
+                bandwidth_mhz=bandwidth_mhz,
+                pixel_clock_mhz=clock_mhz,
+                order=order,
+                aperture_correction_db=float(video.aperture_correction_db or 0.0),
             )
-        bandwidth_mhz, clock_mhz, order = video.low_pass
-        low_pass = VideoFilter(
-            bandwidth_mhz=bandwidth_mhz,
-            pixel_clock_mhz=clock_mhz,
-            order=order,
-            aperture_correction_db=float(video.aperture_correction_db or 0.0),
-        )
+            jitter_px = self._unless("sync jitter", video.sync_jitter_ns or 0.0) * 1e-3 * clock_mhz
         return Video(
             low_pass=low_pass,
             conversion_gain_dn_per_e=float(video.conversion_gain_dn_per_e),
             black_level_dn=float(video.black_level_dn),
             gamma=float(video.gamma),
             bit_depth=video.bit_depth,
-            gain=gain,
-            sync_jitter_px=self._unless("sync jitter", video.sync_jitter_ns or 0.0) * 1e-3 * clock_mhz,
+            gain=10.0 ** ((gain_db or 0.0) / 20.0),
+            sync_jitter_px=jitter_px,
             line_noise_dn=self._unless("line noise", video.line_noise_dn or 0.0),
         )
 

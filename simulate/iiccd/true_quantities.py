@@ -4,7 +4,7 @@ Formulas and numerical integrals of formulas, no simulated frame. Frequencies ar
 directions; lengths in column pitches.
 """
 
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,20 +13,13 @@ from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.sensor import Sensor
 from simulate.iiccd import tube_photometry
-from simulate.iiccd.back_end import DigitalBackEnd, Unfiltered
 from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.microchannel import MicrochannelPlate
-from simulate.iiccd.optics import Optics
-from simulate.iiccd.phosphor import Phosphor
-from simulate.iiccd.photocathode import ProximityGap
-from simulate.iiccd.taper import Taper
 from simulate.iiccd.transfer import PixelAperture, StageBlur, VideoFilter, product
-from simulate.iiccd.video import Video
+from simulate.iiccd.video import NoFilter
 
 # Or degrees from the row direction.
 Direction = Literal["horizontal", "vertical"] | float
 DEGREES = {"horizontal": 0.0, "vertical": 90.0}
-StageType = TypeVar("StageType")
 
 
 def true_mtf(
@@ -76,7 +69,7 @@ def _transfer(
     frequency = np.asarray(frequency_cy_per_px, float)
     fx, fy = frequency * np.cos(angle), frequency * np.sin(angle)
     pitch_mm = camera.cells.pitch_x_mm
-    return np.abs(product(blurs, fx / pitch_mm, fy / pitch_mm) * _video(camera).low_pass.transfer(fx))
+    return np.abs(product(blurs, fx / pitch_mm, fy / pitch_mm) * camera.video().low_pass.transfer(fx))
 
 
 def true_crossing_frequency(sensor: Sensor, level: float, direction: Direction = "horizontal") -> float:
@@ -144,7 +137,7 @@ def field_pixel_area_cm2(camera: IntensifiedCamera) -> float:
 
 
 def pulse_correlation(
-    blurs: tuple[StageBlur, ...], low_pass: VideoFilter | Unfiltered | None, pitch_x_mm: float, pitch_y_mm: float
+    blurs: tuple[StageBlur, ...], low_pass: VideoFilter | NoFilter | None, pitch_x_mm: float, pitch_y_mm: float
 ) -> tuple[float, float, float]:
     """Return the blur factor of pulses behind a blur, and their correlations one pixel away.
 
@@ -175,10 +168,10 @@ def pulse_correlation(
     if low_pass is not None:
         power = power * np.abs(low_pass.transfer(x)) ** 2
     total = power.sum()
-    beside = (power * np.cos(2.0 * np.pi * x)[None, :]).sum() / total
-    below = (power * np.cos(2.0 * np.pi * y)[:, None]).sum() / total
+    next_column = (power * np.cos(2.0 * np.pi * x)[None, :]).sum() / total
+    next_row = (power * np.cos(2.0 * np.pi * y)[:, None]).sum() / total
     # One quadrant stands for four.
-    return float(4.0 * total * (x[1] - x[0]) * (y[1] - y[0])), float(beside), float(below)
+    return float(4.0 * total * (x[1] - x[0]) * (y[1] - y[0])), float(next_column), float(next_row)
 
 
 def _midpoints(count: int, end: float = 4.0) -> NDArray[np.floating]:
@@ -187,61 +180,47 @@ def _midpoints(count: int, end: float = 4.0) -> NDArray[np.floating]:
 
 
 def _noise(camera: IntensifiedCamera, conditions: Conditions) -> dict[str, float]:
-    plate = _stage(camera, conditions, "microchannel plate", MicrochannelPlate)
-    screen = _stage(camera, conditions, "phosphor", Phosphor)
-    taper = _stage(camera, conditions, "taper", Taper)
+    mcp, phosphor, taper = camera.plate(conditions), camera.phosphor(), camera.taper()
     system_gain = float(camera.sensor.video.conversion_gain_dn_per_e)
     efficiency = float(camera.sensor.ccd.quantum_efficiency)
-    gain = plate.gain * screen.photons_per_electron * taper.transmission * efficiency * system_gain
-    pulses = gain * plate.excess_noise_factor
+    gain = mcp.gain * phosphor.photons_per_electron * taper.transmission * efficiency * system_gain
+    pulses = gain * mcp.excess_noise_factor
     shares = camera.afterglow(conditions).pulse_shares
     decay = float(np.mean(np.sum(shares**2, axis=1)))
     next_field = float(np.mean(np.sum(shares[:, 1:] * shares[:, :-1], axis=1)))
     height = 2 if camera.interlaced else 1
     pitch_x, pitch_y = camera.cells.pitch_x_mm, camera.cells.pitch_y_mm * height
-    blur, beside, below = pulse_correlation(_after_gain(camera), _video(camera).low_pass, pitch_x, pitch_y)
+    blur, next_column, next_row = pulse_correlation(_after_gain(camera), camera.video().low_pass, pitch_x, pitch_y)
     # The charge's own shot noise is white until the video filter.
-    white = float(np.sum(_video(camera).low_pass.impulse_response() ** 2))
+    white = float(np.sum(camera.video().low_pass.impulse_response() ** 2))
     field = system_gain + pulses * decay
     return {
         "photoelectron_gain": gain,
-        "detected_photoelectron_gain": gain / plate.detection_probability,
+        "detected_photoelectron_gain": gain / mcp.detection_probability,
         "system_gain": system_gain,
-        "excess_noise_factor": plate.excess_noise_factor,
+        "excess_noise_factor": mcp.excess_noise_factor,
         "covariance_gain": system_gain + pulses,
         "field_covariance_gain": field,
         "decay_factor": decay,
         "field_correlation": next_field / decay,
         "blur_factor": (system_gain * white + pulses * decay * blur) / field,
-        "correlation_horizontal": beside,
-        "correlation_vertical": below,
+        "correlation_horizontal": next_column,
+        "correlation_vertical": next_row,
     }
 
 
 def _read_noise_dn(camera: IntensifiedCamera) -> float:
-    white = np.sum(_video(camera).low_pass.impulse_response() ** 2)
+    white = np.sum(camera.video().low_pass.impulse_response() ** 2)
     read = float(camera.sensor.ccd.read_noise_e) * float(camera.sensor.video.conversion_gain_dn_per_e)
     return float(read * np.sqrt(white))
 
 
-def _stage(camera: IntensifiedCamera, conditions: Conditions, name: str, kind: type[StageType]) -> StageType:
-    (found,) = (stage for stage in camera.chain(conditions).stages if stage.name == name)
-    assert isinstance(found, kind)
-    return found
-
-
-def _video(camera: IntensifiedCamera) -> Video | DigitalBackEnd:
-    return camera.video()
-
-
 def _before_gain(camera: IntensifiedCamera) -> tuple[StageBlur, ...]:
-    gap = _stage(camera, Conditions(), "gap", ProximityGap)
-    return (_stage(camera, Conditions(), "optics", Optics).blur, gap.spread, gap.halo)
+    gap = camera.gap(0.0)
+    return camera.optics().blur, gap.spread, gap.halo
 
 
 def _after_gain(camera: IntensifiedCamera) -> tuple[StageBlur, ...]:
-    screen = _stage(camera, Conditions(), "phosphor", Phosphor)
-    taper = _stage(camera, Conditions(), "taper", Taper)
     height = 2 if camera.interlaced else 1
     aperture = PixelAperture(width_mm=camera.cells.pitch_x_mm, height_mm=height * camera.cells.pitch_y_mm)
-    return (screen.spread, taper.blur, aperture)
+    return camera.phosphor().spread, camera.taper().blur, aperture

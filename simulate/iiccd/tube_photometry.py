@@ -8,8 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from labdata.errors import BadInput
 from labdata.sensor import Sensor
 from simulate.radiance.cube import band_widths
-from simulate.radiance.photometry import LUMENS_PER_WATT, luminous_efficiency, planck
-from simulate.radiance.spectrum import hat_integrals
+from simulate.radiance.spectrum import LUMENS_PER_WATT, hat_integrals, luminous_efficiency, planck
 
 ELEMENTARY_CHARGE_C = 1.602176634e-19
 JOULE_METRE = 6.62607015e-34 * 2.99792458e8

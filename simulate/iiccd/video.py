@@ -1,4 +1,4 @@
-"""The video chain: a causal low pass along the lines, black level, gamma and whole digital numbers."""
+"""Video: low pass along lines, black level, gamma and digitiser; a digital camera has no low pass."""
 
 from dataclasses import dataclass
 
@@ -6,12 +6,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata.errors import BadInput
-from simulate.iiccd.back_end import apply_gamma, digitise, refuse_impossible_digitiser
 from simulate.iiccd.stage_image import StageImage
 from simulate.iiccd.transfer import VideoFilter
 
-# A parabola through three pixels describes shifts well below a pixel only.
-LARGEST_JITTER_PX = 0.5
+
+@dataclass(frozen=True, kw_only=True)
+class NoFilter:
+    """Filter of a camera whose pixels are digitised one by one, without a video signal."""
+
+    def impulse_response(self, length: int = 1) -> NDArray[np.float64]:
+        """Return 1 and zeros, shape (length,)."""
+        return np.eye(1, length)[0]
+
+    def transfer(self, frequency_cy_per_px: NDArray[np.floating]) -> NDArray[np.complex128]:
+        """Return 1 at every frequency."""
+        return np.ones(np.shape(frequency_cy_per_px), np.complex128)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,16 +29,16 @@ class Video:
 
     Parameters
     ----------
-    low_pass
-        The filter along lines.
     conversion_gain_dn_per_e
         DN per electron of charge.
     black_level_dn
         Level without charge, DN.
+    bit_depth
+        Bits of the digitiser, at most 16.
+    low_pass
+        Filter along lines.
     gamma
         Exponent y = x^gamma of the signal above black, relative to full scale, dimensionless.
-    bit_depth
-        Bits of the digitiser.
     gain
         Factor of the automatic gain, which acts on signal and noise alike, dimensionless.
     sync_jitter_px
@@ -38,11 +47,11 @@ class Video:
         Standard deviation of an offset common to a line, DN.
     """
 
-    low_pass: VideoFilter
     conversion_gain_dn_per_e: float
     black_level_dn: float
-    gamma: float
     bit_depth: int
+    low_pass: VideoFilter | NoFilter = NoFilter()
+    gamma: float = 1.0
     gain: float = 1.0
     sync_jitter_px: float = 0.0
     line_noise_dn: float = 0.0
@@ -51,9 +60,13 @@ class Video:
     emits: str = "DN"
 
     def __post_init__(self) -> None:
-        refuse_impossible_digitiser(self.bit_depth, self.gamma)
-        if not 0.0 <= self.sync_jitter_px <= LARGEST_JITTER_PX:
-            raise BadInput(f"sync_jitter_px must lie between 0 and {LARGEST_JITTER_PX:g}, got {self.sync_jitter_px:g}")
+        if not 1 <= self.bit_depth <= 16:
+            raise BadInput(f"bit_depth must lie in 1..16, got {self.bit_depth}")
+        if not self.gamma > 0.0:
+            raise BadInput(f"gamma must be positive, got {self.gamma:g}")
+        # A parabola through three pixels describes shifts well below a pixel only.
+        if not 0.0 <= self.sync_jitter_px <= 0.5:
+            raise BadInput(f"sync_jitter_px must lie between 0 and 0.5, got {self.sync_jitter_px:g}")
         if not self.line_noise_dn >= 0.0:
             raise BadInput(f"line_noise_dn must not be negative, got {self.line_noise_dn:g}")
 
@@ -85,6 +98,21 @@ class Video:
         return apply_gamma(signal, self.gamma, self.full_scale_dn - self.black_level_dn) + np.float32(
             self.black_level_dn
         )
+
+
+def apply_gamma(signal: NDArray[np.float32], gamma: float, span_dn: float) -> NDArray[np.float32]:
+    """Return y = x^gamma of a signal above black, relative to the span between black and full scale."""
+    if gamma == 1.0:
+        return signal
+    span = np.float32(span_dn)
+    return span * np.sign(signal) * np.abs(signal / span) ** np.float32(gamma)
+
+
+def digitise(level_dn: NDArray[np.float32], bit_depth: int) -> NDArray[np.unsignedinteger]:
+    """Return whole DN between 0 and full scale, uint8 up to eight bits and uint16 beyond."""
+    whole = np.rint(level_dn)
+    np.clip(whole, 0, 2**bit_depth - 1, out=whole)
+    return whole.astype(np.uint8 if bit_depth <= 8 else np.uint16)
 
 
 def shift_lines(lines: NDArray[np.float32], late_px: NDArray[np.float32]) -> NDArray[np.float32]:

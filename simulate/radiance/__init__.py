@@ -1,1 +1,1 @@
-"""Spectral radiance of a described scene, by casting rays at its surfaces."""
+"""Spectral radiance of scenes: light sources, materials, geometry, integrator and renderers."""

@@ -1,31 +1,82 @@
-"""The picture of a lab target in spectral radiance: one ray per pixel where it is plain, many where materials meet."""
+"""Renderer of the lab bench: spectral radiance of a target, with many rays in cells where materials meet."""
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from simulate.radiance.cube import RadianceCube
-from simulate.radiance.photometry import planck
-from simulate.radiance.ray_tracer import RayTracer, tracer
+from simulate.radiance.geometry.ray_tracer import RayTracer, tracer
+from simulate.radiance.integrator.low_discrepancy import R2
 from simulate.radiance.scene import LabScene
+from simulate.radiance.spectrum import planck
 from simulate.radiance.target_mesh import OPEN, TargetMesh
-from simulate.radiance.target_view import TargetView
 
-# Cells along one side of the block that a single ray stands for where nothing changes.
+
+@dataclass(frozen=True, kw_only=True)
+class TargetView:
+    """A rectangle of cells on the plane of the target, viewed from a point in front of its centre.
+
+    Parameters
+    ----------
+    shape
+        Cells, (row, col).
+    cell_px
+        Size of a cell (x, y), column pitches.
+    corner_px
+        Corner of the first cell (x, y) relative to the target's centre, column pitches.
+    metre_per_px
+        Size of a column pitch on the target's plane, m.
+    distance_m
+        Distance of the lens, m.
+    eye_px
+        Intersection of the optical axis with the plane (x, y), relative to the target's centre, column pitches.
+    """
+
+    shape: tuple[int, int]
+    cell_px: tuple[float, float]
+    corner_px: tuple[float, float]
+    metre_per_px: float
+    distance_m: float
+    eye_px: tuple[float, float] = (0.0, 0.0)
+
+    def tiles(self, rows: int) -> Iterator[tuple[slice, "TargetView"]]:
+        """Yield strips of at most `rows` rows of cells, each with its slice of the rows."""
+        for start in range(0, self.shape[0], rows):
+            stop = min(start + rows, self.shape[0])
+            corner = (self.corner_px[0], self.corner_px[1] + start * self.cell_px[1])
+            yield slice(start, stop), replace(self, shape=(stop - start, self.shape[1]), corner_px=corner)
+
+    def places_px(self, row: NDArray[np.floating], col: NDArray[np.floating]) -> NDArray[np.floating]:
+        """Return positions (x, y) of cell coordinates, integers at the corners of cells, shape (point, 2)."""
+        x = self.corner_px[0] + col * self.cell_px[0]
+        y = self.corner_px[1] + row * self.cell_px[1]
+        return np.stack([x, y], axis=-1)
+
+    def cells_px(self, place_px: NDArray[np.floating]) -> NDArray[np.floating]:
+        """Return cell coordinates (row, col) of positions (x, y), shape (point, 2)."""
+        return (place_px[:, ::-1] - np.array(self.corner_px[::-1])) / np.array(self.cell_px[::-1])
+
+    def rays(self, place_px: NDArray[np.floating]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+        """Return origins and directions, m, of rays from the lens to positions (x, y), each of shape (ray, 3)."""
+        eye = np.array([*np.multiply(self.eye_px, self.metre_per_px), -self.distance_m])
+        towards = np.column_stack([place_px * self.metre_per_px, np.zeros(len(place_px))]) - eye
+        return np.broadcast_to(eye, towards.shape), towards
+
+
+# Cells along one side of the block that one ray represents in uniform parts.
 BLOCK = 4
-# Rays in a cell where materials meet: a straight border is then placed to better than 1/256 of the cell.
+# Rays in a cell where materials meet: a straight border is then located to better than 1/256 of the cell.
 RAYS = 256
-# The golden and silver ratios' plane sequence fills a cell evenly (Roberts' R2 sequence).
-_R2 = np.array([0.7548776662466927, 0.5698402909980532])
-# Rays that go on start this far behind a plate, and shadow rays this far before it.
+# Distance from a plate at which transmitted rays (behind it) and shadow rays (before it) start.
 CLEARANCE_M = 1e-4
 MATERIALS = 3
 
 
 @dataclass(frozen=True)
 class LabSetup:
-    """A target set up on the bench.
+    """A target on the lab bench.
 
     Parameters
     ----------
@@ -36,7 +87,7 @@ class LabSetup:
     metre_per_px
         Column pitch on the target's plane, m.
     target, port
-        The surfaces of the target and of the sphere's port, ready for rays.
+        Ray tracers of the target and of the sphere's port.
     """
 
     scene: LabScene
@@ -47,7 +98,7 @@ class LabSetup:
 
 
 def set_up(scene: LabScene, mesh: TargetMesh, metre_per_px: float) -> LabSetup:
-    """Put a target on the bench, the sphere's port behind all of it."""
+    """Place a target on the bench, with the sphere's port behind all of it."""
     reach = np.abs(mesh.vertices).max() * metre_per_px * 1.5
     corners = np.array([[-reach, -reach], [reach, -reach], [reach, reach], [-reach, reach]])
     port = np.column_stack([corners, np.full(4, scene.sphere.distance_m)])
@@ -61,7 +112,7 @@ def set_up(scene: LabScene, mesh: TargetMesh, metre_per_px: float) -> LabSetup:
 
 
 def render_bench(bench: LabSetup, view: TargetView, wavelength_nm: NDArray[np.floating]) -> RadianceCube:
-    """Return the spectral radiance that the lens sees, each cell's average, for a port of radiance Planck(T).
+    """Return the spectral radiance at the lens, averaged over each cell, for a port of radiance Planck(T).
 
     Parameters
     ----------
@@ -74,7 +125,7 @@ def render_bench(bench: LabSetup, view: TargetView, wavelength_nm: NDArray[np.fl
 
     Notes
     -----
-    L = tau L_port where the ray goes on to the port, plus rho E_room/pi where no surface shades the room light.
+    L = tau L_port where the transmitted ray meets the port, plus rho E_room/pi where the room light is not occluded.
     """
     shares = _shares(bench, view).reshape(2 * MATERIALS, -1)
     scene = bench.scene
@@ -82,17 +133,17 @@ def render_bench(bench: LabSetup, view: TargetView, wavelength_nm: NDArray[np.fl
     room = planck(wavelength_nm, scene.room_light.temperature_k) * _room_scale(scene)
     surfaces = (scene.open, scene.mask, scene.ring)
     through = [surface.transmittance_at(wavelength_nm) * port for surface in surfaces]
-    back = [surface.reflected(wavelength_nm) * room for surface in surfaces]
+    back = [surface.reflectance_at(wavelength_nm) * room for surface in surfaces]
     spectra = np.stack([*through, *back], axis=1).astype(np.float32)
     return RadianceCube(wavelength_nm=wavelength_nm, radiance=(spectra @ shares).reshape(-1, *view.shape))
 
 
 def _room_scale(scene: LabScene) -> float:
-    """Radiance of a white diffuser in the room light over a black body's of its temperature, dimensionless.
+    """Return the radiance of a white diffuser in the room light over that of a black body, dimensionless.
 
     The lamp's illuminance is relative to the port's exitance; both are Planck radiators.
     """
-    from simulate.radiance.photometry import luminous_efficiency
+    from simulate.radiance.spectrum import luminous_efficiency
 
     fine = np.arange(380.0, 771.0, 5.0)
     eye = luminous_efficiency(fine)
@@ -102,7 +153,7 @@ def _room_scale(scene: LabScene) -> float:
 
 
 def _shares(bench: LabSetup, view: TargetView) -> NDArray[np.float32]:
-    """Share of each cell that shows the port through each material, then that reflects the room light by each."""
+    """Return the fraction of each cell that transmits the port, then that reflects the room light, by material."""
     rows, columns = view.shape
     mixed = outline_cells(bench.mesh, view)
     blocks = mixed.reshape(rows // BLOCK, BLOCK, columns // BLOCK, BLOCK).any(axis=(1, 3))
@@ -113,14 +164,14 @@ def _shares(bench: LabSetup, view: TargetView) -> NDArray[np.float32]:
     plain = np.argwhere(blocks.repeat(BLOCK, axis=0).repeat(BLOCK, axis=1) & ~mixed)
     shares[:, plain[:, 0], plain[:, 1]] = _fractions_along(bench, view, plain + 0.5)
     for part in np.array_split(np.argwhere(mixed), max(1, np.count_nonzero(mixed) * RAYS // 2_000_000)):
-        inside = (0.5 + np.arange(1, RAYS + 1)[:, None] * _R2) % 1.0
+        inside = (0.5 + np.arange(1, RAYS + 1)[:, None] * R2) % 1.0
         many = _fractions_along(bench, view, (part[:, None, :] + inside).reshape(-1, 2))
         shares[:, part[:, 0], part[:, 1]] = many.reshape(2 * MATERIALS, len(part), RAYS).mean(axis=2)
     return shares
 
 
 def outline_cells(mesh: TargetMesh, view: TargetView) -> NDArray[np.bool_]:
-    """Return the cells that an outline passes through or close by, shape (row, col)."""
+    """Return the cells in or next to which materials meet, shape (row, col)."""
     rows, columns = view.shape
     mixed = np.zeros((rows + 2, columns + 2), bool)
     for line in mesh.outlines:
@@ -144,11 +195,11 @@ def _dilate(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _fractions_along(bench: LabSetup, view: TargetView, cell: NDArray[np.floating]) -> NDArray[np.float32]:
-    """What rays through cell coordinates (row, col) see: port through, then room light on, each material."""
+    """Return for rays through cell coordinates (row, col) the weight of port and room light, by material."""
     place = view.places_px(cell[:, 0], cell[:, 1])
     origin, towards = view.rays(place)
     face = bench.target.first_hit(origin, towards)
-    # A ray through an exact seam may miss both triangles: it is moved by a hair.
+    # A ray exactly through a seam may miss both triangles: it is displaced slightly.
     missed = face < 0
     if missed.any():
         nudged = view.rays(place[missed] + 1e-4)
@@ -167,7 +218,7 @@ def _port_behind(bench: LabSetup, point_m: NDArray[np.floating], towards: NDArra
 
 
 def _room_light(bench: LabSetup, point_m: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Irradiance of the room light relative to that at the target's centre, zero in shadow."""
+    """Return the irradiance by the room light relative to that at the target's centre, zero in shadow."""
     lamp = np.array(bench.scene.room_light.position_m)
     way = lamp - point_m
     distance = np.linalg.norm(way, axis=1)

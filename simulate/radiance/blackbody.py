@@ -6,7 +6,7 @@ from numpy.typing import ArrayLike, NDArray
 # CODATA 2018: W m-2 K-4; J s; m/s; J/K.
 STEFAN_BOLTZMANN = 5.670374419e-8
 PLANCK, LIGHT, BOLTZMANN = 6.62607015e-34, 2.99792458e8, 1.380649e-23
-# Terms of the series: exp(-n x) is below 1e-9 of the first one after so many, for x of 0.5 (14 um at 2000 K) and more.
+# Terms of the series: exp(-n x) is below 1e-9 of the first one after these, for x of 0.5 (14 um at 2000 K) and more.
 TERMS = 40
 
 Array = NDArray[np.float64]

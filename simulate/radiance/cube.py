@@ -1,4 +1,4 @@
-"""Spectral radiance as an image: one plane per wavelength."""
+"""Spectral radiance image with one plane per wavelength."""
 
 from dataclasses import dataclass
 
@@ -20,8 +20,8 @@ class RadianceCube:
     radiance
         Spectral radiance, shape (band, row, col), W m-2 sr-1 nm-1. Made read-only.
     averaged
-        Whether values are averages over the bands (`spectrum.Spectrum.on`), so that the sum of value, width
-        (`band_widths`) and response at the band is the integral; else they are those at the bands themselves.
+        Whether values are averages over the bands (`SourceSpectrum.on`), so that the sum of value, width
+        (`band_widths`) and response at the band is the integral; else they are values at the wavelengths.
     """
 
     wavelength_nm: NDArray[np.floating]
@@ -49,6 +49,6 @@ class RadianceCube:
 
 
 def band_widths(wavelength_nm: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Return the trapezoid's width of each band, shape (band,), nm: an integral is the sum of value times width."""
+    """Return the trapezoidal width of each band, shape (band,), nm: an integral is the sum of value times width."""
     steps = np.diff(np.asarray(wavelength_nm, float))
     return 0.5 * (np.append(steps, 0.0) + np.insert(steps, 0, 0.0))

@@ -1,4 +1,4 @@
-"""Scenes are read from TOML here; and the lab bench as a scene: lamp, target plate and its holder, room light."""
+"""Scenes from TOML files, and the description of the lab bench: sphere, target plate, holder and room light."""
 
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -7,15 +7,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from labdata.errors import BadInput
-from simulate.radiance.materials.material import Material
+from simulate.radiance.materials import Material
 
 if TYPE_CHECKING:
-    from simulate.radiance.outdoor.description.scene import OutdoorScene
+    from simulate.radiance.outdoor.scene import OutdoorScene
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sphere:
-    """Integrating sphere whose port lights the target from behind; its radiance is set by the illuminance asked for.
+    """Integrating sphere whose port lights the target from behind; the requested illuminance sets its radiance.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ class RoomLight:
     relative_illuminance
         Illuminance it would give at the target's centre, over the exitance of the sphere's port, dimensionless.
     position_m
-        Place (x, y, z) relative to the target's centre, m: x right and y down in the picture, z away from the camera.
+        Position (x, y, z) relative to the target's centre, m: x right and y down in the image, z away from the camera.
     """
 
     temperature_k: float
@@ -55,9 +55,9 @@ class Holder:
     Parameters
     ----------
     inner_radius_px, outer_radius_px
-        Radii in the picture, column pitches.
+        Radii in the image, column pitches.
     height_m
-        How far it stands out towards the camera, m.
+        Height of the ring towards the camera, m.
     """
 
     inner_radius_px: float
@@ -78,7 +78,7 @@ class LabScene:
     sphere, room_light, holder
         Lamp, room and ring.
     open, mask, ring
-        Materials of the target's clear parts, of its plate and of the holder's ring.
+        Materials of the target's clear parts, its plate and the holder's ring.
     """
 
     name: str
@@ -109,7 +109,7 @@ class LabScene:
 
 
 def load_scene(name_or_path: str | Path = "bench") -> "LabScene | OutdoorScene":
-    """Return a scene by the name of a shipped one, or from a TOML file: a lab bench, or one out of doors with a camera.
+    """Return a shipped scene by name, or a scene from a TOML file: a lab bench, or an outdoor scene with a camera.
 
     Raises
     ------
@@ -128,7 +128,7 @@ def load_scene(name_or_path: str | Path = "bench") -> "LabScene | OutdoorScene":
 
 
 def load_bench(name_or_path: str | Path = "bench") -> LabScene:
-    """Return a scene that is a lab bench, as `load_scene`; another kind is refused."""
+    """Return a lab bench, as `load_scene`; raise BadInput for another kind of scene."""
     scene = load_scene(name_or_path)
     if not isinstance(scene, LabScene):
         raise BadInput(f"a lab bench needs a scene with a sphere and a target, got {scene.name!r}")
@@ -141,7 +141,7 @@ def _read(path: Path) -> "LabScene | OutdoorScene":
     mapping = read_toml(path)
     if "camera" not in mapping:
         return from_mapping(mapping, LabScene, where=path.name)
-    from simulate.radiance.outdoor.description.scene import OutdoorScene
+    from simulate.radiance.outdoor.scene import OutdoorScene
 
     place = mapping.get("place")
     if isinstance(place, dict) and isinstance(place.get("time"), datetime):

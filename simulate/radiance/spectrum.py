@@ -1,7 +1,9 @@
-"""A spectrum of a source: a continuum and lines, averaged over the bands of a grid so that no line is lost."""
+"""Spectra of light sources, with a continuum and lines, and the spectral grid of a rendering."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
+from importlib import resources
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -9,14 +11,45 @@ from numpy.typing import ArrayLike, NDArray
 from labdata.errors import BadInput
 from labdata.frames import read_only
 from simulate.radiance.cube import band_widths
-from simulate.radiance.photometry import EYE_NM, EYE_SHARE, LUMENS_PER_WATT
+
+LUMENS_PER_WATT = 683.0
+
+# CIE 1924 photopic luminous efficiency, every 10 nm from 380 nm.
+EYE_NM = np.arange(380.0, 771.0, 10.0)
+# fmt: off
+EYE_SHARE = np.array([
+    0.000039, 0.00012, 0.000396, 0.00121, 0.004, 0.0116, 0.023, 0.038, 0.06, 0.09098,
+    0.13902, 0.20802, 0.323, 0.503, 0.71, 0.862, 0.954, 0.99495, 0.995, 0.952,
+    0.87, 0.757, 0.631, 0.503, 0.381, 0.265, 0.175, 0.107, 0.061, 0.032,
+    0.017, 0.00821, 0.004102, 0.002091, 0.001047, 0.00052, 0.000249, 0.00012, 0.00006, 0.00003,
+])
+# fmt: on
+
+
+def luminous_efficiency(wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+    """Return V(lambda), dimensionless, linear between 10 nm steps and zero outside 380..770 nm."""
+    return np.interp(np.asarray(wavelength_nm, float), EYE_NM, EYE_SHARE, left=0.0, right=0.0)
+
+
+def planck(wavelength_nm: ArrayLike, temperature_k: float) -> NDArray[np.float64]:
+    """Return the spectral radiance of a black body, W m-2 sr-1 nm-1.
+
+    Notes
+    -----
+    2 h c^2 / l^5 / (exp(h c / (l k T)) - 1).
+    """
+    metre = np.asarray(wavelength_nm, float) * 1e-9
+    planck_constant, light, boltzmann = 6.62607015e-34, 2.99792458e8, 1.380649e-23
+    exponent = planck_constant * light / (metre * boltzmann * temperature_k)
+    return 2.0 * planck_constant * light**2 / metre**5 / np.expm1(exponent) * 1e-9
+
 
 Table = tuple[ArrayLike, ArrayLike]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SourceSpectrum:
-    """Power of a source over wavelength; of what kind (W, W m-2, W m-2 sr-1) its owner says.
+    """Power of a source over wavelength, in W, W m-2 or W m-2 sr-1 as the user states.
 
     Parameters
     ----------
@@ -57,7 +90,7 @@ class SourceSpectrum:
         Parameters
         ----------
         wavelength_nm
-            The grid, ascending, shape (band,), nm; always the whole grid, for a band's width is set by its neighbours.
+            The complete grid, ascending, shape (band,), nm; a band's width depends on its neighbours.
 
         Raises
         ------
@@ -76,13 +109,13 @@ class SourceSpectrum:
             power += strength * _hats_at(grid, line)
         return power / band_widths(grid)
 
-    def scaled(self, factor: float) -> "SourceSpectrum":
-        """Return the spectrum with all powers times a factor."""
+    def scale(self, factor: float) -> "SourceSpectrum":
+        """Return the spectrum multiplied by a number."""
         powers = tuple(factor * power for power in self.line_power)
         return replace(self, density=factor * self.density, line_power=powers)
 
-    def filtered(self, factor: Callable[[NDArray[np.floating]], NDArray[np.floating]]) -> "SourceSpectrum":
-        """Return the spectrum times a function of wavelength, nm: a filter, a reflectance."""
+    def multiply(self, factor: Callable[[NDArray[np.floating]], NDArray[np.floating]]) -> "SourceSpectrum":
+        """Return the spectrum multiplied by a function of wavelength, nm, such as a filter or a reflectance."""
         shares = factor(np.asarray(self.line_nm, float)) if self.line_nm else np.empty(0)
         powers = tuple(float(share * power) for share, power in zip(shares, self.line_power, strict=True))
         return replace(self, density=self.density * factor(self.wavelength_nm), line_power=powers)
@@ -124,7 +157,7 @@ def sum_spectra(parts: list[SourceSpectrum]) -> SourceSpectrum:
 
 
 def require_grid(wavelength_nm: ArrayLike) -> NDArray[np.float64]:
-    """Return a grid of wavelengths as an array, or refuse one that does not ascend or has fewer than two bands."""
+    """Return a grid of wavelengths as an array; raise BadInput if it does not ascend or has fewer than two bands."""
     grid = np.atleast_1d(np.asarray(wavelength_nm, float))
     if grid.ndim != 1 or grid.size < 2:
         raise BadInput(f"a spectral grid must be a row of at least two bands, got shape {grid.shape}")
@@ -170,3 +203,129 @@ def hat_integrals(grid: ArrayLike, *tables: Table) -> NDArray[np.float64]:
 def _hats_at(grid: NDArray[np.float64], wavelength_nm: float) -> NDArray[np.float64]:
     """Return each band's hat at one wavelength; zero for one outside the grid."""
     return np.array([np.interp(wavelength_nm, grid, unit, left=0.0, right=0.0) for unit in np.eye(grid.size)])
+
+
+# Step of the fine grid on which errors are computed, in addition to the knots of all tables, nm.
+FINE_NM = 1.0
+# Largest initial distance of bands, nm, so that features of materials and gases between those of sources count.
+WIDEST_NM = 50.0
+# Distance of a line's neighbours, nm, so that its light stays at its wavelength.
+LINE_FOOT_NM = 4.0
+
+
+def spectral_grid(
+    sources: Sequence[SourceSpectrum],
+    response_nm: ArrayLike,
+    response: ArrayLike,
+    *,
+    tolerance: float = 0.003,
+    spectra: Sequence[tuple[ArrayLike, ArrayLike]] = (),
+    widest_nm: float = WIDEST_NM,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the bands for sources and a sensor, and their widths.
+
+    Parameters
+    ----------
+    sources
+        Spectra of the lights.
+    response_nm, response
+        The sensor's response per W at wavelengths, ascending, linear between them; the grid covers where it is above
+        zero.
+    tolerance
+        Largest error of any source's detected light, as a sum over |error| between bands, as a fraction of it.
+    spectra
+        Reflectances and transmittances: wavelengths and values of tables that multiply the light.
+    widest_nm
+        Largest distance of neighbours, nm.
+
+    Returns
+    -------
+    wavelength_nm
+        Bands, ascending, shape (band,), nm: both ends of the response, each line between them, and bands inserted where
+        response or spectra are most curved.
+    width_nm
+        Width of each band (`cube.band_widths`), shape (band,), nm: an integral is the sum of value times width.
+
+    Raises
+    ------
+    BadInput
+        If the response is nowhere positive, or the tolerance is not.
+    """
+    if not tolerance > 0.0:
+        raise BadInput(f"the tolerance of a spectral grid must be positive, got {tolerance:g}")
+    sensor_nm, sensor_response = np.asarray(response_nm, float), np.asarray(response, float)
+    low, high = _span(sensor_nm, sensor_response)
+    grid = _start(low, high, widest_nm, [nm for source in sources for nm in source.line_nm if low < nm < high])
+    knots = [sensor_nm, *(np.asarray(nm, float) for nm, _ in spectra), *(source.wavelength_nm for source in sources)]
+    fine = np.unique(np.concatenate([np.arange(low, high, FINE_NM), grid, *knots]))
+    fine = fine[(fine >= low) & (fine <= high)]
+    sensor = np.interp(fine, sensor_nm, sensor_response, left=0.0, right=0.0)
+    factors = [
+        sensor,
+        *(sensor * np.interp(fine, np.asarray(nm, float), np.asarray(value, float)) for nm, value in spectra),
+    ]
+    while True:
+        error, next_nm = _worst(grid, fine, factors, sources)
+        if error <= tolerance:
+            return grid, np.asarray(band_widths(grid), float)
+        grid = np.union1d(grid, next_nm)
+
+
+def _span(wavelength_nm: NDArray[np.floating], response: NDArray[np.floating]) -> tuple[float, float]:
+    positive = np.flatnonzero(response > 0.0)
+    if positive.size == 0:
+        raise BadInput("a sensor must respond at some wavelength, got a response that is nowhere positive")
+    first, last = max(positive[0] - 1, 0), min(positive[-1] + 1, len(response) - 1)
+    if first == last:
+        raise BadInput("a sensor's response must have at least two wavelengths, got one")
+    return float(wavelength_nm[first]), float(wavelength_nm[last])
+
+
+def _start(low: float, high: float, widest_nm: float, lines: list[float]) -> NDArray[np.float64]:
+    """Return an equidistant grid with every line, and a neighbour on both sides of it where no other band is close."""
+    grid = np.linspace(low, high, max(2, int(np.ceil((high - low) / widest_nm)) + 1))
+    grid = np.union1d(grid, lines)
+    for line in lines:
+        for foot in (line - LINE_FOOT_NM, line + LINE_FOOT_NM):
+            between = (grid > min(foot, line)) & (grid < max(foot, line))
+            if low < foot < high and not between.any():
+                grid = np.union1d(grid, foot)
+    return grid
+
+
+def _worst(
+    grid: NDArray[np.float64],
+    fine: NDArray[np.float64],
+    factors: Sequence[NDArray[np.floating]],
+    sources: Sequence[SourceSpectrum],
+) -> tuple[float, float]:
+    """Return the largest relative error of any source seen through any factor, and the wavelength of the next band.
+
+    That is where the factor is farthest from the line between bands, in the interval that adds most to the error. A
+    source is averaged over bands (`SourceSpectrum.on`), so that only the bending of a factor between bands is an error.
+    """
+    worst, place = 0.0, 0.0
+    interval = np.clip(np.searchsorted(grid, fine, side="right") - 1, 0, grid.size - 2)
+    width = band_widths(fine)
+    bents = [np.abs(factor - np.interp(fine, grid, np.interp(grid, fine, factor))) for factor in factors]
+    for source in sources:
+        density = np.interp(fine, source.wavelength_nm, source.density, left=0.0, right=0.0) * width
+        lines = np.asarray(source.line_nm, float)
+        for factor, bent in zip(factors, bents, strict=True):
+            seen = np.sum(factor * density)
+            seen += np.sum(np.interp(lines, fine, factor, left=0.0, right=0.0) * np.asarray(source.line_power))
+            part = bent * density
+            if seen > 0.0 and part.sum() / seen > worst:
+                worst = float(part.sum() / seen)
+                most = int(np.argmax(np.bincount(interval, weights=part, minlength=grid.size - 1)))
+                place = float(fine[np.argmax(np.where(interval == most, bent, 0.0))])
+    return worst, place
+
+
+@cache
+def table(name: str) -> dict[str, NDArray[np.float64]]:
+    """Return the columns of `tables/name.csv` by their headings."""
+    text = (resources.files("simulate.radiance") / "tables" / f"{name}.csv").read_text(encoding="utf-8")
+    lines = [line for line in text.splitlines() if line and not line.startswith("#")]
+    values = np.array([[float(cell) for cell in line.split(",")] for line in lines[1:]])
+    return {heading: read_only(column) for heading, column in zip(lines[0].split(","), values.T, strict=True)}

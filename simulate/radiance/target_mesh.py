@@ -1,8 +1,8 @@
-"""Targets as surfaces: four bars, an edge, a pinhole in its ring, or nothing but the open port.
+"""Lab targets as triangle meshes: bars, an edge, a pinhole with its holder, or the open port.
 
-Lengths are in column pitches of the picture; x runs right, y down, z away from the camera. The surfaces of a plate
-meet without gap or overlap, or hide each other, and the outlines of their materials are kept, so that whoever samples
-the picture knows where it must look closely.
+Lengths are in column pitches of the image; x runs right, y down, z away from the camera. The surfaces of a plate meet
+without gap or overlap, or occlude each other. The outlines of the materials are stored, so that the renderer can use
+more rays there.
 """
 
 from dataclasses import dataclass, replace
@@ -22,7 +22,7 @@ BARS = 4
 EDGE_TILT_DEG, BAR_TILT_DEG = 5.0, 4.0
 CIRCLE = 256
 BEHIND_M = 1e-5
-# Half the width of a plate: beyond any picture.
+# Half the width of a plate, beyond any image.
 FAR_PX = 4e3
 
 
@@ -39,7 +39,7 @@ class TargetMesh:
     material
         OPEN, MASK or RING for each triangle, shape (face,).
     outlines
-        Polylines (x, y) where materials meet in the picture, each of shape (point, 2), column pitches.
+        Polylines (x, y) where materials meet in the image, each of shape (point, 2), column pitches.
     """
 
     vertices: NDArray[np.float64]
@@ -49,7 +49,7 @@ class TargetMesh:
 
 
 def as_stood(kind: Kind, target: Target) -> Target:
-    """Return a target with what it leaves open as the bench has it: the number of bars, and a small tilt."""
+    """Return a target with the bench's defaults for the number of bars and the tilt."""
     if kind == "bars":
         tilt = BAR_TILT_DEG if target.angle_deg is None else target.angle_deg
         return replace(target, bars=BARS if target.bars is None else target.bars, angle_deg=tilt)
@@ -66,11 +66,11 @@ def target_mesh(kind: Kind, target: Target, holder: Holder, px_per_metre: float 
     kind
         "dark" is the plate without an opening, "flat" the open port.
     target
-        Its fields of that kind; what is not given is as of `as_stood`, the tilt so that all phases to the pixels occur.
+        Its fields of that kind; missing ones are as of `as_stood`, with a tilt that gives all phases to the pixels.
     holder
         Ring of a pinhole.
     px_per_metre
-        Column pitches in a metre of the target's plane, for the heights of what stands above it.
+        Column pitches in a metre of the target's plane, for heights above it.
 
     Raises
     ------
@@ -134,13 +134,13 @@ def _pinhole(target: Target, holder: Holder, px_per_metre: float) -> TargetMesh:
     ring = _triangulate(
         [(np.vstack([inner[i : i + 2], outer[[i + 1, i]]]), RING) for i in range(CIRCLE)], 0.0, (inner, outer)
     )
-    # A plate cut into slivers about the hole would slow every ray: the open disc hides the plate behind it instead.
+    # A plate cut into slivers around the hole would slow every ray: the open disc occludes the plate behind it instead.
     behind = BEHIND_M * px_per_metre
     return _stack_layers((disc, 0.0), (plate, behind), (ring, -holder.height_m * px_per_metre))
 
 
 def _stack_layers(*layers: tuple[TargetMesh, float]) -> TargetMesh:
-    """Lay surfaces over each other at given depths, column pitches."""
+    """Stack surfaces at given depths, column pitches."""
     starts = np.cumsum([0, *(len(mesh.vertices) for mesh, _ in layers)])
     return TargetMesh(
         np.vstack([mesh.vertices + np.array([0.0, 0.0, depth]) for mesh, depth in layers]),
@@ -157,7 +157,7 @@ def _quad(left: float, right: float, top: float, bottom: float) -> NDArray[np.fl
 def _triangulate(
     parts: list[tuple[NDArray[np.float64], int]], angle_deg: float, outlines: tuple[NDArray[np.float64], ...]
 ) -> TargetMesh:
-    """Fan each convex polygon into triangles and turn everything by an angle."""
+    """Triangulate convex polygons and rotate them by an angle."""
     turn = np.deg2rad(angle_deg)
     rotation = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
     vertices, faces, material, start = [], [], [], 0

@@ -1,4 +1,4 @@
-"""Heat balance of the facets of a scene over the weather, with what was left out and could have changed it."""
+"""Heat balance of the facets of a scene, with the influence of retained and neglected terms."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -8,17 +8,16 @@ from numpy.typing import NDArray
 
 from simulate.effect_selection import OptionalEffect
 from simulate.radiance.blackbody import STEFAN_BOLTZMANN
-from simulate.radiance.outdoor.description.objects import Object
-from simulate.radiance.outdoor.description.slab import Slab
-from simulate.radiance.outdoor.description.surroundings import Weather as State
+from simulate.radiance.outdoor.materials import Slab
+from simulate.radiance.outdoor.scene import Object
+from simulate.radiance.outdoor.surroundings import Weather as State
 from simulate.thermal.clear_day import sky_radiance
-from simulate.thermal.convection import ZERO_C, Exchange, vapour_pressure_pa
 from simulate.thermal.exposure import RING_SINE, Exposure, Facets
-from simulate.thermal.slab import Columns, Forcing, kernels, march, periodic_start
+from simulate.thermal.slab import ZERO_C, Columns, Exchange, Forcing, kernels, march, periodic_start, vapour_pressure_pa
 from simulate.thermal.weather import DAY_STEPS, Weather
 
 Array = NDArray[np.float64]
-# Where a scene ends, usual ground lies below the horizon: its reflectance; it has the temperature of the air.
+# Reflectance of the ground beyond the scene, which has the temperature of the air.
 GROUND_REFLECTANCE = 0.2
 # Steps between directions of the sun by which its shadows are found.
 SUN_STEPS = 3
@@ -56,12 +55,12 @@ class Solution:
 
 @dataclass(frozen=True)
 class Balance:
-    """What acts on facets.
+    """Heat fluxes of facets.
 
     Parameters
     ----------
     facets, exposure
-        Facets, and what they see; `exposure.lit` at every `SUN_STEPS`-th step of the last day.
+        Facets and their view factors; `exposure.lit` at every `SUN_STEPS`-th step of the last day.
     slabs, things
         Slab, with its absorptivity, and object of each.
     weather, state

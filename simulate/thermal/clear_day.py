@@ -1,4 +1,4 @@
-"""The clear day where nothing was measured: sunlight, air, wind and the sky's emissivity by hour."""
+"""Model of a clear day: sunlight, air temperature, wind and sky emissivity by hour."""
 
 from datetime import datetime
 
@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from simulate.radiance.blackbody import STEFAN_BOLTZMANN
 from simulate.radiance.sky.ephemeris import AU_KM, ObserverLocation, ephemeris
-from simulate.thermal.convection import ZERO_C, vapour_pressure_pa
+from simulate.thermal.slab import ZERO_C, vapour_pressure_pa
 
 Array = NDArray[np.float64]
 # That of the model's authors: with 1361 W/m2 all of it would be 0.4 % lower.
@@ -18,7 +18,7 @@ WARMEST_H, WINDIEST_H, NIGHT_DECAY = 15.0, 14.0, 2.2
 NIGHT_WIND, DAY_WIND = 0.3, 0.4
 # Emissivity that opaque low cloud adds, as a fraction of what the clear sky lacks.
 CLOUD_EMISSIVITY = 0.9
-# A sky this close to a black body of the air's temperature is even; steps that find a clear sky's optical depth.
+# A sky this close to a black body of the air's temperature is isotropic; Newton steps for the optical depth.
 EVEN_SKY, NEWTON_STEPS = 1e-3, 12
 
 

@@ -1,7 +1,7 @@
-"""What surfaces see of sun, sky and each other: facets of a scene, sampled by rays.
+"""View factors of facets: sun, sky and each other, sampled by rays.
 
-A facet is all of an object's surface of one material that faces about one way. Its points stand for it in the balance
-of heat; single points of a picture differ from it by what they see of sun and sky.
+A facet is the part of an object's surface with one material and one of 26 directions. Sample points represent it in
+the heat balance; pixels of an image differ from it by their exposure to sun and sky.
 """
 
 from dataclasses import dataclass
@@ -10,15 +10,15 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.radiance.embree import ROW
-from simulate.radiance.outdoor.surfaces import Surfaces
-from simulate.radiance.ray_tracer import NOTHING
-from simulate.radiance.transport.low_discrepancy import SequenceSlice
-from simulate.radiance.transport.shading_points import shading_frames
+from simulate.radiance.geometry.embree import ROW
+from simulate.radiance.geometry.ray_tracer import NOTHING
+from simulate.radiance.geometry.surfaces import Surfaces
+from simulate.radiance.integrator.low_discrepancy import SequenceSlice
+from simulate.radiance.integrator.shading_points import shading_frames
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
-# Points of a facet and rays of each to sky and neighbours; error of the sky view factor below 0.01.
+# Points of a facet and rays of each to sky and neighbours, for a sky view factor within 0.01.
 POINTS, RAYS = 64, 32
 # Rings of the sky, equal in what level ground receives of a uniform sky, and the sine of the elevation of each.
 RINGS = 12
@@ -28,7 +28,7 @@ SLANT, DIRECTIONS = 0.3827, 27
 
 
 def direction_of(normal: Array) -> Index:
-    """Return the number of the direction about which normals (place, 3) point, shape (place,)."""
+    """Return the number of the direction of normals (point, 3), shape (point,)."""
     sign = np.sign(normal) * (np.abs(normal) > SLANT)
     return ((sign + 1.0) @ [9.0, 3.0, 1.0]).astype(np.int64)
 
@@ -44,7 +44,7 @@ class Facets:
     key
         Ascending numbers of object, material and direction, shape (facet,).
     area_m2
-        Shape (facet,), m2; of a mesh that stands in many places that of its first copy.
+        Shape (facet,), m2; of a mesh with copies that of the first copy.
     normal
         Mean unit normal, shape (facet, 3).
     faces
@@ -136,7 +136,7 @@ class Spots:
 
     @classmethod
     def on(cls, surfaces: Surfaces, face: Index, place_m: Array) -> "Spots":
-        """Return spots at places on faces."""
+        """Return spots at positions on faces."""
         normal = surfaces.tracer.normals(face)
         return cls(start_m=surfaces.tracer.above(face, place_m, normal), normal=normal)
 
@@ -150,7 +150,7 @@ def spots_of(facets: Facets, rng: np.random.Generator) -> Spots:
         at = (np.arange(POINTS) + rng.random()) / POINTS * total[-1]
         picked.append(faces[np.minimum(np.searchsorted(total, at), len(faces) - 1)])
     face = np.concatenate(picked)
-    first, second = SequenceSlice.drawn(len(facets), POINTS, rng).pairs().reshape(-1, 2).T
+    first, second = SequenceSlice.random(len(facets), POINTS, rng).pairs().reshape(-1, 2).T
     root = np.sqrt(first)
     weight = np.stack([1.0 - root, root * (1.0 - second), root * second], axis=1)
     return Spots.on(facets.surfaces, face, np.einsum("sc,sck->sk", weight, corners[face]))
@@ -226,7 +226,7 @@ class Exposure:
 def exposure_of(facets: Facets, sun: Array, rng: np.random.Generator) -> Exposure:
     """Return what facets see of sun (directions of shape (time, 3)), sky and each other."""
     spots, count = spots_of(facets, rng), len(facets)
-    rings, face = view(facets.surfaces, spots, SequenceSlice.drawn(len(spots.normal), RAYS, rng))
+    rings, face = view(facets.surfaces, spots, SequenceSlice.random(len(spots.normal), RAYS, rng))
     rings = rings.reshape(count, POINTS, RINGS).mean(axis=1)
     face = face.reshape(count, -1)
     viewer, ray = np.nonzero(face != NOTHING)

@@ -2,26 +2,81 @@
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cache, cached_property
+from importlib import resources
 
 import numpy as np
 from numpy.typing import NDArray
 
+from labdata.camera_description import Parameter
 from labdata.errors import BadInput
+from labdata.serialiser import from_mapping, read_toml
 from simulate.radiance.blackbody import STEFAN_BOLTZMANN
+from simulate.radiance.geometry.ray_tracer import NOTHING
+from simulate.radiance.geometry.viewpoint import Viewpoint
+from simulate.radiance.integrator.integrator_settings import workers
+from simulate.radiance.integrator.low_discrepancy import SequenceSlice, low_discrepancy_points
 from simulate.radiance.outdoor.built_scene import BuiltScene
-from simulate.radiance.outdoor.description.scene import OutdoorScene
-from simulate.radiance.outdoor.viewpoint import Viewpoint
-from simulate.radiance.ray_tracer import NOTHING
-from simulate.radiance.transport.low_discrepancy import SequenceSlice, low_discrepancy_points
-from simulate.radiance.transport.workers import workers
+from simulate.radiance.outdoor.materials import MaterialSpec, Slab
+from simulate.radiance.outdoor.scene import OutdoorScene
+from simulate.radiance.sky.moon import sun_spectrum
 from simulate.thermal.balance import GROUND_REFLECTANCE, LAST, SUN_STEPS, Balance, Solution
-from simulate.thermal.convection import ZERO_C
 from simulate.thermal.exposure import Spots, exposure_of, facets_of, sun_cosines, view
-from simulate.thermal.library import slab_of
-from simulate.thermal.slab import STEPS_OF_HOUR
+from simulate.thermal.slab import STEPS_OF_HOUR, ZERO_C
 from simulate.thermal.weather import DAY_STEPS, weather_of
+
+
+@cache
+def library() -> dict[str, Slab]:
+    """Return the slabs that ship by their names."""
+    with resources.as_file(resources.files("simulate.thermal") / "library.toml") as path:
+        tables = read_toml(path)["slab"]
+    return {name: from_mapping(table | {"label": name}, Slab, where="library.toml") for name, table in tables.items()}
+
+
+def slab_of(scene: OutdoorScene, surface: MaterialSpec) -> Slab:
+    """Return the slab of a material of a scene, its absorptivity known.
+
+    Raises
+    ------
+    BadInput
+        If the material has no slab, or names one that neither the scene nor the library has.
+
+    Notes
+    -----
+    Where the scene states the material's reflectance by numbers, the absorptivity is 1 minus that reflectance over the
+    sun's spectrum, unless the scene's slab states it; elsewhere that of the slab.
+    """
+    described = {slab.label: slab for slab in scene.slab}
+    name = surface.slab or surface.material.slab
+    if name is None:
+        raise BadInput(
+            f"a material must have a slab for its temperature, got {surface.label!r} without one; give slab = one of "
+            f"{', '.join(sorted({*described, *library()}))}, or describe one in [[slab]]"
+        )
+    if name not in described and name not in library():
+        raise BadInput(
+            f"slab must be one of {', '.join(sorted({*described, *library()}))}, got {name!r} of {surface.label!r}"
+        )
+    slab = described.get(name) or library()[name]
+    if slab.absorptivity is not None and (name in described or surface.reflectance is None):
+        return slab
+    return replace(slab, absorptivity=_absorptivity(surface))
+
+
+def _absorptivity(surface: MaterialSpec) -> Parameter:
+    """1 minus the reflectance over the sun's spectrum; tables end before the sun does and are constant from there."""
+    sun = sun_spectrum()
+    nm = np.asarray(sun.wavelength_nm)
+    reflectance = np.trapezoid(surface.material.reflectance_at(nm) * sun.density, nm) / np.trapezoid(sun.density, nm)
+    return Parameter(
+        value=float(1.0 - reflectance),
+        standing="derived",
+        source=f"reflectance of {surface.label!r} over the sun from {nm[0]:.0f} to {nm[-1]:.0f} nm, its table constant "
+        f"beyond {surface.material.wavelength_nm[-1]:.0f} nm",
+    )
+
 
 Array = NDArray[np.float64]
 # Half of the noise-equivalent temperature difference of a 40 mK imager.

@@ -3,13 +3,12 @@
 import argparse
 import signal
 import sys
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 
 from simulate.virtual_bench.faults import FaultFile
-from simulate.virtual_bench.light_at_meter import light_at
 from simulate.virtual_bench.models import virtual_model
-from simulate.virtual_bench.outputs import replace_file
+from simulate.virtual_bench.outputs import read_outputs, read_placement, replace_file
 from simulate.virtual_bench.power_meter import PowerMeter
 from simulate.virtual_bench.pseudo_terminal import PseudoTerminal, serve
 
@@ -36,6 +35,23 @@ def main() -> None:
         serve(instrument, terminal, folder=asked.folder, faults=faults, parent=asked.parent)
     finally:
         terminal.close()
+
+
+def light_at(wires: Path) -> float:
+    """Return the illuminance on the photocathode, lux, of the bench whose wires lie in a folder."""
+    truth = _truth(Path(wires).parent / "truth")
+    outputs = read_outputs(wires)
+    if truth is None:
+        return outputs.room_light_lux
+    return truth.illuminance_lux(read_placement(Path(wires).parent), outputs)
+
+
+@lru_cache(maxsize=1)
+def _truth(folder: Path):
+    # Read at the first question only: describing a camera takes longer than starting an instrument.
+    from simulate.virtual_bench.true_sensor import read_truth
+
+    return read_truth(folder) if folder.is_dir() else None
 
 
 main()

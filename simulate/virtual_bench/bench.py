@@ -7,20 +7,18 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from labdata.calibration import LampCalibration
 from labdata.errors import BadInput
 from labdata.instrument_config import InstrumentConfig, InstrumentConnection, Role
-from labdata.lamp_calibration import LampCalibration
 from labdata.sensor import Sensor
 from simulate.virtual_bench import aravis_library
-from simulate.virtual_bench.camera_process import CameraProcess
+from simulate.virtual_bench.camera import CameraProcess
 from simulate.virtual_bench.faults import Faults, inject_faults
-from simulate.virtual_bench.in_process import InProcessInstruments
-from simulate.virtual_bench.in_process_camera import InProcessCamera
+from simulate.virtual_bench.in_process import InProcessCamera, InProcessInstruments
 from simulate.virtual_bench.models import virtual_model
-from simulate.virtual_bench.operator import VirtualOperator, read_placement
-from simulate.virtual_bench.outputs import Outputs, read_outputs, read_room_light_lux
+from simulate.virtual_bench.outputs import Outputs, VirtualOperator, read_outputs, read_placement, read_room_light_lux
 from simulate.virtual_bench.process import VirtualInstruments
-from simulate.virtual_bench.truth_folder import TRUTH, BenchTruth, load_or_draw_truth, read_truth
+from simulate.virtual_bench.true_sensor import TRUTH, BenchTruth, load_or_draw_truth, read_truth
 
 SILENCE_S = 15.0  # drawing one frame may take long on a busy machine; a dead camera's port is noticed at once
 

@@ -2,25 +2,21 @@
 
 import math
 from collections import deque
+from enum import IntFlag
 from pathlib import Path
 
-from simulate.virtual_bench.commands import Command, commands_of
-from simulate.virtual_bench.dg645_refusals import (
-    ILLEGAL_COMMAND,
-    ILLEGAL_DELAY,
-    ILLEGAL_LINK,
-    ILLEGAL_MODE,
-    ILLEGAL_QUERY,
-    ILLEGAL_SET,
-    ILLEGAL_VALUE,
-    OVERRUN,
-    RECALL_FAILED,
-    TOO_MANY_ERRORS,
-    UNDEFINED_COMMAND,
+from simulate.virtual_bench.dg645_settings import (
+    EDGES,
+    SETTINGS,
+    Command,
+    Dg645Error,
+    Dg645Setting,
     RefusedCommand,
+    SettingsRegister,
+    StandardEvent,
+    commands_of,
     numbers,
 )
-from simulate.virtual_bench.dg645_settings import EDGES, SETTINGS, Dg645Setting, SettingsRegister
 from simulate.virtual_bench.faults import Faults
 from simulate.virtual_bench.outputs import GateOutput, Trigger, publish_gate
 
@@ -37,8 +33,13 @@ BUFFER_LENGTH = 256
 SELF_TEST_S = 2.0
 COMMAND_S = 2e-3
 
-OPC, QYE, DDE, EXE, CME, PON = 1, 4, 8, 16, 32, 128  # event status register
-TRIG, RATE, END_OF_DELAY = 1, 2, 4  # instrument status register
+
+class InstrumentStatus(IntFlag):
+    """Instrument status register."""
+
+    TRIG = 1
+    RATE = 2
+    END_OF_DELAY = 4
 
 
 class DelayGenerator:
@@ -55,7 +56,7 @@ class DelayGenerator:
         self._memory = SettingsRegister()
         self._saved: dict[int, SettingsRegister] = {}
         self._errors: deque[int] = deque()
-        self._event_status, self._instrument_status = PON, 0
+        self._event_status, self._instrument_status = StandardEvent.PON, 0
         self._line = b""
         self._terminator = b"\r\n"
         self._armed = False
@@ -68,7 +69,7 @@ class DelayGenerator:
         *lines, self._line = (self._line + data.replace(b"\r", b"\n")).split(b"\n")
         if len(self._line) > BUFFER_LENGTH:
             self._line = b""
-            self._complain(OVERRUN)
+            self._complain(Dg645Error.OVERRUN)
         answers: list[tuple[float, bytes]] = []
         for line in lines:
             for command in commands_of(line.decode("ascii", "replace")):
@@ -81,7 +82,7 @@ class DelayGenerator:
     def _obey(self, command: Command | None) -> str | None:
         try:
             if command is None:
-                raise RefusedCommand(ILLEGAL_COMMAND)
+                raise RefusedCommand(Dg645Error.ILLEGAL_COMMAND)
             return self._dispatch(command)
         except RefusedCommand as refusal:
             self._complain(refusal.code)
@@ -91,18 +92,22 @@ class DelayGenerator:
         if setting := SETTINGS.get(command.mnemonic):
             return self._setting(command, setting)
         queries, sets = _QUERIES, _SETS
-        mine, other, wrong = (queries, sets, ILLEGAL_QUERY) if command.query else (sets, queries, ILLEGAL_SET)
+        mine, other, wrong = (
+            (queries, sets, Dg645Error.ILLEGAL_QUERY) if command.query else (sets, queries, Dg645Error.ILLEGAL_SET)
+        )
         if command.mnemonic not in mine:
-            raise RefusedCommand(wrong if command.mnemonic in other else UNDEFINED_COMMAND)
+            raise RefusedCommand(wrong if command.mnemonic in other else Dg645Error.UNDEFINED_COMMAND)
         kinds, method = mine[command.mnemonic]
         return method(self, *numbers(command.arguments, kinds))
 
     def _complain(self, code: int) -> None:
-        self._event_status |= CME if 110 <= code < 130 else DDE if code >= 30 else EXE
+        self._event_status |= (
+            StandardEvent.CME if 110 <= code < 130 else StandardEvent.DDE if code >= 30 else StandardEvent.EXE
+        )
         if len(self._errors) < QUEUE_LENGTH:
             self._errors.append(code)
         else:
-            self._errors[-1] = TOO_MANY_ERRORS
+            self._errors[-1] = Dg645Error.TOO_MANY_ERRORS
 
     # Settings of one number
 
@@ -114,7 +119,7 @@ class DelayGenerator:
         *index, value = numbers(command.arguments, (*indices, setting.kind))
         place = _within(index[0], setting) if index else 0
         if not setting.low <= value <= setting.high:
-            raise RefusedCommand(ILLEGAL_DELAY if setting.form == "{:+.12f}" else ILLEGAL_VALUE)
+            raise RefusedCommand(Dg645Error.ILLEGAL_DELAY if setting.form == "{:+.12f}" else Dg645Error.ILLEGAL_VALUE)
         rounded = round(value / setting.step) * setting.step if setting.step else value
         self._memory.values[command.mnemonic, place] = rounded
         return None
@@ -126,7 +131,7 @@ class DelayGenerator:
 
     def _set_delay(self, edge: int, reference: int, seconds: float) -> None:
         if not abs(seconds) < LONGEST_DELAY_S:
-            raise RefusedCommand(ILLEGAL_DELAY)
+            raise RefusedCommand(Dg645Error.ILLEGAL_DELAY)
         self._move(edge, reference, round(seconds / STEP_S))
 
     def _set_link(self, edge: int, reference: int) -> None:
@@ -138,17 +143,17 @@ class DelayGenerator:
 
     def _move(self, edge: int, reference: int, steps: int) -> None:
         if not 2 <= edge < EDGES:
-            raise RefusedCommand(ILLEGAL_VALUE)
+            raise RefusedCommand(Dg645Error.ILLEGAL_VALUE)
         if reference == 1 or not 0 <= reference < EDGES:
-            raise RefusedCommand(ILLEGAL_LINK)
+            raise RefusedCommand(Dg645Error.ILLEGAL_LINK)
         tried = self._memory.copy()
         tried.reference[edge], tried.delay_steps[edge] = reference, steps
         try:
             times = [tried.absolute_steps(other) for other in range(2, EDGES)]
         except RecursionError:
-            raise RefusedCommand(ILLEGAL_LINK) from None
+            raise RefusedCommand(Dg645Error.ILLEGAL_LINK) from None
         if min(times) < 0 or max(times) * STEP_S >= LONGEST_DELAY_S:
-            raise RefusedCommand(ILLEGAL_DELAY)
+            raise RefusedCommand(Dg645Error.ILLEGAL_DELAY)
         self._memory = tried
 
     def _get_delay(self, edge: int) -> str:
@@ -189,32 +194,32 @@ class DelayGenerator:
 
     def _save(self, place: int) -> None:
         if not 1 <= place <= 9:
-            raise RefusedCommand(ILLEGAL_VALUE)
+            raise RefusedCommand(Dg645Error.ILLEGAL_VALUE)
         self._saved[place] = self._memory.copy()
 
     def _recall(self, place: int) -> None:
         if not 0 <= place <= 9:
-            raise RefusedCommand(ILLEGAL_VALUE)
+            raise RefusedCommand(Dg645Error.ILLEGAL_VALUE)
         if place and place not in self._saved:
-            raise RefusedCommand(RECALL_FAILED)
+            raise RefusedCommand(Dg645Error.RECALL_FAILED)
         self._memory = self._saved[place].copy() if place else SettingsRegister()
 
     def _set_terminator(self, *codes: int) -> None:
         if any(not 0 <= code <= 255 for code in codes):
-            raise RefusedCommand(ILLEGAL_VALUE)
+            raise RefusedCommand(Dg645Error.ILLEGAL_VALUE)
         self._terminator = bytes(code for code in codes if code)
 
     def _get_terminator(self) -> str:
         return ",".join(str(code) for code in self._terminator.ljust(3, b"\0"))
 
     def _operation_complete(self) -> None:
-        self._event_status |= OPC
+        self._event_status |= StandardEvent.OPC
 
     def _fire(self) -> None:
         if self._now("TSRC") not in (3, 4, 5):
-            raise RefusedCommand(ILLEGAL_MODE)
+            raise RefusedCommand(Dg645Error.ILLEGAL_MODE)
         if self._now("TSRC") == 5:
-            self._instrument_status |= TRIG | END_OF_DELAY
+            self._instrument_status |= InstrumentStatus.TRIG | InstrumentStatus.END_OF_DELAY
 
     # Physics
 
@@ -263,12 +268,16 @@ class DelayGenerator:
         """Note triggers used and lost since the last look."""
         self._external_hz = 0.0 if faults.untriggered else self._wired_hz
         if triggers_hz := self._trigger_hz():
-            self._instrument_status |= TRIG | END_OF_DELAY | (RATE if triggers_hz * self._cycle_s() > 1 else 0)
+            self._instrument_status |= (
+                InstrumentStatus.TRIG
+                | InstrumentStatus.END_OF_DELAY
+                | (InstrumentStatus.RATE if triggers_hz * self._cycle_s() > 1 else 0)
+            )
 
     def power_cycle(self) -> None:
-        """Lose power and get it back: settings stay (recalled), the error queue is empty, PON is set."""
+        """Lose power and get it back: settings stay (recalled), the error queue is empty, StandardEvent.PON is set."""
         self._clear()
-        self._event_status, self._line, self._armed = PON, b"", False
+        self._event_status, self._line, self._armed = StandardEvent.PON, b"", False
 
     def publish(self, folder: Path) -> None:
         """Put the gate's drive on the wire, where it changed."""
@@ -280,13 +289,13 @@ class DelayGenerator:
 
 def _edge(edge: int) -> int:
     if not 0 <= edge < EDGES:
-        raise RefusedCommand(ILLEGAL_VALUE)
+        raise RefusedCommand(Dg645Error.ILLEGAL_VALUE)
     return edge
 
 
 def _within(index: int, setting: Dg645Setting) -> int:
     if not 0 <= index < max(1, setting.count):
-        raise RefusedCommand(ILLEGAL_VALUE)
+        raise RefusedCommand(Dg645Error.ILLEGAL_VALUE)
     return index
 
 

@@ -2,8 +2,10 @@
 
 import math
 import re
+from enum import IntEnum, IntFlag
 from pathlib import Path
 
+from simulate.virtual_bench.dg645_settings import RefusedCommand
 from simulate.virtual_bench.faults import Faults
 from simulate.virtual_bench.outputs import GateOutput, publish_gate
 
@@ -15,34 +17,65 @@ BUFFER_LENGTH = 256
 T0, A, B, AB, C, D, CD = 1, 2, 3, 4, 5, 6, 7
 EDGES = (A, B, C, D)
 OUTPUTS = (T0, A, B, AB, C, D, CD)
-INTERNAL, EXTERNAL, SINGLE_SHOT, BURST, LINE = range(5)
 LINE_HZ = 60.0
-TTL, NIM, ECL, VAR = range(4)
-UNRECOGNISED, COUNT, VALUE, MODE, LINKAGE, RANGE, RECALL = (1 << bit for bit in range(7))
-COMMAND_ERROR, BUSY, TRIGGERED, PLL, RATE = (1 << bit for bit in range(5))
+
+
+class ErrorStatus(IntFlag):
+    """Error status register."""
+
+    UNRECOGNISED = 1
+    COUNT = 2
+    VALUE = 4
+    MODE = 8
+    LINKAGE = 16
+    RANGE = 32
+    RECALL = 64
+
+
+class InstrumentStatus(IntFlag):
+    """Instrument status register."""
+
+    COMMAND_ERROR = 1
+    BUSY = 2
+    TRIGGERED = 4
+    PLL = 8
+    RATE = 16
+
+
+class TriggerMode(IntEnum):
+    """Trigger modes of TM."""
+
+    INTERNAL = 0
+    EXTERNAL = 1
+    SINGLE_SHOT = 2
+    BURST = 3
+    LINE = 4
+
+
+class OutputMode(IntEnum):
+    """Output levels of OM."""
+
+    TTL = 0
+    NIM = 1
+    ECL = 2
+    VAR = 3
+
+
 _COMMAND = re.compile(r"([A-Z]{2})(.*)", re.DOTALL)
 
 # One number each, or one per index: (indices, lowest, highest, value when new, form of the answer).
 _SETTINGS = {
-    "TM": ((), 0, 4, SINGLE_SHOT, "{:d}"),
+    "TM": ((), 0, 4, TriggerMode.SINGLE_SHOT, "{:d}"),
     "TL": ((), -2.56, 2.56, 1.0, "{:+.2f}"),
     "TS": ((), 0, 1, 1, "{:d}"),
     "TR": ((0, 1), 1e-3, 1e6, 1e4, "{:.10g}"),
     "TZ": ((0, *OUTPUTS), 0, 1, 1, "{:d}"),
-    "OM": (OUTPUTS, 0, 3, TTL, "{:d}"),
+    "OM": (OUTPUTS, 0, 3, OutputMode.TTL, "{:d}"),
     "OP": (OUTPUTS, 0, 1, 1, "{:d}"),
     "OA": (OUTPUTS, -4.0, 4.0, 1.0, "{:+.2f}"),
     "OO": (OUTPUTS, -4.0, 4.0, 0.0, "{:+.2f}"),
 }
 _ONLY_VARIABLE = ("OA", "OO")
-
-
-class _Refused(Exception):
-    """The instrument does not do this; `bit` is set in its error status."""
-
-    def __init__(self, bit: int) -> None:
-        super().__init__(bit)
-        self.bit = bit
 
 
 class Dg535:
@@ -61,7 +94,7 @@ class Dg535:
         *lines, self._input = (self._input + data + (b"\n" if end else b"")).split(b"\n")
         if len(self._input) > BUFFER_LENGTH:
             self._input = b""
-            self._errors |= UNRECOGNISED
+            self._errors |= ErrorStatus.UNRECOGNISED
         for line in lines:
             for command in line.decode("ascii", "replace").upper().replace(" ", "").replace("\r", "").split(";"):
                 if command:
@@ -89,11 +122,11 @@ class Dg535:
         try:
             match = _COMMAND.fullmatch(command)
             if match is None:
-                raise _Refused(UNRECOGNISED)
+                raise RefusedCommand(ErrorStatus.UNRECOGNISED)
             answer = self._obey(match[1], match[2].split(",") if match[2] else [])
-        except _Refused as refusal:
-            self._errors |= refusal.bit
-            self._status |= COMMAND_ERROR
+        except RefusedCommand as refusal:
+            self._errors |= refusal.code
+            self._status |= InstrumentStatus.COMMAND_ERROR
             return
         if answer is not None:
             self._output = answer.encode() + b"\r\n"
@@ -106,57 +139,57 @@ class Dg535:
         if name in ("ES", "IS"):
             return self._register(name, arguments)
         if name not in ("CL", "SS"):
-            raise _Refused(UNRECOGNISED)
+            raise RefusedCommand(ErrorStatus.UNRECOGNISED)
         if arguments:
-            raise _Refused(COUNT)
+            raise RefusedCommand(ErrorStatus.COUNT)
         if name == "CL":
             self._clear_settings()
-        elif self._values["TM", 0] != SINGLE_SHOT:
-            raise _Refused(MODE)
+        elif self._values["TM", 0] != TriggerMode.SINGLE_SHOT:
+            raise RefusedCommand(ErrorStatus.MODE)
         return None
 
     def _setting(self, name: str, arguments: list[str]) -> str | None:
         indices, lowest, highest, _, form = _SETTINGS[name]
         asked = len(arguments) == bool(indices)
         if not asked and len(arguments) != bool(indices) + 1:
-            raise _Refused(COUNT)
+            raise RefusedCommand(ErrorStatus.COUNT)
         index = _whole(arguments[0]) if indices else 0
         if indices and index not in indices:
-            raise _Refused(VALUE)
+            raise RefusedCommand(ErrorStatus.VALUE)
         whole = form == "{:d}"
         if asked:
             value = self._values[name, index]
             return form.format(int(value) if whole else value)
         value = _whole(arguments[-1]) if whole else _real(arguments[-1])
         if not lowest <= value <= highest:
-            raise _Refused(VALUE)
-        if name in _ONLY_VARIABLE and self._values["OM", index] != VAR:
-            raise _Refused(MODE)
+            raise RefusedCommand(ErrorStatus.VALUE)
+        if name in _ONLY_VARIABLE and self._values["OM", index] != OutputMode.VAR:
+            raise RefusedCommand(ErrorStatus.MODE)
         self._values[name, index] = float(f"{value:.4g}") if name == "TR" else value
         return None
 
     def _delay(self, arguments: list[str]) -> str | None:
         if len(arguments) not in (1, 3):
-            raise _Refused(COUNT)
+            raise RefusedCommand(ErrorStatus.COUNT)
         edge = _whole(arguments[0])
         if edge not in EDGES:
-            raise _Refused(VALUE)
+            raise RefusedCommand(ErrorStatus.VALUE)
         if len(arguments) == 1:
             picoseconds = 5 * abs(self._steps[edge])
             sign = "-" if self._steps[edge] < 0 else "+"
             return f"{self._reference[edge]},{sign}{picoseconds // 10**12}.{picoseconds % 10**12:012d}"
         reference = _whole(arguments[1])
         if reference not in (T0, *EDGES):
-            raise _Refused(VALUE)
+            raise RefusedCommand(ErrorStatus.VALUE)
         kept = dict(self._reference), dict(self._steps)
         seconds = _real(arguments[2])
         if not abs(seconds) < LONGEST_S:
-            raise _Refused(RANGE)
+            raise RefusedCommand(ErrorStatus.RANGE)
         self._reference[edge], self._steps[edge] = reference, round(seconds / STEP_S)
         try:
             if any(not 0 <= self._after_trigger_s(other) < LONGEST_S for other in EDGES):
-                raise _Refused(RANGE)
-        except _Refused:
+                raise RefusedCommand(ErrorStatus.RANGE)
+        except RefusedCommand:
             self._reference, self._steps = kept
             raise
         return None
@@ -165,18 +198,18 @@ class Dg535:
         steps, seen = 0, set()
         while edge != T0:
             if edge in seen:
-                raise _Refused(LINKAGE)
+                raise RefusedCommand(ErrorStatus.LINKAGE)
             seen.add(edge)
             steps, edge = steps + self._steps[edge], self._reference[edge]
         return steps * STEP_S
 
     def _register(self, name: str, arguments: list[str]) -> str:
         if len(arguments) > 1:
-            raise _Refused(COUNT)
+            raise RefusedCommand(ErrorStatus.COUNT)
         mask = 0xFF
         if arguments:
             if not 0 <= _whole(arguments[0]) <= 7:
-                raise _Refused(VALUE)
+                raise RefusedCommand(ErrorStatus.VALUE)
             mask = 1 << _whole(arguments[0])
         if name == "ES":
             value, self._errors = self._errors & mask, self._errors & ~mask
@@ -202,7 +235,7 @@ class Dg535:
         rate_hz = self._pulse_hz()
         if active_v <= GATE_UNIT_THRESHOLD_V or not width_ns or not rate_hz:
             return GateOutput()
-        trigger = "mains" if int(self._values["TM", 0]) == LINE else "clock"
+        trigger = "mains" if int(self._values["TM", 0]) == TriggerMode.LINE else "clock"
         delay_ns = min(self._after_trigger_s(A), self._after_trigger_s(B)) * 1e9
         return GateOutput(
             gate_open=True, gate_ns=width_ns, gate_hz=rate_hz, gate_trigger=trigger, gate_delay_ns=delay_ns
@@ -210,13 +243,17 @@ class Dg535:
 
     def _levels_v(self) -> tuple[float, float]:
         mode = self._values["OM", AB]
-        if mode == VAR:
+        if mode == OutputMode.VAR:
             return self._values["OO", AB], self._values["OO", AB] + self._values["OA", AB]
-        low_v, high_v = {TTL: (0.0, 4.0), NIM: (-0.8, 0.0), ECL: (-1.8, -0.8)}[int(mode)]
+        low_v, high_v = {OutputMode.TTL: (0.0, 4.0), OutputMode.NIM: (-0.8, 0.0), OutputMode.ECL: (-1.8, -0.8)}[
+            int(mode)
+        ]
         return (low_v, high_v) if self._values["OP", AB] else (high_v, low_v)
 
     def _trigger_hz(self) -> float:
-        return {INTERNAL: self._values["TR", 0], LINE: LINE_HZ}.get(int(self._values["TM", 0]), 0.0)
+        return {TriggerMode.INTERNAL: self._values["TR", 0], TriggerMode.LINE: LINE_HZ}.get(
+            int(self._values["TM", 0]), 0.0
+        )
 
     def _busy_s(self) -> float:
         return max(self._after_trigger_s(edge) for edge in EDGES) + DEAD_S
@@ -228,7 +265,9 @@ class Dg535:
     def advance(self, now_s: float, faults: Faults) -> None:
         """Note triggers used and lost since the last look."""
         if triggers_hz := self._trigger_hz():
-            self._status |= TRIGGERED | (RATE if triggers_hz * self._busy_s() > 1 else 0)
+            self._status |= InstrumentStatus.TRIGGERED | (
+                InstrumentStatus.RATE if triggers_hz * self._busy_s() > 1 else 0
+            )
 
     def publish(self, folder: Path) -> None:
         """Put the gate's drive on the wire, where it changed."""
@@ -242,14 +281,14 @@ def _whole(text: str) -> int:
     try:
         return int(text)
     except ValueError:
-        raise _Refused(VALUE) from None
+        raise RefusedCommand(ErrorStatus.VALUE) from None
 
 
 def _real(text: str) -> float:
     try:
         value = float(text)
     except ValueError:
-        raise _Refused(VALUE) from None
+        raise RefusedCommand(ErrorStatus.VALUE) from None
     if not math.isfinite(value):
-        raise _Refused(VALUE)
+        raise RefusedCommand(ErrorStatus.VALUE)
     return value

@@ -1,6 +1,106 @@
-"""The settings of a Stanford DG645 that are one number each: type, range, factory value and the form of its answer."""
+"""Command language of Stanford Research instruments, and the errors and settings of the DG645."""
 
+import math
+import re
 from dataclasses import dataclass, field
+from enum import IntEnum, IntFlag
+
+
+class Dg645Error(IntEnum):
+    """Codes of the DG645's error queue."""
+
+    ILLEGAL_VALUE = 10
+    ILLEGAL_MODE = 11
+    ILLEGAL_DELAY = 12
+    ILLEGAL_LINK = 13
+    RECALL_FAILED = 14
+    ILLEGAL_COMMAND = 110
+    UNDEFINED_COMMAND = 111
+    ILLEGAL_QUERY = 112
+    ILLEGAL_SET = 113
+    NULL_PARAMETER = 114
+    EXTRA_PARAMETERS = 115
+    MISSING_PARAMETERS = 116
+    BAD_FLOAT = 118
+    BAD_INTEGER = 120
+    OVERRUN = 171
+    TOO_MANY_ERRORS = 254
+
+
+class StandardEvent(IntFlag):
+    """Event status register of IEEE 488.2."""
+
+    OPC = 1
+    QYE = 4
+    DDE = 8
+    EXE = 16
+    CME = 32
+    PON = 128
+
+
+class RefusedCommand(Exception):
+    """The instrument refuses a command; `code` is its error code or the bit of its status register."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(code)
+        self.code = code
+
+
+def numbers(arguments: tuple[str, ...], kinds: tuple[type, ...]) -> list:
+    """Read arguments as numbers of the given kinds; a wrong count or form is refused with its own code."""
+    if len(arguments) != len(kinds):
+        raise RefusedCommand(
+            Dg645Error.MISSING_PARAMETERS if len(arguments) < len(kinds) else Dg645Error.EXTRA_PARAMETERS
+        )
+    return [_number(text, kind) for text, kind in zip(arguments, kinds, strict=True)]
+
+
+def _number(text: str, kind: type) -> float:
+    if not text:
+        raise RefusedCommand(Dg645Error.NULL_PARAMETER)
+    try:
+        value = kind(text)
+    except ValueError:
+        raise RefusedCommand(Dg645Error.BAD_FLOAT if kind is float else Dg645Error.BAD_INTEGER) from None
+    if not math.isfinite(value):
+        raise RefusedCommand(Dg645Error.BAD_FLOAT)
+    return value
+
+
+_COMMAND = re.compile(r"^(\*[A-Z]{3}|[A-Z]{4})(\?)?\s*(.*)$", re.DOTALL)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Command:
+    """One command of a line.
+
+    Parameters
+    ----------
+    mnemonic
+        Upper-case mnemonic, such as "DLAY" or "*IDN".
+    query
+        Whether it asks.
+    arguments
+        Arguments as they were written, stripped of blanks.
+    """
+
+    mnemonic: str
+    query: bool
+    arguments: tuple[str, ...]
+
+
+def commands_of(line: str) -> list[Command | None]:
+    """Split a line into commands; None stands for text that is no command at all."""
+    return [_command(part) for part in line.upper().split(";") if part.strip()]
+
+
+def _command(text: str) -> Command | None:
+    match = _COMMAND.match(text.strip())
+    if match is None:
+        return None
+    mnemonic, mark, rest = match.groups()
+    arguments = tuple(part.strip() for part in rest.split(",")) if rest.strip() else ()
+    return Command(mnemonic=mnemonic, query=bool(mark), arguments=arguments)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,9 +2,10 @@
 
 import math
 from collections.abc import Callable
+from enum import IntFlag
 from pathlib import Path
 
-from simulate.virtual_bench.commands import Command, commands_of
+from simulate.virtual_bench.dg645_settings import Command, RefusedCommand, StandardEvent, commands_of
 from simulate.virtual_bench.faults import Faults
 from simulate.virtual_bench.outputs import publish_voltage
 
@@ -18,17 +19,21 @@ STABLE_V = 1.0
 BUFFER_LENGTH = 256
 VOLTS, AMPERES = "{:.0f}", "{:.3E}"  # forms of the answers; recalled
 
-STABLE, VOLTAGE_TRIP, CURRENT_TRIP, CURRENT_LIMIT, MAV, ESB, MSS, HV_ON = (1 << bit for bit in range(8))
-LATCHED = VOLTAGE_TRIP | CURRENT_TRIP | CURRENT_LIMIT
-OPC, QYE, DDE, EXE, CME, PON = 1, 4, 8, 16, 32, 128
+
+class StatusByte(IntFlag):
+    """Status byte of the PS350; the first bits but one latch."""
+
+    STABLE = 1
+    VOLTAGE_TRIP = 2
+    CURRENT_TRIP = 4
+    CURRENT_LIMIT = 8
+    MAV = 16
+    ESB = 32
+    MSS = 64
+    HV_ON = 128
 
 
-class _Refused(Exception):
-    """The supply does not do this; `bit` is set in its event status register."""
-
-    def __init__(self, bit: int) -> None:
-        super().__init__(bit)
-        self.bit = bit
+LATCHED = StatusByte.VOLTAGE_TRIP | StatusByte.CURRENT_TRIP | StatusByte.CURRENT_LIMIT
 
 
 class HighVoltageSupply:
@@ -45,7 +50,7 @@ class HighVoltageSupply:
         self._set = {"VSET": 0.0, "VLIM": FULL_SCALE_V, "ILIM": FULL_SCALE_A, "ITRP": FULL_SCALE_A}
         self._switches = {"TMOD": 0, "SMOD": 0, "*ESE": 0, "*SRE": 0, "*PSC": 1}
         self._input, self._output = b"", b""
-        self._event_status, self._latched = PON, 0
+        self._event_status, self._latched = StandardEvent.PON, 0
         self._on, self._trip_pending = False, False
         self._now_s: float | None = None
         self._published_v: float | None = None
@@ -59,14 +64,14 @@ class HighVoltageSupply:
         *lines, self._input = self._input.split(b"\n")
         if len(self._input) > BUFFER_LENGTH:
             self._input, self._output = b"", b""
-            self._event_status |= DDE
+            self._event_status |= StandardEvent.DDE
         for line in lines:
             self._message(line.decode("ascii", "replace").replace("\r", ""))
 
     def talk(self) -> bytes:
         """Bytes to say when addressed to talk, EOI with the last; empty, and a query error, if nothing was asked."""
         if not self._output:
-            self._event_status |= QYE
+            self._event_status |= StandardEvent.QYE
             return b""
         said, self._output = self._output, b""
         return said
@@ -82,13 +87,13 @@ class HighVoltageSupply:
     def _message(self, line: str) -> None:
         if line.strip() and self._output:  # a new message before the answer was taken
             self._output = b""
-            self._event_status |= QYE
+            self._event_status |= StandardEvent.QYE
         answers = []
         for command in commands_of(line):
             try:
                 answer = self._obey(command)
-            except _Refused as refusal:
-                self._event_status |= refusal.bit
+            except RefusedCommand as refusal:
+                self._event_status |= refusal.code
                 continue
             if answer is not None:
                 answers.append(answer)
@@ -97,13 +102,13 @@ class HighVoltageSupply:
 
     def _obey(self, command: Command | None) -> str | None:
         if command is None:
-            raise _Refused(CME)
+            raise RefusedCommand(StandardEvent.CME)
         known = (self._quantity, self._switch, self._reading, self._action)
         for family in known:
             done, answer = family(command)
             if done:
                 return answer
-        raise _Refused(CME)
+        raise RefusedCommand(StandardEvent.CME)
 
     def _quantity(self, command: Command) -> tuple[bool, str | None]:
         """VSET, VLIM, ILIM, ITRP."""
@@ -128,7 +133,7 @@ class HighVoltageSupply:
         else:
             allowed, ordered = 0 < value <= FULL_SCALE_A, True
         if not (allowed and ordered):
-            raise _Refused(EXE)
+            raise RefusedCommand(StandardEvent.EXE)
 
     def _switch(self, command: Command) -> tuple[bool, str | None]:
         """TMOD, SMOD and the enable registers."""
@@ -140,7 +145,7 @@ class HighVoltageSupply:
             return True, str(self._switches[name])
         value = int(_number(command))
         if not 0 <= value <= (255 if name in ("*ESE", "*SRE") else 1):
-            raise _Refused(EXE)
+            raise RefusedCommand(StandardEvent.EXE)
         self._switches[name] = value
         return True, None
 
@@ -162,7 +167,7 @@ class HighVoltageSupply:
         if command.mnemonic in registers:
             bit = int(_number(command)) if command.arguments else None
             if bit is not None and not 0 <= bit <= 7:
-                raise _Refused(EXE)
+                raise RefusedCommand(StandardEvent.EXE)
             return True, str(registers[command.mnemonic](bit))
         return False, None
 
@@ -187,7 +192,7 @@ class HighVoltageSupply:
 
     def _switch_on(self) -> None:
         if self._trip_pending:
-            raise _Refused(EXE)
+            raise RefusedCommand(StandardEvent.EXE)
         self._on = True
 
     def _switch_off(self) -> None:
@@ -204,7 +209,7 @@ class HighVoltageSupply:
         self._event_status = self._latched = 0
 
     def _operation_complete(self) -> None:
-        self._event_status |= OPC
+        self._event_status |= StandardEvent.OPC
 
     def _take_event_status(self, bit: int | None) -> int:
         mask = 0xFF if bit is None else 1 << bit
@@ -214,8 +219,14 @@ class HighVoltageSupply:
     def _status_byte(self) -> int:
         stable = self._on and abs(self.output_v - self._goal_v()) < STABLE_V
         event = bool(self._event_status & self._switches["*ESE"])
-        byte = self._latched | STABLE * stable | ESB * event | HV_ON * self._on | MAV * bool(self._output)
-        return byte | MSS * bool(byte & self._switches["*SRE"])
+        byte = (
+            self._latched
+            | StatusByte.STABLE * stable
+            | StatusByte.ESB * event
+            | StatusByte.HV_ON * self._on
+            | StatusByte.MAV * bool(self._output)
+        )
+        return byte | StatusByte.MSS * bool(byte & self._switches["*SRE"])
 
     def _take_status_byte(self, bit: int | None) -> int:
         byte = self._status_byte()
@@ -244,18 +255,18 @@ class HighVoltageSupply:
         if not self._on and self.output_v < 0.05:
             self.output_v = 0.0
         if self._on and self._set["VSET"] > self._set["ILIM"] * LOAD_OHM:
-            self._latched |= CURRENT_LIMIT
+            self._latched |= StatusByte.CURRENT_LIMIT
 
     def _trip_where_due(self, shorted: bool) -> None:
         if self._on and (shorted or self._load_a(self.output_v) > self._set["ITRP"]):
             self._on, self._trip_pending = False, self._switches["TMOD"] == 0
-            self._latched |= CURRENT_TRIP
+            self._latched |= StatusByte.CURRENT_TRIP
 
     def power_cycle(self) -> None:
         """Lose power and get it back: settings stay, the high voltage comes up off (recalled)."""
         self.clear()
         self._on, self._trip_pending, self._latched = False, False, 0
-        self._event_status = PON
+        self._event_status = StandardEvent.PON
 
     def publish(self, folder: Path) -> None:
         """Put the voltage on the wire, where it changed."""
@@ -266,7 +277,7 @@ class HighVoltageSupply:
 
 def _no_arguments(command: Command) -> None:
     if command.arguments:
-        raise _Refused(CME)
+        raise RefusedCommand(StandardEvent.CME)
 
 
 def _number(command: Command) -> float:
@@ -274,7 +285,7 @@ def _number(command: Command) -> float:
         (text,) = command.arguments
         value = float(text)
     except ValueError:
-        raise _Refused(CME) from None
+        raise RefusedCommand(StandardEvent.CME) from None
     if not math.isfinite(value):
-        raise _Refused(CME)
+        raise RefusedCommand(StandardEvent.CME)
     return value

@@ -15,7 +15,7 @@ from drivers.errors import (
     InstrumentTripped,
 )
 from drivers.serial_lines.line import InstrumentLine
-from labdata.lamp_calibration import LampCalibration
+from labdata.calibration import LampCalibration
 from labdata.limits import Limits, limits_in_force
 from labdata.sensors import load_sensor
 from labdata.target import Target

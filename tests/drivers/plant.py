@@ -13,15 +13,13 @@ from unittest import mock
 
 from drivers.bench import safe_state, server, tube_bench
 from drivers.bench.connection import Beat, Fault, Reply, Request
-from drivers.bench.interlock import Interlock
-from drivers.bench.rules import REACTIONS, RULES
+from drivers.bench.interlock import REACTIONS, RULES, Interlock
 from drivers.bench.setup import BenchSetup
 from drivers.bench.state import RaiseGain
 from drivers.interface import FrameLevels
 from labdata.conditions import Conditions
 from labdata.gating import Gating
-from labdata.instrument_config import InstrumentConfig
-from labdata.meters import Meters
+from labdata.instrument_config import InstrumentConfig, Meters
 from labdata.target import Target
 
 _spec = importlib.util.spec_from_file_location("laboratory", Path(__file__).with_name("laboratory.py"))

@@ -10,14 +10,12 @@ import pytest
 from drivers.acquisition.acquire import acquire
 from drivers.acquisition.plan_check import bytes_of, check_plan, picture_of
 from drivers.errors import BenchError, CameraError, InstrumentTripped
-from labdata.adaptive import SaturationSearch, StopCriterion
 from labdata.capture import CameraSettings
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.event_log import read_events
-from labdata.frame_format import FrameFormat
 from labdata.instrument_config import InstrumentConfig
-from labdata.plan import Plan, Step
+from labdata.plan import FrameFormat, Plan, SaturationSearch, Step, StopCriterion
 from labdata.sensors import load_sensor
 from labdata.serialiser import from_toml
 from labdata.session import open_session
@@ -223,7 +221,7 @@ class Doubtful:
             def enough(self):
                 return "enough seen" if step.until and judge.seen[step.label] >= judge.enough_after else None
 
-            def saturated(self):
+            def is_saturated(self):
                 return (step.conditions.illuminance_lux or 0.0) > judge.saturates_lux
 
             def complaint(self):

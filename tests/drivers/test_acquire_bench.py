@@ -9,10 +9,10 @@ from drivers.acquisition.acquire import acquire
 from drivers.bench.setup import open_bench
 from drivers.cameras.aravis.camera import AravisCamera
 from drivers.instruments.models import lines_on
+from labdata.calibration import LampCalibration
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.instrument_config import InstrumentConfig
-from labdata.lamp_calibration import LampCalibration
 from labdata.limits import Override, limits_in_force
 from labdata.plan import Plan, Step
 from labdata.sensors import load_sensor, save_sensor

@@ -5,14 +5,13 @@ from dataclasses import replace
 import pytest
 
 from drivers.acquisition.acquire import acquire
-from labdata.calibrated_gain import by_calibration, in_volts
+from labdata.calibration import GainTable
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from labdata.gain_table import GainTable
-from labdata.plan import Plan, Step
+from labdata.file_records import SweepRecord
+from labdata.plan import Plan, Step, by_calibration, in_volts
 from labdata.sensors import load_sensor
 from labdata.serialiser import from_mapping, to_mapping
-from labdata.sweep import SweepRecord
 from tests.drivers.fake_rig import FakeRig
 
 # A tube whose gain goes as the tenth power of its voltage, so that the volts of a gain are known without the table.

@@ -15,9 +15,9 @@ from labdata.sensors import load_sensor
 from labdata.target import Target
 from simulate.lab import LabBench
 from simulate.virtual_bench import aravis_library
-from simulate.virtual_bench.camera_process import CameraProcess
+from simulate.virtual_bench.camera import CameraProcess
 from simulate.virtual_bench.outputs import GateOutput, publish_gate, publish_voltage, read_outputs
-from simulate.virtual_bench.truth_folder import TRUTH, load_or_draw_truth
+from simulate.virtual_bench.true_sensor import TRUTH, load_or_draw_truth
 from simulate.virtual_bench.tube import VirtualTube, frame_seed
 
 pytestmark = [

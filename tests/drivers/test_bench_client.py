@@ -21,9 +21,9 @@ CLIENT = """
     from drivers.bench.setup import open_bench
     from labdata import Conditions
     from labdata.limits import Limits
-    from labdata.instrument_config import Wires
+    from labdata.instrument_config import InstrumentConfig
     gate, supply, log = sys.argv[1:]
-    with open_bench(Wires(gate_port=gate, supply_port=supply), Limits(ramp_v_per_s=8000.0), log=log) as bench:
+    with open_bench(InstrumentConfig(gate_port=gate, supply_port=supply), Limits(ramp_v_per_s=8000.0), log=log) as bench:
         bench.set_conditions(Conditions(mcp_v=800.0, gate_ns=1.6e7))
         print(bench.process.pid, flush=True)
         while True:

@@ -11,9 +11,8 @@ from drivers.instruments.models import lines_on
 from drivers.interface import Bench, FrameLevels
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from labdata.instrument_config import InstrumentConfig
+from labdata.instrument_config import InstrumentConfig, Meters
 from labdata.limits import Limits
-from labdata.meters import Meters
 from labdata.plan import Plan, Step
 from labdata.target import Target
 from simulate.virtual_bench.faults import Faults

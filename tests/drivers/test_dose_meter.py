@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import pytest
 
-from drivers.bench.dose_meter import LONGEST_S, DoseMeter
+from drivers.bench.meters import LONGEST_S, DoseMeter
 from drivers.bench.state import TubeState
-from labdata.dose_ledger import DoseLedger
 from labdata.limits import Limits, limits_in_force
 from labdata.sensors import load_sensor
+from labdata.tube_dose import DoseLedger
 
 LIMITS = limits_in_force(Limits(), load_sensor("pulnix-ag5745ef3"))
 LIT = TubeState(duty=0.5, mcp_v=800.0, light_lux=1e-3)

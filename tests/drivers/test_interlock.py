@@ -147,7 +147,7 @@ def test_every_door_leaves_the_tube_safe(bench, virtual, door):
 
 def test_sigterm_is_a_door_too(bench, virtual):
     before = signal.getsignal(signal.SIGTERM)
-    with pytest.raises(SystemExit) as end, RunControl().heard(), bench:
+    with pytest.raises(SystemExit) as end, RunControl().listen(), bench:
         bench.set_conditions(Conditions(mcp_v=700, gate_ns=1e6))
         threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGTERM)).start()
         time.sleep(5)

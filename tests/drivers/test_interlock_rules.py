@@ -12,8 +12,7 @@ from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule, run_state_machine_as_test
 
-from drivers.bench.interlock import Interlock
-from drivers.bench.rules import REACTIONS, RULES
+from drivers.bench.interlock import REACTIONS, RULES, Interlock
 from drivers.bench.state import (
     DarkSeen,
     Failed,

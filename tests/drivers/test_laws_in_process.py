@@ -9,7 +9,7 @@ import pytest
 from labdata.instrument_config import InstrumentConfig
 from labdata.sensors import load_sensor
 from simulate.virtual_bench.bench import VirtualBench
-from simulate.virtual_bench.in_process_camera import InProcessCamera
+from simulate.virtual_bench.in_process import InProcessCamera
 from simulate.virtual_bench.outputs import Outputs
 from simulate.virtual_bench.tube import Scene, VirtualTube
 from tests.drivers.camera_laws import Bench, WaitingLaws

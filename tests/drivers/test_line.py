@@ -14,9 +14,8 @@ from drivers.errors import BenchError, BenchStopped, InstrumentDisconnected, Ins
 from drivers.instruments import high_voltage, iseg
 from drivers.instruments.filter_wheel import PromptLine
 from drivers.instruments.iseg import IsegLine
-from drivers.serial_lines.line import FramedLine
+from drivers.serial_lines.line import FramedLine, PrologixLine
 from drivers.serial_lines.port import InheritedPort, SerialPort
-from drivers.serial_lines.prologix import PrologixLine
 from simulate.virtual_bench.high_voltage import HighVoltageSupply
 from simulate.virtual_bench.in_process import InProcessPort
 from simulate.virtual_bench.iseg import IsegSupply

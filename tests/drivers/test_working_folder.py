@@ -10,16 +10,16 @@ import pytest
 
 from labdata.sensors import load_sensor
 from simulate.virtual_bench import aravis_library
-from simulate.virtual_bench.camera_process import CameraProcess
+from simulate.virtual_bench.camera import CameraProcess
 from simulate.virtual_bench.process import VirtualInstruments
-from simulate.virtual_bench.truth_folder import TRUTH, load_or_draw_truth
+from simulate.virtual_bench.true_sensor import TRUTH, load_or_draw_truth
 
 CHARACT = Path(sys.executable).with_name("charact")
 NAMES = ("serial", "json", "numpy", "socket", "pickle", "struct", "multiprocessing", "simulate", "labdata", "charact")
 FOCUS = """
 import charact.cli
 import charact.cli.application
-from charact.live.focus_reader import FocusReader
+from charact.live.focus import FocusReader
 from charact.method import Context
 
 def run():

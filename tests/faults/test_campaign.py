@@ -1,4 +1,4 @@
-"""One strike of some faults: what `make fault-campaign` does with every fault, five times each."""
+"""One strike of some faults: what `make study NAME=fault-campaign` does with every fault, five times each."""
 
 import numpy as np
 import pytest

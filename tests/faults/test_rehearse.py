@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from charact.cli.benches import acquire_session
-from charact.cli.progress import Progress
+from charact.cli.output import Progress
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.event_log import read_events
@@ -14,7 +14,7 @@ from labdata.limits import Override
 from labdata.plan import Plan, Step
 from labdata.sensors import load_sensor, save_sensor
 from labdata.session import open_session
-from simulate.virtual_bench.fault_script import FaultScript, ScriptedFault
+from simulate.virtual_bench.rehearsal import FaultScript, ScriptedFault
 
 FAST = Override(limit="ramp_v_per_s", value=4000.0, reason="a rehearsal has no tube")
 FRAMES = 200  # long enough for a fault that strikes as they begin
@@ -67,7 +67,7 @@ def test_a_door_that_opens_in_mid_stack_breaks_a_run_off(plan, tmp_path):
 
 def test_no_real_bench_and_no_instrument_that_is_not_there_is_struck(plan, tmp_path):
     real = replace(plan, wires=InstrumentConfig(bench="real"))
-    with pytest.raises(BadInput, match="a rehearsal must be on a virtual bench, got a real one"):
+    with pytest.raises(BadInput, match="fault injection needs a virtual bench, got a real one"):
         acquire_session(real, tmp_path / "s", resume=False, progress=quiet, rehearse=FaultScript(fault=(GARBAGE,)))
     absent = FaultScript(fault=(ScriptedFault(instrument="light_source", kind="silence"),))
     with pytest.raises(BadInput, match="on the wires of this bench, got light_source"):

@@ -16,15 +16,14 @@ from drivers.bench.setup import open_bench
 from drivers.bench.tube_bench import TubeBench
 from drivers.errors import BenchError
 from drivers.interface import Bench, FrameLevels
+from labdata.calibration import LampCalibration
 from labdata.conditions import Conditions
 from labdata.event_log import read_events
 from labdata.instrument_config import InstrumentConfig
-from labdata.lamp_calibration import LampCalibration
 from labdata.limits import Limits
 from labdata.target import Target
 from simulate.virtual_bench.faults import Faults, inject_faults
-from simulate.virtual_bench.operator import VirtualOperator
-from simulate.virtual_bench.outputs import read_outputs
+from simulate.virtual_bench.outputs import VirtualOperator, read_outputs
 from simulate.virtual_bench.process import VirtualInstruments
 
 pytestmark = pytest.mark.wires

@@ -13,9 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.acquisition.forecast import forecast
-from drivers.acquisition.plan_check import check_plan
-from labdata.dose_ledger import DoseLedger
+from drivers.acquisition.plan_check import check_plan, forecast
 from labdata.errors import BadInput
 from labdata.importers.emva1288 import import_emva1288
 from labdata.phosphors import load_phosphor
@@ -23,9 +21,9 @@ from labdata.plan import Plan
 from labdata.sensors import load_camera, load_sensor
 from labdata.serialiser import from_toml, to_toml
 from labdata.session import MANIFEST, open_session
-from labdata.tube_dose import Dose
+from labdata.tube_dose import Dose, DoseLedger
 from simulate.radiance.outdoor.built_scene import build_surfaces
-from simulate.radiance.outdoor.description.scene import OutdoorScene
+from simulate.radiance.outdoor.scene import OutdoorScene
 from simulate.radiance.scene import load_scene
 
 VALUES = (

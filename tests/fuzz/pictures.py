@@ -23,11 +23,10 @@ from astropy.io import fits
 from labdata.errors import BadInput
 from labdata.importers import read_frames
 from labdata.store.array_writer import ArrayWriter
-from labdata.store.layout import METADATA
+from labdata.store.journal import METADATA
 from simulate.radiance.outdoor.build import KINDS as MESHES
 from simulate.radiance.outdoor.build import build_surfaces
-from simulate.radiance.outdoor.description.objects import Object
-from simulate.radiance.outdoor.description.scene import OutdoorScene
+from simulate.radiance.outdoor.scene import Object, OutdoorScene
 from simulate.radiance.scene import load_scene
 from tests.fuzz.documents import mangled
 from tests.labdata import dng

@@ -19,8 +19,7 @@ from drivers.instruments.high_voltage import HighVoltage
 from drivers.instruments.iseg import Iseg, IsegLine, legacy_number
 from drivers.instruments.light_source import KNOWN, LightSource
 from drivers.instruments.voltage_limits import Supply
-from drivers.serial_lines.line import LONGEST_ANSWER, FramedLine
-from drivers.serial_lines.prologix import PrologixLine
+from drivers.serial_lines.line import LONGEST_ANSWER, FramedLine, PrologixLine
 from labdata.errors import BadInput
 
 ANSWER_S = 0.002

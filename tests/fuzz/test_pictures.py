@@ -10,7 +10,7 @@ import tifffile
 
 from labdata.errors import BadInput
 from labdata.importers import read_frames
-from labdata.store.layout import chunk
+from labdata.store.journal import chunk
 from simulate.radiance.outdoor.build import build_surfaces
 from tests.fuzz import pictures
 from tests.fuzz.bounds import in_time

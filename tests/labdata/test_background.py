@@ -35,9 +35,9 @@ def test_items_are_written_in_order_and_the_end_comes_after_the_last():
     written: list[object] = []
     writer = BackgroundWriter(written.append, name="test", finish=lambda: written.append("end"))
     for item in range(1000):
-        writer.put(item)
+        writer.enqueue(item)
     assert writer.flush(5.0) and written == list(range(1000))
-    writer.put(1000)
+    writer.enqueue(1000)
     assert writer.close(5.0) == 0
     assert written == [*range(1001), "end"]
 
@@ -52,7 +52,7 @@ def test_what_fails_is_counted_and_the_next_is_written_all_the_same():
 
     writer = BackgroundWriter(write, name="test")
     for item in range(10):
-        writer.put(item)
+        writer.enqueue(item)
     assert writer.flush(5.0)
     assert (writer.failed, str(writer.failure)) == (4, "no room for 9")
     assert writer.close(5.0) == 4
@@ -61,11 +61,11 @@ def test_what_fails_is_counted_and_the_next_is_written_all_the_same():
 
 def test_a_write_that_never_returns_holds_up_neither_put_nor_flush_nor_close(stuck):
     writer = BackgroundWriter(stuck, name="test", capacity=10)
-    writer.put(0)
+    writer.enqueue(0)
     assert stuck.reached.wait(5.0)
     began_s = time.monotonic()
     for item in range(1, 16):
-        writer.put(item)
+        writer.enqueue(item)
     assert writer.dropped == 5
     assert not writer.flush(0.05)
     assert writer.close(0.05) == 16
@@ -78,10 +78,10 @@ def test_a_write_that_never_returns_holds_up_neither_put_nor_flush_nor_close(stu
 
 def test_a_full_queue_drops_what_comes_and_keeps_what_waits(stuck):
     writer = BackgroundWriter(stuck, name="test", capacity=3)
-    writer.put(0)
+    writer.enqueue(0)
     assert stuck.reached.wait(5.0)
     for item in range(1, 8):
-        writer.put(item)
+        writer.enqueue(item)
     stuck.go_on.set()
     assert writer.close(5.0) == 4
     assert stuck.written == [0, 1, 2, 3]
@@ -90,7 +90,7 @@ def test_a_full_queue_drops_what_comes_and_keeps_what_waits(stuck):
 def test_what_comes_after_the_end_is_counted():
     writer = BackgroundWriter(lambda item: None, name="test")
     assert writer.close(5.0) == 0
-    writer.put(1)
+    writer.enqueue(1)
     assert writer.dropped == 1 and writer.close(5.0) == 1
 
 
@@ -101,7 +101,7 @@ def test_a_signal_handler_may_put_while_its_thread_is_inside_put(stuck, monkeypa
 
     def handled() -> None:
         with writer._turn:
-            writer.put(1)
+            writer.enqueue(1)
         done.set()
 
     threading.Thread(target=handled, daemon=True).start()
@@ -112,7 +112,7 @@ def test_many_threads_lose_nothing():
     written: list[int] = []
     writer = BackgroundWriter(written.append, name="test")
     threads = [
-        threading.Thread(target=lambda first=first: [writer.put(first + n) for n in range(500)])
+        threading.Thread(target=lambda first=first: [writer.enqueue(first + n) for n in range(500)])
         for first in range(0, 4000, 500)
     ]
     for thread in threads:

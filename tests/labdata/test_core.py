@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labdata import BadInput, Conditions, FrameStack, Measurement, Posterior, Result, Target
+from labdata.camera_description import Parameter
 from labdata.flags import FLAGS, Finding, ordered_flags
 from labdata.limits import Limits
 from labdata.measurement import make_measurement, make_refusal, measurement_from_draws, measurement_from_sd
-from labdata.parameter import Parameter
 from labdata.plan import Plan, Step
 from labdata.quantity import QUANTITIES, convert_frequency
 

@@ -11,10 +11,9 @@ from contextlib import contextmanager
 
 import pytest
 
-from labdata.dose_ledger import FOLDER_VARIABLE, DoseLedger, _lock, ledger_of
 from labdata.errors import BadInput
 from labdata.sensors import load_sensor
-from labdata.tube_dose import Dose, dose_of, total_dose, warnings
+from labdata.tube_dose import FOLDER_VARIABLE, Dose, DoseLedger, _lock, dose_of, ledger_of, total_dose, warnings
 
 SENSOR = load_sensor("pulnix-ag5745ef3")
 
@@ -111,7 +110,7 @@ def locked(path):
 
 
 def test_a_lock_that_another_process_keeps_is_waited_for_only_so_long(tmp_path, monkeypatch):
-    monkeypatch.setattr("labdata.dose_ledger.PATIENCE_S", 0.2)
+    monkeypatch.setattr("labdata.tube_dose.PATIENCE_S", 0.2)
     ledger = DoseLedger(tmp_path / "tube.jsonl")
     ledger.append(dose())
     before = ledger.path.read_bytes()
@@ -129,7 +128,7 @@ def test_a_lock_that_another_process_keeps_is_waited_for_only_so_long(tmp_path, 
 def test_a_reader_in_the_same_process_does_not_end_the_lock(tmp_path, monkeypatch):
     ledger = DoseLedger(tmp_path / "tube.jsonl")
     ledger.append(dose())
-    monkeypatch.setattr("labdata.dose_ledger.PATIENCE_S", 0.1)
+    monkeypatch.setattr("labdata.tube_dose.PATIENCE_S", 0.1)
     with open(ledger.path, "ab") as file:
         _lock(file.fileno())
         assert len(ledger) == 1

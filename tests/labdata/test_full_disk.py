@@ -31,7 +31,7 @@ CHILD = """
         with Storage(writer) as storage:
             stack = storage.begin_stack("flat", "flat", pixels.shape, np.uint16, Conditions())
             for number in range(1, 101):
-                stack.put(Frame(pixels=pixels ^ number, number=number, time_s=float(number)))
+                stack.enqueue(Frame(pixels=pixels ^ number, number=number, time_s=float(number)))
                 if number % 5 == 0:
                     storage.wait()
     except BadInput as error:

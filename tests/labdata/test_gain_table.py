@@ -2,8 +2,8 @@
 
 import pytest
 
+from labdata.calibration import GainTable
 from labdata.errors import BadInput
-from labdata.gain_table import GainTable
 
 # A plate whose gain goes as the fifteenth power of its voltage.
 VOLTS = (600.0, 700.0, 800.0, 900.0)

@@ -4,8 +4,8 @@ import math
 
 import pytest
 
+from labdata.calibration import LampCalibration
 from labdata.errors import BadInput
-from labdata.lamp_calibration import LampCalibration
 
 # A diode whose light is as its current, 0.1 lux for 0.1 A, behind a wheel of whole densities.
 LAMP = LampCalibration(

@@ -37,7 +37,7 @@ def test_a_loop_forgets_what_another_file_said_before(tmp_path):
     for package in (tmp_path / "labdata", part.parent, part):
         package.mkdir()
         (package / "__init__.py").write_text("")
-    for name in ("loops.py", "loops_kept.py"):
+    for name in ("numba_cache.py", "numba_cache_locators.py"):
         (tmp_path / "labdata" / name).write_text((home / name).read_text())
     (part / "outer.py").write_text(OUTER)
     (part / "inner.py").write_text(INNER.format(2.0))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from labdata import BadInput
-from labdata.parameter import Parameter
+from labdata.camera_description import Parameter
 from labdata.sensor import Sensor
 from labdata.sensors import load_camera, load_sensor, save_sensor, sensor_names
 from labdata.serialiser import from_mapping, from_toml, to_mapping, to_toml

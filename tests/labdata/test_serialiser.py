@@ -260,7 +260,7 @@ def test_the_schema_knows_no_null_as_toml_has_none():
 
 def test_the_schema_explains_the_keys():
     schema = file_schema("session")
-    assert schema["$defs"]["StackForm"]["properties"]["mcp_v"]["description"] == (
+    assert schema["$defs"]["StackRecord"]["properties"]["mcp_v"]["description"] == (
         "Voltage across the microchannel plate, V."
     )
     assert schema["properties"]["name"]["description"] == "Name of the session."

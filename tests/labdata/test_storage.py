@@ -58,7 +58,7 @@ def test_frames_of_several_stacks_arrive_whole_and_in_order(writer):
         for label in ("a", "b"):
             stack = begun(storage, label)
             for frame in frames(40):
-                stack.put(frame)
+                stack.enqueue(frame)
             stack.finish(losses=(LostFrames(first=41, last=42, reason="missing packets"),))
         storage.wait()
         assert stack.acknowledged == 40
@@ -76,7 +76,7 @@ def test_the_camera_does_not_wait_for_a_disk_that_is_slow_for_a_moment(writer, m
         storage.wait()
         disk.go_on.clear()
         for frame in frames(20):
-            stack.put(frame)
+            stack.enqueue(frame)
         assert stack.acknowledged == 0
         disk.go_on.set()
         storage.wait()
@@ -89,12 +89,12 @@ def test_a_queue_that_stays_full_ends_in_a_sentence_and_the_frame_has_a_reason(w
     with Storage(writer, capacity_bytes=5 * size, patience_s=0.05) as storage:
         stack = begun(storage)
         first, *rest = frames(20)
-        stack.put(first)
+        stack.enqueue(first)
         storage.wait()
         disk.go_on.clear()
         with pytest.raises(BadInput, match=r"the disk must keep up with the camera, got \d frames waiting for 0\.05 s"):
             for frame in rest:
-                stack.put(frame)
+                stack.enqueue(frame)
         assert storage.waiting_bytes <= 5 * size
         disk.go_on.set()
     entry = open_session(writer.folder).stack("flat")
@@ -110,11 +110,11 @@ def test_a_full_disk_ends_the_writing_and_every_frame_that_waited_has_number_and
     with pytest.raises(BadInput, match=refusal), Storage(writer) as storage:
         stack = begun(storage)
         for frame in frames(3):
-            stack.put(frame)
+            stack.enqueue(frame)
         storage.wait()
         disk.go_on.clear()
         for frame in frames(5, first=4):
-            stack.put(frame)
+            stack.enqueue(frame)
         # The room that was kept for it takes the manifest.
         monkeypatch.setattr(storage._reserve, "release", lambda: setattr(disk, "full", False))
         disk.full = True
@@ -133,10 +133,10 @@ def test_after_a_failure_nothing_more_is_taken(writer, monkeypatch):
         stack = begun(storage)
         storage.wait()
         disk.full = True
-        stack.put(frames(1)[0])
+        stack.enqueue(frames(1)[0])
         with pytest.raises(BadInput, match="No space left"):
             storage.wait()
-        for action in (lambda: stack.put(frames(1)[0]), stack.finish, lambda: begun(storage, "other")):
+        for action in (lambda: stack.enqueue(frames(1)[0]), stack.finish, lambda: begun(storage, "other")):
             with pytest.raises(BadInput, match="No space left"):
                 action()
         disk.full = False
@@ -147,7 +147,7 @@ def test_what_is_doubted_is_doubted_after_its_frames(writer):
     with Storage(writer) as storage:
         stack = begun(storage)
         for frame in frames(5):
-            stack.put(frame)
+            stack.enqueue(frame)
         stack.doubt("the gate was shut")
     assert writer.doubtful == {"flat": "the gate was shut"}
     assert len(open_session(writer.folder).stack("flat").read()) == 5
@@ -157,7 +157,7 @@ def test_a_stack_that_may_not_be_begun_is_told_when_its_frames_come(writer):
     with pytest.raises(BadInput, match="a complete stack cannot be begun again"), Storage(writer) as storage:
         for _ in range(2):
             stack = begun(storage)
-            stack.put(frames(1)[0])
+            stack.enqueue(frames(1)[0])
             stack.finish()
         storage.wait()
 
@@ -171,7 +171,7 @@ def test_a_disk_is_stalled_while_work_waits_and_nothing_moves(writer, monkeypatc
         storage._progress_s -= 1000.0
         assert storage.stall_s == 0.0
         disk.go_on.clear()
-        stack.put(frames(1)[0])
+        stack.enqueue(frames(1)[0])
         # The time in which no work waited does not count.
         assert storage.stall_s < 500.0
         time.sleep(0.1)
@@ -189,11 +189,11 @@ def test_a_frozen_disk_is_given_up_and_the_frames_that_it_did_not_take_are_count
     with pytest.raises(BadInput, match=sentence), Storage(writer) as storage:
         stack = begun(storage)
         for frame in frames(3):
-            stack.put(frame)
+            stack.enqueue(frame)
         storage.wait()
         disk.go_on.clear()
         for frame in frames(5, first=4):
-            stack.put(frame)
+            stack.enqueue(frame)
         began_s = time.monotonic()
     assert time.monotonic() - began_s < 3.0
     # The disk comes back before the process ends: what waited is written after all.
@@ -210,11 +210,11 @@ def test_waiting_for_a_frozen_disk_ends_and_what_comes_after_it_is_refused(write
         stack = begun(storage)
         storage.wait()
         disk.go_on.clear()
-        stack.put(frames(1)[0])
+        stack.enqueue(frames(1)[0])
         with pytest.raises(BadInput, match=r"got no progress for 0\.2 s: 1 frames"):
             storage.wait()
         with pytest.raises(BadInput, match="got no progress"):
-            stack.put(frames(1)[0])
+            stack.enqueue(frames(1)[0])
     disk.go_on.set()
     storage._thread.join(5.0)
 
@@ -226,7 +226,7 @@ def test_an_error_in_the_block_keeps_its_name_and_tells_of_the_frozen_disk_as_we
         stack = begun(storage)
         storage.wait()
         disk.go_on.clear()
-        stack.put(frames(1)[0])
+        stack.enqueue(frames(1)[0])
         raise KeyboardInterrupt
     assert "1 frames of" in interrupted.value.__notes__[0]
     disk.go_on.set()
@@ -242,7 +242,7 @@ def test_a_disk_that_is_slow_but_moves_is_waited_for(writer, monkeypatch):
     with Storage(writer) as storage:
         stack = begun(storage)
         for frame in frames(8):
-            stack.put(frame)
+            stack.enqueue(frame)
     assert len(open_session(writer.folder).stack("flat").read()) == 8
 
 
@@ -261,7 +261,7 @@ try:
         stack = disk.begin_stack("flat", "flat", (4, 4), np.uint8, Conditions())
         disk.wait()
         os.fsync = lambda file: threading.Event().wait()
-        stack.put(Frame(pixels=np.zeros((4, 4), np.uint8), number=1, time_s=0.0))
+        stack.enqueue(Frame(pixels=np.zeros((4, 4), np.uint8), number=1, time_s=0.0))
 except BadInput as error:
     print(error)
 """

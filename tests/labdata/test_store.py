@@ -290,7 +290,7 @@ def test_resuming_goes_on_behind_the_last_frame_and_keeps_what_is_finished(tmp_p
     assert not open_session(tmp_path / "s").stack("flat").finished
     assert "broken off after 1 frames" in open_session(tmp_path / "s").stack("flat").read().notes[0]
     with SessionWriter.resume(tmp_path / "s") as writer:
-        assert writer.finished == ("dark",)
+        assert writer.finished_labels == ("dark",)
         assert writer.partial == {"flat": 1}
         with pytest.raises(BadInput, match="a complete stack cannot be begun again, got 'dark'"):
             begun(writer, "dark", kind="dark")

@@ -8,11 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from labdata.adaptive import StopCriterion
 from labdata.errors import BadInput
-from labdata.plan import Plan
+from labdata.file_records import SweepRecord
+from labdata.plan import Plan, StopCriterion
 from labdata.serialiser import from_mapping, to_toml
-from labdata.sweep import SweepRecord
 from labdata.target import Target
 
 VOLTS, LUX = (600.0, 700.0, 800.0), (1e-5, 1e-4, 1e-3)

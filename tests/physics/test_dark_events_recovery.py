@@ -6,8 +6,8 @@ from pathlib import Path
 from charact.method import Context
 from charact.noise.events.event_measurements import measure_events
 from charact.study.flats.flat_cases import InMemoryStack
+from labdata.camera_description import Parameter
 from labdata.conditions import Conditions
-from labdata.parameter import Parameter
 from labdata.sensors import load_sensor
 from simulate.iiccd.true_quantities import true_quantities
 from simulate.lab import LabBench, Target

@@ -9,13 +9,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.studies.gain_map import cell_of
 from charact.method import Context
 from charact.noise.gain.fit import fit_spectrum
 from charact.noise.gain.model import PixelReadoutModel, blur_models
 from charact.noise.gain.pooled_noise import ImageLag, PooledNoise
 from charact.noise.gain.single_setting import blur_exponent
 from charact.noise.stack.spectrum import bins_of
-from charact.study.flats.gain_map import cell_of
 from simulate.iiccd import true_quantities
 from simulate.iiccd.camera import IntensifiedCamera
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from labdata.camera_description import Parameter
 from labdata.conditions import Conditions
-from labdata.parameter import Parameter
 from labdata.phosphors import load_phosphor, phosphor_names
 from labdata.sensor import Sensor
 from labdata.sensors import load_sensor

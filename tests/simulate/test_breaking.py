@@ -17,10 +17,13 @@ from labdata.errors import BadInput
 from labdata.sensor import Sensor
 from labdata.sensors import load_camera
 from labdata.target import Target
-from simulate.cameras import camera_from_description
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.chain import Chain
-from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons, mcp_input_from_radiance
+from simulate.iiccd.scene_to_photoelectrons import (
+    camera_from_description,
+    mcp_input_from_photoelectrons,
+    mcp_input_from_radiance,
+)
 from simulate.iiccd.stage_image import StageImage
 from simulate.lab import LabBench
 from simulate.radiance.cube import RadianceCube

@@ -11,7 +11,7 @@ from labdata.sensors import load_sensor
 from simulate.iiccd import sampler_choice
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons
-from simulate.iiccd.sensor_for_renderer import render_sensor_of
+from simulate.outdoor_rendering import render_sensor_of
 
 
 @pytest.mark.parametrize("name", ["pulnix-ag5745ef3", "gen3-digital-iccd"])
@@ -29,5 +29,5 @@ def test_blur_evens_the_noise_of_an_intensified_camera_as_its_eye_says(seed, nam
         float
     )
     noise_pe = np.sqrt(np.mean(frames.var(axis=0, ddof=1))) / dn_per_pe
-    assert eye.evened < 0.6
-    assert noise_pe == pytest.approx(float(eye.grain(signal, smooth=True)), rel=0.1)
+    assert eye.noise_averaging_factor < 0.6
+    assert noise_pe == pytest.approx(float(eye.noise_floor(signal, smooth=True)), rel=0.1)

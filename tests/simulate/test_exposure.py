@@ -9,14 +9,17 @@ from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.sensors import load_camera
 from labdata.target import Target
-from simulate.cameras import camera_from_description
 from simulate.iiccd import tube_photometry
 from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons, mcp_input_from_radiance
+from simulate.iiccd.scene_to_photoelectrons import (
+    camera_from_description,
+    mcp_input_from_photoelectrons,
+    mcp_input_from_radiance,
+)
 from simulate.iiccd.solid_state import SiliconCamera
 from simulate.lab import LabBench
 from simulate.radiance.cube import RadianceCube
-from simulate.radiance.photometry import LUMENS_PER_WATT, luminous_efficiency, planck
+from simulate.radiance.spectrum import LUMENS_PER_WATT, luminous_efficiency, planck
 
 NM = np.arange(360.0, 1100.0, 10.0)
 IDEAL_LENS = {

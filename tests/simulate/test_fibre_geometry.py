@@ -6,23 +6,23 @@ import numpy as np
 import pytest
 
 from labdata.conditions import Conditions
-from simulate.iiccd import pattern, warp
+from simulate.iiccd import image_placement, pattern
 from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.fibre_geometry import FibreGeometry
 from simulate.iiccd.grid import grid_with_margin
 from simulate.iiccd.stage_image import StageImage
+from simulate.iiccd.taper import FibreGeometry
 
 GRID = grid_with_margin(300, 400, per_pixel=2, margin=10, pitch_x_mm=0.018, pitch_y_mm=0.0213)
 
 
 def _spot(x_mm: float, y_mm: float) -> StageImage:
-    x, y = warp.cell_centres(GRID)
+    x, y = image_placement.cell_centres(GRID)
     image = np.exp(-0.5 * ((x - x_mm) ** 2 + (y - y_mm) ** 2) / 0.05**2)
     return StageImage(values=image.astype(np.float32), grid=GRID)
 
 
 def _centre(light: StageImage) -> np.ndarray:
-    x, y = warp.cell_centres(GRID)
+    x, y = image_placement.cell_centres(GRID)
     total = light.values.sum(dtype=float)
     return np.array([(light.values * x).sum(dtype=float), (light.values * y).sum(dtype=float)]) / total
 
@@ -33,13 +33,13 @@ def test_distortion_moves_a_spot_by_its_law_and_keeps_its_light(fraction, place)
     spot = _spot(*place)
     bent = FibreGeometry(distortion_fraction=fraction).mean(spot)
     assert bent.values.sum(dtype=float) == pytest.approx(spot.values.sum(dtype=float), rel=2e-4)
-    radius = np.hypot(*place) / warp.corner_mm(GRID)
+    radius = np.hypot(*place) / image_placement.corner_mm(GRID)
     assert _centre(bent) == pytest.approx(np.array(place) * (1.0 + fraction * radius**2), abs=4e-4)
 
 
 def test_the_axis_stays_and_the_corner_moves_by_the_fraction():
-    corner = warp.corner_mm(GRID)
-    radial = warp.Radial(fraction=0.02, corner_mm=corner)
+    corner = image_placement.corner_mm(GRID)
+    radial = image_placement.Radial(fraction=0.02, corner_mm=corner)
     x, _, area = radial.source(np.array([0.0, 1.02 * corner]), np.zeros(2))
     assert x == pytest.approx([0.0, corner], rel=1e-6)
     assert area == pytest.approx([1.0, 1.0 / (1.02 * 1.06)], rel=1e-6)

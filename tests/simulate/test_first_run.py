@@ -14,16 +14,16 @@ from itertools import islice
 import numpy as np
 from labdata.conditions import Conditions
 from labdata.sensors import load_sensor
-from simulate.iiccd import tiers
+from simulate.iiccd import sampler_choice as tiers
 from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.scene_to_photoelectrons import from_photoelectrons
+from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons
 from simulate.iiccd.fast_sampler.phosphor_rows import glow_rows
 sheet = load_sensor("gen3-digital-iccd")
 camera = IntensifiedCamera(replace(sheet, ccd=replace(sheet.ccd, rows=200, columns=256)))
 row, col = np.mgrid[:200, :256]
 conditions = Conditions(mcp_v=730.0)
-light = from_photoelectrons(camera, 3.0 + 1.5 * np.sin(col / 9) * np.cos(row / 7), conditions)
-frames = np.stack(list(islice(tiers.frames(camera, light, conditions, seed=5, tier="streamed"), 6)))
+light = mcp_input_from_photoelectrons(camera, 3.0 + 1.5 * np.sin(col / 9) * np.cos(row / 7), conditions)
+frames = np.stack(list(islice(tiers.generate_frames(camera, light, conditions, seed=5, tier="streamed"), 6)))
 print(sha256(frames.tobytes()).hexdigest(), sum(glow_rows.stats.cache_hits.values()))
 """
 

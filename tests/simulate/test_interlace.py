@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 from labdata.conditions import Conditions
 from labdata.sensor import Sensor
 from labdata.target import Target
-from simulate.iiccd.blooming_solver import spread_excess_charge
 from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.column_blooming import apply_column_blooming
-from simulate.iiccd.moving_scene import ChainState, sequence, steady_state
+from simulate.iiccd.column_blooming import apply_column_blooming, spread_excess_charge
+from simulate.iiccd.reference_sampler import ChainState, sequence, steady_state
 from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons
 from simulate.iiccd.stage_image import StageImage
 from simulate.lab import LabBench

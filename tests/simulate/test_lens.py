@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from labdata.errors import BadInput
-from simulate.iiccd import fourier, image_placement, tube_photometry, warp
-from simulate.iiccd.grid import Grid, grid_with_margin
+from simulate.iiccd import image_placement, tube_photometry
+from simulate.iiccd.grid import Grid, grid_with_margin, rfft_image
 from simulate.iiccd.lens import RadiometricLens, few_transfers
 from simulate.iiccd.transfer import Defocus
 from simulate.radiance.cube import RadianceCube, band_widths
-from simulate.radiance.photometry import LUMENS_PER_WATT, luminous_efficiency, planck
+from simulate.radiance.spectrum import LUMENS_PER_WATT, luminous_efficiency, planck
 
 BANDS_NM = np.arange(360.0, 1100.0, 5.0)
 
@@ -82,7 +82,7 @@ def test_t_number_is_the_f_number_of_a_lossless_lens_as_bright(lens):
 def test_light_falls_off_with_the_fourth_power_of_the_cosine(lens):
     short = replace(lens, focal_length_mm=1.0)
     flat = short.mean(_lamp(1e-9)).values
-    x, y = warp.cell_centres(lens.grid)
+    x, y = image_placement.cell_centres(lens.grid)
     cosine = 1.0 / np.sqrt(1.0 + x**2 + y**2)
     inside = np.ix_(*(_picture(n, 4 * 10, 4 * size) for n, size in zip(flat.shape, (24, 40), strict=True)))
     expected = (cosine**4)[inside]
@@ -92,7 +92,7 @@ def test_light_falls_off_with_the_fourth_power_of_the_cosine(lens):
 
 def test_vignetting_takes_its_fraction_at_the_corner_and_nothing_on_the_axis(lens):
     far = replace(lens, focal_length_mm=1e6, vignetting_fraction=0.15)
-    corner = np.array([0.0, warp.corner_mm(lens.grid)])
+    corner = np.array([0.0, image_placement.corner_mm(lens.grid)])
     assert far.falloff(corner) == pytest.approx([1.0, 0.85], abs=1e-9)
 
 
@@ -105,19 +105,19 @@ def test_blur_glare_and_defocus_lose_no_light(lens):
 def test_distortion_moves_light_without_losing_it_and_dims_what_it_stretches(lens):
     grid = _grid(96, 128)
     far = replace(lens, focal_length_mm=1e6, grid=grid)
-    x, y = warp.cell_centres(grid)
+    x, y = image_placement.cell_centres(grid)
     radiance = np.exp(-((x - 0.5) ** 2 + (y - 0.4) ** 2) / 0.05**2)
     spot = radiance[40 : 40 + 384, 40 : 40 + 512].reshape(96, 4, 128, 4).mean(axis=(1, 3))
     cube = RadianceCube(wavelength_nm=np.array([600.0, 700.0]), radiance=np.tile(spot, (2, 1, 1)))
     plain, bent = far.mean(cube).values, replace(far, distortion_fraction=0.03).mean(cube).values
     assert bent.sum(dtype=float) == pytest.approx(plain.sum(dtype=float), rel=1e-3)
     centre = [np.array([(image * x).sum(), (image * y).sum()]) / image.sum() for image in (plain, bent)]
-    radius = np.hypot(*centre[0]) / warp.corner_mm(grid)
+    radius = np.hypot(*centre[0]) / image_placement.corner_mm(grid)
     assert centre[1] / centre[0] == pytest.approx(1.0 + 0.03 * radius**2, rel=1e-3)
     flat = replace(far, distortion_fraction=0.03).mean(_lamp(1e-9, 96, 128)).values
     at = np.unravel_index(np.argmin((x - 0.5) ** 2 + (y - 0.4) ** 2), flat.shape)
     middle = flat[flat.shape[0] // 2, flat.shape[1] // 2]
-    stretch = 1.0 / radius_area(0.03, np.hypot(0.5, 0.4) / warp.corner_mm(grid))
+    stretch = 1.0 / radius_area(0.03, np.hypot(0.5, 0.4) / image_placement.corner_mm(grid))
     assert flat[at] / middle == pytest.approx(stretch, rel=1e-3)
 
 
@@ -151,7 +151,7 @@ def test_each_wavelength_is_blurred_by_its_own_focus(lens):
         sharp = image_placement.place_on_cells(one.sum(axis=0), lens.grid, row_pairs=False)
         frequency = lens.grid.frequencies()[0][0]
         near = frequency < 25.0
-        blurred, unblurred = (np.abs(fourier.rfft_image(of)[0, near]) for of in (image, sharp))
+        blurred, unblurred = (np.abs(rfft_image(of)[0, near]) for of in (image, sharp))
         found = blurred / blurred[0] * unblurred[0] / unblurred
         assert found == pytest.approx(np.abs(lens.transfer(nm, frequency[near])), abs=1e-3)
 
@@ -222,4 +222,4 @@ def test_impossible_lenses_are_refused(lens, change):
 
 def test_a_distortion_that_folds_the_picture_is_refused():
     with pytest.raises(BadInput, match="distortion"):
-        warp.Radial(fraction=-0.2, corner_mm=8.0)
+        image_placement.Radial(fraction=-0.2, corner_mm=8.0)

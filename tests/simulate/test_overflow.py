@@ -5,9 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from simulate.iiccd.blooming_solver import spread_excess_charge
 from simulate.iiccd.ccd import Ccd
-from simulate.iiccd.column_blooming import apply_column_blooming
+from simulate.iiccd.column_blooming import apply_column_blooming, spread_excess_charge
 from simulate.iiccd.stage_image import StageImage
 
 

@@ -9,9 +9,8 @@ from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from simulate.iiccd import pattern, tube_photometry
 from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.depletion import Depletion
 from simulate.iiccd.grid import grid_with_margin
-from simulate.iiccd.microchannel import MicrochannelPlate, stack_gain_and_shape
+from simulate.iiccd.microchannel import Depletion, MicrochannelPlate, stack_gain_and_shape
 from simulate.iiccd.stage_image import StageImage
 
 GRID = grid_with_margin(60, 80, per_pixel=2, margin=10, pitch_x_mm=0.018, pitch_y_mm=0.0213)

@@ -7,12 +7,11 @@ import pytest
 
 from labdata.errors import BadInput
 from labdata.target import Target
-from simulate.radiance.bench_renderer import outline_cells, render_bench, set_up
+from simulate.radiance.bench_renderer import TargetView, outline_cells, render_bench, set_up
 from simulate.radiance.cube import RadianceCube
-from simulate.radiance.photometry import luminous_efficiency, planck
 from simulate.radiance.scene import load_scene
+from simulate.radiance.spectrum import luminous_efficiency, planck
 from simulate.radiance.target_mesh import target_mesh
-from simulate.radiance.target_view import TargetView
 
 NM = np.array([500.0, 600.0, 800.0])
 VIEW = TargetView(

@@ -11,8 +11,14 @@ from labdata.errors import BadInput
 from simulate.iiccd import tube_photometry
 from simulate.iiccd.automatic_controls import SET_LEVEL
 from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.moving_scene import ChainState, initial_state, next_frame, sequence, steady_state
-from simulate.iiccd.reference_sampler import steady_frames
+from simulate.iiccd.reference_sampler import (
+    ChainState,
+    initial_state,
+    next_frame,
+    sequence,
+    steady_frames,
+    steady_state,
+)
 from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons
 
 NONE = Conditions()

@@ -7,13 +7,16 @@ import pytest
 
 from labdata.conditions import Conditions
 from labdata.sensors import load_camera
-from simulate.cameras import camera_from_description
 from simulate.iiccd import true_quantities
 from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.scene_to_photoelectrons import mcp_input_from_photoelectrons, mcp_input_from_radiance
+from simulate.iiccd.scene_to_photoelectrons import (
+    camera_from_description,
+    mcp_input_from_photoelectrons,
+    mcp_input_from_radiance,
+)
 from simulate.iiccd.stage_images import stage_images
 from simulate.radiance.cube import RadianceCube
-from simulate.radiance.photometry import planck
+from simulate.radiance.spectrum import planck
 
 NM = np.arange(400.0, 1000.0, 50.0)
 CUBE = RadianceCube(wavelength_nm=NM, radiance=np.tile(1e-11 * planck(NM, 2856.0)[:, None, None], (1, 30, 44)))

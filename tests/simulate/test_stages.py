@@ -10,10 +10,10 @@ from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.sensor import Sensor
 from labdata.sensors import load_camera
-from simulate.cameras import Camera, camera_from_description
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.ccd import Ccd
 from simulate.iiccd.chain import Chain, Stage
+from simulate.iiccd.scene_to_photoelectrons import Camera, camera_from_description
 from simulate.iiccd.stage_image import StageImage
 from simulate.radiance.cube import RadianceCube
 

@@ -5,9 +5,8 @@ import pytest
 
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from simulate.iiccd.bright_source import BrightSourceProtection
 from simulate.iiccd.camera import IntensifiedCamera
-from simulate.iiccd.photocathode import Photocathode
+from simulate.iiccd.photocathode import BrightSourceProtection, Photocathode
 from simulate.iiccd.stage_image import StageImage
 
 

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from labdata.errors import BadInput
-from simulate.iiccd.back_end import DigitalBackEnd, Unfiltered
 from simulate.iiccd.stage_image import StageImage
 from simulate.iiccd.transfer import CORRECTED_MHZ, VideoFilter
-from simulate.iiccd.video import Video, filter_lines, shift_lines
+from simulate.iiccd.video import NoFilter, Video, filter_lines, shift_lines
 
 CLOCK_MHZ = 14.318
 
@@ -73,25 +72,25 @@ def test_gain_of_the_video_multiplies_signal_and_noise_alike(seed):
 def test_digital_back_end_leaves_neighbours_alone():
     spot = np.zeros((5, 9), np.float32)
     spot[2, 4] = 100.0
-    digital = DigitalBackEnd(conversion_gain_dn_per_e=0.5, black_level_dn=200.0, bit_depth=12)
+    digital = Video(conversion_gain_dn_per_e=0.5, black_level_dn=200.0, bit_depth=12)
     expected = np.full((5, 9), 200)
     expected[2, 4] = 250
     drawn = digital.draw(StageImage(values=spot), np.random.default_rng(0)).values
     assert np.array_equal(drawn, expected)
     assert drawn.dtype == np.uint16
-    assert Unfiltered().impulse_response() == pytest.approx([1.0])
-    assert np.abs(Unfiltered().transfer(np.array([0.0, 0.3]))) == pytest.approx([1.0, 1.0])
+    assert NoFilter().impulse_response() == pytest.approx([1.0])
+    assert np.abs(NoFilter().transfer(np.array([0.0, 0.3]))) == pytest.approx([1.0, 1.0])
 
 
 @pytest.mark.parametrize("bits", [1, 8, 10, 16])
 def test_codes_end_at_full_scale(bits):
-    digital = DigitalBackEnd(conversion_gain_dn_per_e=1.0, black_level_dn=0.0, bit_depth=bits)
+    digital = Video(conversion_gain_dn_per_e=1.0, black_level_dn=0.0, bit_depth=bits)
     ends = StageImage(values=np.array([[-50.0, 1e9]], np.float32))
     assert digital.draw(ends, np.random.default_rng(0)).values.tolist() == [[0, 2**bits - 1]]
 
 
 def test_gamma_bends_the_signal_above_black_alone():
-    digital = DigitalBackEnd(conversion_gain_dn_per_e=1.0, black_level_dn=55.0, bit_depth=8, gamma=0.5)
+    digital = Video(conversion_gain_dn_per_e=1.0, black_level_dn=55.0, bit_depth=8, gamma=0.5)
     level = digital.mean(StageImage(values=np.array([[0.0, 50.0, 200.0]], np.float32))).values
     assert level[0] == pytest.approx([55.0, 155.0, 255.0])
 
@@ -105,4 +104,4 @@ def test_impossible_video_is_refused(change):
 @pytest.mark.parametrize("change", [{"bit_depth": 0}, {"bit_depth": 17}, {"gamma": 0.0}])
 def test_impossible_digitisers_are_refused(change):
     with pytest.raises(BadInput):
-        DigitalBackEnd(**{"conversion_gain_dn_per_e": 1.0, "black_level_dn": 0.0, "bit_depth": 8} | change)
+        Video(**{"conversion_gain_dn_per_e": 1.0, "black_level_dn": 0.0, "bit_depth": 8} | change)

@@ -1,6 +1,6 @@
 """The V4L2 driver against a kernel: the vivid virtual camera, whose errors and pictures are set by its controls.
 
-Runs where the kernel has that camera, such as in the guest of `make vivid`.
+Runs where the kernel has that camera, such as in the guest of `python tests/vivid/guest.py`.
 """
 
 import threading

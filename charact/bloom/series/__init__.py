@@ -1,1 +1,1 @@
-"""The forward model of a point series: rings of all levels, forms of the light, and which of them the data bear."""
+"""Forward model of a point series: ring means, blur models, their selection and their measurements."""

@@ -1,8 +1,4 @@
-"""Extents read from the frames beside those of the fitted light: two ways to one number that must agree.
-
-Where they do, their mean is told: the frame's contour knows nothing of forms, the fitted light sees all levels and both
-sides of a border that codes cut.
-"""
+"""Comparison of measured bloom diameters with those of the fitted model."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -19,9 +15,9 @@ from labdata.measurement import Measurement
 Array = NDArray[np.float64]
 
 MISFIT = ("model-misfit",)
-# What the two may differ by: px or a share, whichever is more, and the light that the fitted one may be off by.
-WITHIN_PX, WITHIN_SHARE, LIGHT_SHARE = 1.0, 0.05, 0.03
-# Levels that the fitted light tells, and those whose extents it may contradict.
+# Relative uncertainty of the fitted signal.
+LIGHT_SHARE = 0.03
+# Thresholds of the extents that the fitted model predicts, and the extents that it may contradict.
 LEVELS: dict[str, Callable[[PointStack], float]] = {
     "bloom_diameter": lambda spot: spot.half_dn,
     "bloom_diameter_clip": lambda spot: spot.full_scale_dn - HALF_STEP_DN,
@@ -33,46 +29,36 @@ READ: dict[str, Callable[[PointStack], Extent | None]] = {
     "bloom_diameter_background": lambda spot: spot.background,
 }
 CONTRADICTED = ("bloom_diameter", "bloom_diameter_clip")
-# The extents by which both are compared over all levels.
+# Extent compared over all stacks.
 JUDGED = "bloom_diameter"
-# Times the contour's own error that the mean of both keeps, by the quantity where the contour is long, and where it is
-# short, up to about a diameter in px: what some hundred series in closed form show, of 4 to 16 frames. A contour of few
-# pixels is told by the same few to both. What the highest code hides from one next to it the fitted light knows.
+# Factors on the contour's own error in the mean of both, for long contours and for short ones, calibrated on some
+# hundred closed-form series of 4 to 16 frames. A short contour and the model depend on the same few pixels. Next to
+# full scale the model replaces what clipping hides.
 LONG = {"bloom_diameter": 0.44, "bloom_diameter_clip": 0.5, "bloom_diameter_background": 0.6}
-SHORT, SHORT_PX = {"bloom_diameter": 1.1, "bloom_diameter_clip": 1.5, "bloom_diameter_background": 1.5}, 6.0
-# Where the light falls slowly both err alike: what the mean keeps besides of a contour much less sure than this, px.
-SLOW, SLOW_PX = {"bloom_diameter": 0.35}, 0.06
-# Few frames tell their own noise badly: by so much over their number the mean keeps more.
-FEW = {"bloom_diameter": 3.0}
-# Share of the difference between both that is charged, as a standard error: to their mean, which thereby holds them
-# both at 95 %, and to a contour that stays alone.
-CHARGED_MEAN, CHARGED_ALONE = 0.3, 0.4
-# What the diameter of a fitted form is off by at its best, px.
-FORM_PX = 0.004
-# Chance below which the two differ over all levels by more than noise: another source, or a form that none of ours is.
-# What they differ by without either, px, is that of the best forms.
-CHANCE, APART_PX = 1e-4, 0.02
+SHORT = {"bloom_diameter": 1.1, "bloom_diameter_clip": 1.5, "bloom_diameter_background": 1.5}
+# Difference of both without noise or model error, px.
+APART_PX = 0.02
 
 
 def compare_extents(
     best: FittedHaloModel, group: tuple[PointStack, ...], extents: tuple[Measurement, ...]
 ) -> tuple[Measurement, ...]:
-    """Return the measurements, extents brought together with the fitted light: intervals own to what they differ by.
+    """Combine measured diameters with those of the fitted model; differences widen the intervals.
 
     Parameters
     ----------
     best
-        The form fitted to the stacks.
+        Model fitted to the stacks.
     group
-        The stacks, in the order of the series' levels.
+        Stacks in the order of the series.
     extents
-        Measurements of the stacks, streaks among them.
+        Measurements of the stacks, including streaks.
 
     Notes
     -----
-    A streak belongs to the frame alone: the extent that it pulls stays as read, and is flagged where the streak may
-    have joined it to a rim which the round light leaves apart. So is one that the fitted light contradicts, and so are
-    all whose differences from it over the levels are more than noise makes.
+    A streak belongs to the frame alone: an extent that it distorts stays as measured, and is flagged where the streak
+    may have joined it to a separate rim. Extents that the model contradicts are flagged, and all extents where the
+    differences over the stacks exceed noise.
     """
     problem = best.problem
     light = problem.light_at(best.peak.point[None])[..., 0]
@@ -100,10 +86,10 @@ def compare_extents(
 
 
 def _differ(apart: list[float]) -> bool:
-    """Whether differences between contours and light, in standard errors, are more than noise makes."""
+    """Whether the normalised differences between contours and model exceed noise."""
     from scipy.stats import chi2
 
-    return bool(chi2.sf(np.sum(np.square(apart)), max(len(apart), 1)) < CHANCE)
+    return bool(chi2.sf(np.sum(np.square(apart)), max(len(apart), 1)) < 1e-4)
 
 
 def _sd(extent: Measurement) -> float:
@@ -113,13 +99,14 @@ def _sd(extent: Measurement) -> float:
 
 
 def _combine_diameters(extent: Measurement, diameter_px: float, *, alone: bool, frames: int) -> Measurement:
-    """The mean of an extent and the fitted light's, or the extent alone; what they differ by is in the intervals."""
+    """Mean of a measured and a modelled diameter, or the measured one alone; the difference is in the intervals."""
     value, low68, low95 = extent.value, extent.interval68, extent.interval95
     if value is None or low68 is None or low95 is None or not np.isfinite(diameter_px):
         return extent
     mean = value if alone else 0.5 * (value + diameter_px)
-    kept, charged = (1.0, CHARGED_ALONE) if alone else (_error_factor(extent, mean, frames), CHARGED_MEAN)
-    sd = float(np.hypot(charged * (value - diameter_px), 0.0 if alone else FORM_PX))
+    # Part of the difference charged as a standard error, so that the 95 % interval of the mean covers both values.
+    kept, charged = (1.0, 0.4) if alone else (_error_factor(extent, mean, frames), 0.3)
+    sd = float(np.hypot(charged * (value - diameter_px), 0.0 if alone else 0.004))
     wide = [
         (
             mean - float(np.hypot(kept * (value - low), times * sd)),
@@ -131,26 +118,26 @@ def _combine_diameters(extent: Measurement, diameter_px: float, *, alone: bool, 
 
 
 def _error_factor(extent: Measurement, diameter_px: float, frames: int) -> float:
-    """Times a contour's own error that its mean with the fitted light keeps."""
+    """Factor on a contour's own error in the mean with the fitted model."""
     name = extent.quantity
-    long = LONG[name] + SLOW.get(name, 0.0) / (1.0 + (SLOW_PX / max(_sd(extent), 1e-9)) ** 2)
-    kept = long + (SHORT[name] - long) / (1.0 + (diameter_px / SHORT_PX) ** 4)
-    return kept * (1.0 + FEW.get(name, 0.0) / frames)
+    long = LONG[name] + {"bloom_diameter": 0.35}.get(name, 0.0) / (1.0 + (0.06 / max(_sd(extent), 1e-9)) ** 2)
+    kept = long + (SHORT[name] - long) / (1.0 + (diameter_px / 6.0) ** 4)
+    return kept * (1.0 + {"bloom_diameter": 3.0}.get(name, 0.0) / frames)
 
 
 def _is_off(node_px: Array, light_dn: Array, level_dn: float, interval: tuple[float, float]) -> bool:
-    """Whether no light near the fitted one falls through a level inside an interval, allowances made."""
+    """Whether the model, allowances made, crosses the threshold outside an interval."""
     floor = float(light_dn[-1])
     near = [floor + (light_dn - floor) * (1.0 + off) for off in (-LIGHT_SHARE, LIGHT_SHARE)]
     found = [_diameter(node_px, one, level_dn) for one in near]
     if not np.isfinite(found).all():
         return False
-    allowed = max(WITHIN_PX, WITHIN_SHARE * max(found))
+    allowed = max(1.0, 0.05 * max(found))
     return interval[1] < min(found) - allowed or interval[0] > max(found) + allowed
 
 
 def _diameter(node_px: Array, light_dn: Array, level_dn: float) -> float:
-    """Where light first falls through a level, twice; NaN where it does not within the rings."""
+    """Diameter at which the signal first falls through a threshold; NaN where it does not within the rings."""
     below = np.flatnonzero(light_dn < level_dn)
     if not len(below):
         return float("nan")
@@ -162,6 +149,6 @@ def _diameter(node_px: Array, light_dn: Array, level_dn: float) -> float:
 
 
 def _stands_apart(light_dn: Array, level_dn: float) -> bool:
-    """Whether light that has fallen through a level comes back to it farther out."""
+    """Whether the signal rises above the threshold again farther out."""
     below = np.flatnonzero(light_dn < level_dn)
     return bool(len(below)) and bool((light_dn[below[0] :] >= level_dn).any())

@@ -1,8 +1,4 @@
-"""Forms that a point source's light may take, put together from a core, a halo and what ties the levels.
-
-A form is a list of parameters with priors and the transforms they make. Which form the data bear is decided by
-`charact.bloom.series.model_selection`, never by hand.
-"""
+"""Blur models of a point series: core, halo and the parameters with their priors."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.bloom import transfer
-from charact.bloom.series.hankel import frequencies
+from charact.bloom.transfer import frequencies
 from labdata.sensor import Sensor
 
 Array = NDArray[np.float64]
 Core = Literal["gaussian", "tube", "moffat", "matern"]
-# Cores that are tried: of any camera, and of one whose session shows that it has a tube.
+# Cores tried: of any camera, and of cameras with a tube.
 CORES: tuple[Core, ...] = ("gaussian", "matern", "moffat")
 CORES_OF_TUBES: tuple[Core, ...] = ("gaussian", "tube", "moffat")
 Halo = Literal["none", "disc", "gaussian"]
@@ -26,7 +22,7 @@ Halo = Literal["none", "disc", "gaussian"]
 
 @dataclass(frozen=True, kw_only=True)
 class ModelParameter:
-    """A parameter with its prior: flat between bounds, or normal where a standard deviation is given."""
+    """Parameter with its prior: flat between bounds, or normal where a standard deviation is given."""
 
     name: str
     unit: str
@@ -38,45 +34,48 @@ class ModelParameter:
 
     @property
     def first(self) -> float:
-        """Where a climb begins."""
+        """Start value of an optimisation."""
         return self.start if np.isfinite(self.start) else self.mean
 
 
 CORE_SD = ModelParameter(name="core_sd", unit="px", low=0.35, high=8.0, start=1.2)
-# Tubes at large, where the camera is not described (Johnson's n of image tubes is 1.1 to 2.1).
-CORE_FREQUENCY = ModelParameter(name="core_frequency", unit="cy/px", low=0.03, high=2.0, mean=0.4, sd=0.3)
-CORE_EXPONENT = ModelParameter(name="core_exponent", unit="1", low=0.7, high=2.5, mean=1.3, sd=0.3)
 WING_SHARE = ModelParameter(name="wing_share", unit="1", low=0.0, high=0.7, start=0.05)
-WING_RADIUS = ModelParameter(name="wing_radius", unit="px", low=0.7, high=12.0, start=3.0)
-WING_EXPONENT = ModelParameter(name="wing_exponent", unit="1", low=1.1, high=4.0, start=2.0)
-WING_SD = ModelParameter(name="wing_sd", unit="px", low=1.0, high=20.0, start=4.0)
-WING_PEAK = ModelParameter(name="wing_peak", unit="1", low=0.0, high=1.3, start=0.5)
-WINGS = {"moffat": (WING_SHARE, WING_RADIUS, WING_EXPONENT), "matern": (WING_SHARE, WING_SD, WING_PEAK)}
+WINGS = {
+    "moffat": (
+        WING_SHARE,
+        ModelParameter(name="wing_radius", unit="px", low=0.7, high=12.0, start=3.0),
+        ModelParameter(name="wing_exponent", unit="1", low=1.1, high=4.0, start=2.0),
+    ),
+    "matern": (
+        WING_SHARE,
+        ModelParameter(name="wing_sd", unit="px", low=1.0, high=20.0, start=4.0),
+        ModelParameter(name="wing_peak", unit="1", low=0.0, high=1.3, start=0.5),
+    ),
+}
 LEAST_DIAMETER_PX = 12.0
-# Fractions of a disc's light by its profile: anything between rim, even disc and peak is as likely. Rims go
-# beyond 0..1 by a little: a wall at 0 would push the diameter to one side.
+# Fractions of a disc's light by density, with weak priors. Bounds slightly beyond 0..1, since a bound at 0 would bias
+# the diameter.
 PROFILE = tuple(
     ModelParameter(name=name, unit="1", low=low, high=1.2, mean=mean, sd=0.4)
     for name, low, mean in zip(transfer.PROFILE, (-0.15, -0.6, -0.6, -0.15), (0.3, 0.3, 0.1, 0.1), strict=True)
 )
 HALO_FRACTION = ModelParameter(name="halo_fraction", unit="1", low=1e-4, high=0.6, start=0.08)
-HALO_SD = ModelParameter(name="halo_sd", unit="px", low=3.0, high=40.0, start=12.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class HaloModel:
-    """What a point becomes.
+    """Blur model of a point source.
 
     Parameters
     ----------
     core, halo
-        Families.
+        Families of core and halo.
     reach_px
-        Farthest ring, which bounds what can be told of a halo.
+        Radius of the outermost ring, which limits the halo diameter.
     pitch_ratio
         Row pitch over column pitch, for the pixel's aperture.
     sensor
-        Description of the camera, whose tube gives the core's priors; None if unknown.
+        Sensor description, whose tube gives the core's priors; None if unknown.
     """
 
     core: Core
@@ -87,7 +86,7 @@ class HaloModel:
 
     @cached_property
     def parameters(self) -> tuple[ModelParameter, ...]:
-        """In the order of a point's numbers."""
+        """Parameters in the order of a point's coordinates."""
         return self._core_parameters() + self._halo_parameters()
 
     def _core_parameters(self) -> tuple[ModelParameter, ...]:
@@ -99,51 +98,51 @@ class HaloModel:
         if self.halo == "none":
             return ()
         if self.halo == "gaussian":
-            return HALO_SD, HALO_FRACTION
+            return ModelParameter(name="halo_sd", unit="px", low=3.0, high=40.0, start=12.0), HALO_FRACTION
         widest = ModelParameter(name="halo_diameter", unit="px", low=LEAST_DIAMETER_PX, high=1.7 * self.reach_px,
                            start=0.8 * self.reach_px)  # fmt: skip
         return widest, *PROFILE, HALO_FRACTION
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the parameters."""
+        """Names of the parameters."""
         return tuple(one.name for one in self.parameters)
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Of the parameters."""
+        """Units of the parameters."""
         return tuple(one.unit for one in self.parameters)
 
     @cached_property
     def bounds(self) -> Array:
-        """Of the parameters, shape (parameter, 2)."""
+        """Bounds of the parameters, shape (parameter, 2)."""
         return np.array([[one.low, one.high] for one in self.parameters])
 
     @property
     def first(self) -> Array:
-        """Where a climb begins, shape (parameter,)."""
+        """Start point of an optimisation, shape (parameter,)."""
         return np.array([one.first for one in self.parameters])
 
     def log_prior(self, points: Array) -> Array:
-        """Return ln of the prior up to a constant, -inf outside the bounds, shape (point,)."""
+        """Return the log-prior up to a constant, -inf outside the bounds, shape (point,)."""
         inside = np.all((points >= self.bounds[:, 0]) & (points <= self.bounds[:, 1]), axis=1)
         mean, sd = (np.array([getattr(one, name) for one in self.parameters]) for name in ("mean", "sd"))
         return np.where(inside, -0.5 * (((points - mean) / sd) ** 2).sum(axis=1), -np.inf)
 
     def at(self, points: Array) -> dict[str, Array]:
-        """Name the columns of points."""
+        """Map parameter names to the columns of points."""
         return dict(zip(self.names, points.T, strict=True))
 
     def transform(self, points: Array) -> Array:
-        """Transform of all light of a point, shape (draw, frequency)."""
+        """Transfer function of the complete model, shape (draw, frequency)."""
         return self.core_transform(points) * self.halo_factor(points)
 
     def core_transform(self, points: Array) -> Array:
-        """Transform of core and wing, pixel included, shape (draw, frequency)."""
+        """Transfer function of core, wing and pixel, shape (draw, frequency)."""
         return self.add_wing(self.blur_transform(points), points) * pixel_of(self.pitch_ratio)
 
     def add_wing(self, blur: Array, points: Array) -> Array:
-        """Give a blur the wing of its core, shape (draw, frequency)."""
+        """Add the core's wing to a blur, shape (draw, frequency)."""
         if self.core not in WINGS:
             return blur
         of = self.at(points)
@@ -155,7 +154,7 @@ class HaloModel:
         return blur * (1.0 - share) + share * wing
 
     def halo_factor(self, points: Array) -> Array:
-        """What the halo does to the transform of a core, shape (draw, frequency), or 1."""
+        """Factor of the halo on the core's transfer function, shape (draw, frequency), or 1."""
         halo = self.halo_transform(points)
         if halo is None:
             return np.ones((1, 1))
@@ -163,7 +162,7 @@ class HaloModel:
         return 1.0 - fraction + fraction * halo
 
     def blur_transform(self, points: Array) -> Array:
-        """Transform of the core's blur alone, without wing and pixel, shape (draw, frequency)."""
+        """Transfer function of the core without wing and pixel, shape (draw, frequency)."""
         of = self.at(points)
         blur = transfer.gaussian(frequencies(), of["core_sd"] ** 2)
         return (
@@ -173,7 +172,7 @@ class HaloModel:
         )
 
     def halo_transform(self, points: Array) -> Array | None:
-        """Transform of the bare halo, shape (draw, frequency); None where there is none."""
+        """Transfer function of the halo alone, shape (draw, frequency); None without a halo."""
         of = self.at(points)
         if self.halo == "disc":
             return transfer.disc(frequencies(), of["halo_diameter"], profile_of(of))
@@ -187,13 +186,15 @@ def profile_of(of: Mapping[str, Array]) -> Array:
 
 @lru_cache(maxsize=4)
 def pixel_of(pitch_ratio: float) -> Array:
-    """Transform of the pixel's aperture, shape (frequency,)."""
+    """Transfer function of the pixel aperture, shape (frequency,)."""
     return transfer.pixel(frequencies(), pitch_ratio)
 
 
 def _tube_priors(sensor: Sensor | None) -> tuple[ModelParameter, ModelParameter]:
     if sensor is None:
-        return CORE_FREQUENCY, CORE_EXPONENT
+        return ModelParameter(
+            name="core_frequency", unit="cy/px", low=0.03, high=2.0, mean=0.4, sd=0.3
+        ), ModelParameter(name="core_exponent", unit="1", low=0.7, high=2.5, mean=1.3, sd=0.3)
     tube = sensor.tube
     scale = float(sensor.ccd.pitch_x_um) * float(sensor.taper.demagnification) * 1e-3
     cut_off, exponent = float(tube.mtf_frequency_lp_per_mm) * scale, float(tube.mtf_exponent)

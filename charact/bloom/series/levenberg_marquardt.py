@@ -1,4 +1,4 @@
-"""The best point of a form: Levenberg-Marquardt on whitened rings, several starts and all dampings at once."""
+"""Levenberg-Marquardt optimisation of whitened rings, with several starts and all dampings at once."""
 
 from dataclasses import dataclass
 
@@ -9,17 +9,16 @@ from charact.bloom.series.likelihood import AmplitudeSolution, SeriesLikelihood
 
 Array = NDArray[np.float64]
 
-# Dampings tried beside the last best one, the first, and how often none of them may help.
-NEAR, FIRST_DAMPING, FAILURES = 10.0 ** np.array([-2.0, 0.0, 2.0]), 1e-2, 2
+# Factors on the last successful damping.
+NEAR = 10.0 ** np.array([-2.0, 0.0, 2.0])
 ITERATIONS = 25
-# Gain of the log-probability below which a climb ends, and step of a difference as a share of a parameter's range.
+# Gain in log-probability below which an optimisation ends.
 ENOUGH = 1e-3
-STEP = 1e-5
 
 
 @dataclass(frozen=True, kw_only=True)
 class SeriesOptimum:
-    """Where a climb ended: point, covariance of its parameters, and the log-probability there."""
+    """Result of an optimisation: point, covariance of its parameters, and log-probability."""
 
     point: Array
     covariance: Array
@@ -29,19 +28,19 @@ class SeriesOptimum:
 def optimise(
     problem: SeriesLikelihood, start: Array, *, held: tuple[int, ...] = (), iterations: int = ITERATIONS
 ) -> SeriesOptimum:
-    """Climb to the best point near a start; parameters `held` stay where they are."""
+    """Find the optimum near a start; parameters `held` stay fixed."""
     return optimise_from_starts(problem, start[None], held=held, iterations=iterations)[0]
 
 
 def optimise_from_starts(
     problem: SeriesLikelihood, starts: Array, *, held: tuple[int, ...] = (), iterations: int = ITERATIONS
 ) -> tuple[SeriesOptimum, ...]:
-    """Climb from several starts, shape (start, parameter), side by side."""
+    """Optimise from several starts, shape (start, parameter), in parallel."""
     bounds = problem.form.bounds
     points = np.clip(starts, bounds[:, 0], bounds[:, 1])
     best, solved = _values(problem, points)
     residuals, slopes = _linear(problem, points, solved)
-    damping, failed = np.full(len(points), FIRST_DAMPING), np.zeros(len(points), int)
+    damping, failed = np.full(len(points), 1e-2), np.zeros(len(points), int)
     going = np.arange(len(points))
     for _ in range(iterations):
         moves = [_moves(points[i], residuals[i], slopes[i], bounds, held, damping[i] * NEAR) for i in going]
@@ -55,7 +54,7 @@ def optimise_from_starts(
         if len(better):
             points[better], best[better] = np.concatenate(moves)[top], values[top]
             residuals[better], slopes[better] = _linear(problem, points[better], solved.at(top))
-        going = going[(gain >= ENOUGH) | ((gain <= 0) & (failed[going] < FAILURES))]
+        going = going[(gain >= ENOUGH) | ((gain <= 0) & (failed[going] < 2))]
         if not len(going):
             break
     return tuple(
@@ -65,43 +64,43 @@ def optimise_from_starts(
 
 
 def slopes_at(problem: SeriesLikelihood, point: Array) -> Array:
-    """How the whitened rings follow the parameters at a point, shape (datum, parameter)."""
+    """Jacobian of the whitened rings at a point, shape (datum, parameter)."""
     return _linear(problem, point[None], problem.solve_amplitudes(point[None]))[1][0]
 
 
 def _covariance(slopes: Array, bounds: Array) -> Array:
-    """Covariance of the parameters; one that the rings say nothing of is known as its flat prior knows it."""
+    """Covariance of the parameters; an undetermined one has the variance of its flat prior."""
     normal = slopes.T @ slopes + np.diag(12.0 / (bounds[:, 1] - bounds[:, 0]) ** 2)
     scale = np.sqrt(np.diag(normal))
     return np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
 
 
 def _priors(problem: SeriesLikelihood, points: Array) -> tuple[Array, Array]:
-    """Residuals of the normal priors, shape (point, prior), and how they fall, shape (prior, parameter)."""
+    """Residuals of the normal priors, shape (point, prior), and their Jacobian, shape (prior, parameter)."""
     mean, sd = (np.array([getattr(one, name) for one in problem.form.parameters]) for name in ("mean", "sd"))
     known = np.isfinite(sd)
     return (points[:, known] - mean[known]) / sd[known], -np.diag(1.0 / sd)[known]
 
 
 def _values(problem: SeriesLikelihood, points: Array) -> tuple[Array, AmplitudeSolution]:
-    """Log-probability at points within the bounds, shape (point,), and the levels' light there."""
+    """Log-probability at points within the bounds, shape (point,), and the amplitudes there."""
     solved = problem.solve_amplitudes(points)
     values = -0.5 * (solved.chi2.sum(axis=0) + (_priors(problem, points)[0] ** 2).sum(axis=1))
     return np.where(np.isfinite(values), values, -np.inf), solved
 
 
 def _linear(problem: SeriesLikelihood, points: Array, solved: AmplitudeSolution) -> tuple[Array, Array]:
-    """Residuals at points, shape (point, datum), and how they fall with parameters, shape (point, datum, parameter).
+    """Residuals, shape (point, datum), and their Jacobian, shape (point, datum, parameter).
 
-    Amplitudes stay where they are best while a parameter moves; what they would make good is projected out afterwards
-    (variable projection, Kaufman 1975, doi 10.1007/BF01932995).
+    Amplitudes stay at their optimum while a parameter moves; their effect is projected out afterwards (variable
+    projection, Kaufman 1975, doi 10.1007/BF01932995).
     """
     bounds = problem.form.bounds
     width = len(bounds)
-    step = np.broadcast_to(STEP * (bounds[:, 1] - bounds[:, 0]), points.shape)
+    step = np.broadcast_to(1e-5 * (bounds[:, 1] - bounds[:, 0]), points.shape)
     step = np.where(points + step > bounds[:, 1], -step, step)
     moved = (points[:, None] + step[:, None] * np.eye(width)).reshape(-1, width)
-    there, _ = problem.whitened(problem.parts(moved), np.repeat(solved.amplitudes, width, axis=2))
+    there, _ = problem.whiten(problem.parts(moved), np.repeat(solved.amplitudes, width, axis=2))
     fall = solved.residual[..., None] - there.reshape(*solved.residual.shape, width)
     fall = _project_out_amplitudes(solved, fall / step)
     prior, prior_fall = _priors(problem, points)
@@ -112,7 +111,7 @@ def _linear(problem: SeriesLikelihood, points: Array, solved: AmplitudeSolution)
 
 
 def _project_out_amplitudes(solved: AmplitudeSolution, fall: Array) -> Array:
-    """Slopes less what the amplitudes of each level make good of them, shape (level, ring, point, parameter)."""
+    """Jacobian with the amplitudes of each stack projected out, shape (level, ring, point, parameter)."""
     source, even = (one[..., None] for one in solved.slopes)
     length = np.sqrt((source**2).sum(axis=1, keepdims=True)) + 1e-300
     first = source / length
@@ -124,7 +123,7 @@ def _project_out_amplitudes(solved: AmplitudeSolution, fall: Array) -> Array:
 
 
 def _free(gradient: Array, point: Array, bounds: Array, held: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Parameters that may move: not held, and not pressed against a bound."""
+    """Parameters that may move: not held, and not blocked by a bound."""
     pressed = ((point <= bounds[:, 0]) & (gradient < 0)) | ((point >= bounds[:, 1]) & (gradient > 0))
     pressed[list(held)] = True
     return ~pressed
@@ -133,7 +132,7 @@ def _free(gradient: Array, point: Array, bounds: Array, held: tuple[int, ...]) -
 def _moves(
     point: Array, residual: Array, slopes: Array, bounds: Array, held: tuple[int, ...], dampings: Array
 ) -> Array:
-    """One step for each damping, cut at the bounds, shape (damping, parameter)."""
+    """One step for each damping, clipped at the bounds, shape (damping, parameter)."""
     right = slopes.T @ residual
     free = _free(right, point, bounds, held)
     out = np.repeat(point[None], len(dampings), axis=0)

@@ -1,10 +1,4 @@
-"""How likely the rings of a series are under a form: codes cut at the top count as what they are.
-
-A pixel of level x with noise s reads on average E[min(x + s n, c)] = c - s (z Phi(z) + phi(z)), z = (c - x)/s, at the
-highest code c: a ring wholly cut says "at least so bright", one partly cut tells where the light crosses the top. The
-light of each level and its background are found for every point anew (Gauss-Newton), so that what a level's source
-really gave need not be known.
-"""
+"""Likelihood of a ring series under a halo model, with clipping at full scale."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -13,49 +7,113 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.bloom.series.halo_models import HaloModel
-from charact.bloom.series.hankel import onto_nodes
-from charact.bloom.series.levels import HARDLY_CUT, LevelRings, RingNoise
-from charact.bloom.series.misfit import FIRST_MISFIT, Misfit, Modes, about_core, modes_of, most_likely_misfit
-from charact.bloom.series.ring_loops import best_step, lost_at_top, ring_means, whiten_rings, whitened_residuals
-from charact.bloom.series.rings import Geometry
+from charact.bloom.series.ring_loops import best_step, lost_at_top, residuals_and_slopes, ring_means, whiten_rings
+from charact.bloom.series.rings import HARDLY_CUT, Geometry, LevelRings, RingNoise
+from charact.bloom.transfer import onto_nodes
 
 Array = NDArray[np.float64]
 
-# Standard deviations of a pixel from the highest code within which some of its codes are cut.
+# Trial values of the relative model error.
+SHARES = np.concatenate([[1e-5], np.geomspace(5e-4, 0.2, 14)])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Misfit:
+    """Relative model error of the rings, the same in every model, since cameras are not rotationally symmetric.
+
+    Parameters
+    ----------
+    share
+        Relative error of rings beyond the core, dimensionless.
+    core
+        Relative error of rings near the core, at least that of the others, dimensionless.
+    """
+
+    share: float
+    core: float
+
+    def of_rings(self, radius_px: Array) -> Array:
+        """Return the relative model error of each ring, shape (ring,)."""
+        return np.where(about_core(radius_px), self.core, self.share)
+
+
+def about_core(radius_px: Array) -> NDArray[np.bool_]:
+    """Return which rings are near the core, shape (ring,)."""
+    return radius_px < 4.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Modes:
+    """Eigenmodes of the relative noise of some rings.
+
+    Parameters
+    ----------
+    variance
+        Variance of each mode, shape (level, mode).
+    modes
+        Shape (level, ring, mode).
+    """
+
+    variance: Array
+    modes: Array
+
+    def log_likelihoods(self, residual: Array) -> Array:
+        """Log-likelihood of relative residuals, (level, ring), for each trial model error, shape (share,)."""
+        squares = (self.modes.transpose(0, 2, 1) @ residual[..., None])[..., 0] ** 2
+        total = self.variance + SHARES[:, None, None] ** 2
+        return -0.5 * (squares / total + np.log(total)).sum(axis=(1, 2))
+
+
+def modes_of(covariance: Array) -> Modes:
+    """Decompose a relative covariance, shape (level, ring, ring)."""
+    variance, modes = np.linalg.eigh(covariance)
+    return Modes(variance=np.maximum(variance, 0.0), modes=modes)
+
+
+def most_likely_misfit(of_core: Array, beyond: Array) -> tuple[Misfit, float]:
+    """Return the most likely relative errors near the core and beyond, and the log-likelihood of both.
+
+    Parameters
+    ----------
+    of_core, beyond
+        Log-likelihoods for each trial error, shape (share,).
+    """
+    share = int(np.argmax(beyond))
+    # Few rings near the core, to which the core was fitted, would underestimate the error.
+    core = share + int(np.argmax(of_core[share:]))
+    return Misfit(share=float(SHARES[share]), core=float(SHARES[core])), float(beyond[share] + of_core[core])
+
+
+# Distance from full scale, in standard deviations of a pixel, within which noise is clipped.
 NEAR_TOP = 5.0
-# Standard error of a ring that says nothing, DN.
-LOST_DN = 1e5
-# Least light of a ring, of which forms are off by a share, DN.
+# Minimum signal of a ring for its relative error, DN.
 LEAST_LIGHT_DN = 1e-6
-STEPS = 2
-# What a step must promise of a level's chi squared to be taken.
-SETTLED = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)
 class RingSeries:
-    """All levels of one source.
+    """Ring means of all stacks of one source.
 
     Parameters
     ----------
     labels
-        Their stacks.
+        Labels of the stacks.
     data
         Ring means, shape (level, ring), DN.
     cut
-        Rings with samples at the highest code, shape (level, ring).
+        Rings with samples at full scale, shape (level, ring).
     own_covariance
-        Covariance of the ring means by noise alone, shape (level, ring, ring), DN^2.
+        Covariance of the ring means due to noise alone, shape (level, ring, ring), DN^2.
     node_sd
         Standard deviation of a pixel at every node, shape (level, node), DN.
     sector_sd
-        Root mean square of what sectors are brighter or darker than their ring, shape (level, ring), DN.
+        Root mean square deviation of sectors from their ring, shape (level, ring), DN.
     averages
-        Takes light at the nodes to ring means, shape (level, ring, node).
+        Matrix from signal at the nodes to ring means, shape (level, ring, node).
     node_px, radius_px
         Radii of the nodes and of the rings, column pitches.
     full_dn
-        Highest code, DN.
+        Full scale, DN.
     """
 
     labels: tuple[str, ...]
@@ -71,11 +129,11 @@ class RingSeries:
 
     @cached_property
     def light(self) -> Array:
-        """Level of each ring above the farthest ones of its stack, shape (level, ring), DN."""
+        """Signal of each ring above the outermost rings of its stack, shape (level, ring), DN."""
         return np.abs(self.data - np.median(self.data[:, -6:], axis=1, keepdims=True))
 
     def covariance(self, misfit: Misfit) -> Array:
-        """Covariance of the ring means when a form is off by shares of the light, shape (level, ring, ring), DN^2."""
+        """Covariance of the ring means with a relative model error, shape (level, ring, ring), DN^2."""
         out = self.own_covariance.copy()
         ring = np.arange(out.shape[1])
         out[:, ring, ring] += (misfit.of_rings(self.radius_px) * np.maximum(self.light, LEAST_LIGHT_DN)) ** 2
@@ -83,7 +141,7 @@ class RingSeries:
 
     @cached_property
     def own_modes(self) -> tuple[Modes, Modes]:
-        """Noise over the light of the rings about the core, and of those beyond; what both share is left out."""
+        """Eigenmodes of the relative noise of the rings near the core, and of those beyond."""
         light = np.maximum(self.light, LEAST_LIGHT_DN)
         relative = self.own_covariance / (light[:, :, None] * light[:, None, :])
         near = about_core(self.radius_px)
@@ -91,17 +149,17 @@ class RingSeries:
 
     @cached_property
     def parts_of_rings(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """First node that has a part in each ring, and the one behind the last, shape (level, ring)."""
+        """First node with a weight in each ring, and the one after the last, shape (level, ring)."""
         has = self.averages != 0
         return has.argmax(axis=2), has.shape[2] - has[..., ::-1].argmax(axis=2)
 
     def ring_means(self, light: Array) -> Array:
-        """Average light at the nodes over rings, shape (level, ring, column)."""
+        """Average values at the nodes over rings, shape (level, ring, column)."""
         return ring_means(np.ascontiguousarray(light), self.averages, *self.parts_of_rings)
 
     @cached_property
     def onto_nodes(self) -> Array:
-        """Takes transforms to light at the nodes, shape (frequency, node)."""
+        """Matrix from transfer functions to signal at the nodes, shape (frequency, node)."""
         return onto_nodes(self.node_px)
 
 
@@ -109,13 +167,13 @@ PER_LEVEL = ("data", "cut", "own_covariance", "node_sd", "sector_sd", "averages"
 
 
 def select_levels(series: RingSeries, which: NDArray[np.bool_]) -> RingSeries:
-    """Return some levels of a series."""
+    """Return some stacks of a series."""
     labels = tuple(label for label, one in zip(series.labels, which, strict=True) if one)
     return replace(series, labels=labels, **{name: getattr(series, name)[which] for name in PER_LEVEL})
 
 
 def series_of(levels: tuple[LevelRings, ...], noise: RingNoise, *, full_dn: float, rings: int) -> RingSeries:
-    """Gather the innermost rings of all levels."""
+    """Combine the innermost rings of all stacks into a series."""
     within = {id(level.geometry): level.geometry.within(rings) for level in levels}
     geometries = [within[id(level.geometry)] for level in levels]
     first = geometries[0]
@@ -142,21 +200,21 @@ def series_of(levels: tuple[LevelRings, ...], noise: RingNoise, *, full_dn: floa
 
 def _own_covariance(data: Array, frames: int, geometry: Geometry, noise: RingNoise) -> Array:
     out = noise.covariance(data, geometry.count, frames)
-    return out + np.diag(np.where(geometry.lost, LOST_DN**2, 0.0))
+    return out + np.diag(np.where(geometry.lost, 1e5**2, 0.0))
 
 
 @dataclass(frozen=True, kw_only=True)
 class AmplitudeSolution:
-    """What a form says of every level at some points.
+    """Optimum amplitudes and residuals of every stack at some points.
 
     Parameters
     ----------
     amplitudes
-        Light, DN px^2, and background, DN, of each level, shape (level, amplitude, point).
+        Source signal, DN px^2, and background, DN, of each stack, shape (level, amplitude, point).
     residual
-        What the best amplitudes leave of the rings, whitened, shape (level, ring, point).
+        Whitened residuals at the optimum amplitudes, shape (level, ring, point).
     slopes
-        How the whitened rings follow the amplitudes, shape (amplitude, level, ring, point).
+        Derivatives of the whitened rings by the amplitudes, shape (amplitude, level, ring, point).
     """
 
     amplitudes: Array
@@ -165,30 +223,30 @@ class AmplitudeSolution:
 
     @property
     def chi2(self) -> Array:
-        """Sum of squares of every level, shape (level, point)."""
+        """Chi squared of every stack, shape (level, point)."""
         return (self.residual**2).sum(axis=1)
 
     @cached_property
     def normal(self) -> Array:
-        """Curvature of chi2/2 in the amplitudes, shape (level, amplitude, amplitude, point)."""
+        """Normal matrix of the amplitudes, shape (level, amplitude, amplitude, point)."""
         return _normal(self.slopes)
 
     def at(self, points: NDArray[np.intp]) -> "AmplitudeSolution":
-        """Return what is said at some of the points."""
+        """Return the solution at some of the points."""
         arrays = {name: getattr(self, name)[..., points] for name in ("amplitudes", "residual", "slopes")}
         return replace(self, **arrays)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ModelParts:
-    """What a form gives at some points, before levels have their light.
+    """Model of unit signal at some points, before the amplitudes.
 
     Parameters
     ----------
     straight
-        Light at the nodes of one DN px^2 of source, shape (node, point).
+        Signal at the nodes of a source of one DN px^2, shape (node, point).
     white, uncut
-        Its ring means, whitened and by the weights of uncut rings, shape (level, ring, point).
+        Its ring means, whitened and weighted by the unclipped rings' precision, shape (level, ring, point).
     """
 
     straight: Array
@@ -198,56 +256,56 @@ class ModelParts:
 
 @dataclass(frozen=True, kw_only=True)
 class SeriesLikelihood:
-    """A form put to a series.
+    """Likelihood of a series under a model.
 
     Parameters
     ----------
     series, form
-        What is put to what.
+        Series and halo model.
     misfit
-        Shares of the light by which rings of the form are off.
+        Relative model error of the rings.
     steps
-        Most steps to the best amplitudes.
+        Maximum number of steps to the optimum amplitudes.
     """
 
     series: RingSeries
     form: HaloModel
-    misfit: Misfit = FIRST_MISFIT
-    steps: int = STEPS
+    misfit: Misfit = Misfit(share=0.02, core=0.02)
+    steps: int = 2
 
     @cached_property
     def whitener(self) -> Array:
-        """Makes residuals independent and of unit variance, shape (level, ring, ring)."""
+        """Whitening matrix of the residuals, shape (level, ring, ring)."""
         return np.asarray(np.linalg.inv(np.linalg.cholesky(self.series.covariance(self.misfit))), np.float64)
 
     @cached_property
     def white_data(self) -> Array:
-        """Ring means, whitened, shape (level, ring)."""
+        """Whitened ring means, shape (level, ring)."""
         return (self.whitener @ self.series.data[..., None])[..., 0]
 
     @cached_property
     def white_even(self) -> Array:
-        """Whitened ring means of an even light of 1 DN, shape (level, ring)."""
+        """Whitened ring means of a uniform signal of 1 DN, shape (level, ring)."""
         return (self.whitener @ self.series.averages.sum(axis=-1)[..., None])[..., 0]
 
     @cached_property
     def uncut_data(self) -> Array:
-        """Ring means by the weights of uncut rings, shape (level, ring)."""
+        """Ring means weighted by the unclipped rings' precision, shape (level, ring)."""
         return self.uncut_weight * self.series.data
 
     @cached_property
     def uncut_even(self) -> Array:
-        """Ring means of an even light of 1 DN by the weights of uncut rings, shape (level, ring)."""
+        """Ring means of a uniform 1 DN weighted by the unclipped rings' precision, shape (level, ring)."""
         return self.uncut_weight * self.series.averages.sum(axis=-1)
 
     @cached_property
     def uncut_weight(self) -> Array:
-        """One over the standard error of each ring that is not cut, 0 of the others, shape (level, ring), 1/DN."""
+        """Reciprocal standard error of each unclipped ring, 0 of the others, shape (level, ring), 1/DN."""
         own = np.diagonal(self.series.covariance(self.misfit), axis1=1, axis2=2)
         return ~self.series.cut / np.sqrt(own)
 
     def log_probability(self, points: Array) -> Array:
-        """Log of the posterior with every level's own light at its best, shape (point,)."""
+        """Log-posterior with the optimum amplitudes of every stack, shape (point,)."""
         prior = self.form.log_prior(points)
         inside = np.isfinite(prior)
         out = np.full(len(points), -np.inf)
@@ -256,57 +314,57 @@ class SeriesLikelihood:
         return out
 
     def parts(self, points: Array) -> ModelParts:
-        """Return what the form gives at points."""
+        """Return the model of unit signal at points."""
         return ModelParts(**self.straight_parts((self.form.transform(points) @ self.series.onto_nodes).T))
 
     def straight_parts(self, straight: Array) -> dict[str, Array]:
-        """Average light at the nodes, shape (node, point), over rings."""
+        """Average signal at the nodes, shape (node, point), over rings."""
         rings = self.series.ring_means(np.broadcast_to(straight, (len(self.series.labels), *straight.shape)))
         white, uncut = whiten_rings(rings, self.whitener), self.uncut_weight[..., None] * rings
         return {"straight": straight, "white": white, "uncut": uncut}
 
     def solve_amplitudes(self, points: Array) -> AmplitudeSolution:
-        """Find the best amplitudes of all levels at points."""
+        """Find the optimum amplitudes of all stacks at points."""
         return self.solve_amplitudes_of(self.parts(points))
 
     def solve_amplitudes_of(self, parts: ModelParts) -> AmplitudeSolution:
-        """Find the best amplitudes of all levels for what a form gives."""
+        """Find the optimum amplitudes of all stacks for given model parts."""
         amplitudes = self._of_uncut_rings(parts.uncut)
-        residual, slopes = self.whitened(parts, amplitudes)
+        residual, slopes = self.whiten(parts, amplitudes)
         for _ in range(self.steps):
             step, promise = best_step(slopes[0], slopes[1], residual)
-            if promise < SETTLED:
+            if promise < 1e-4:
                 break
             amplitudes = amplitudes + step
-            residual, slopes = self.whitened(parts, amplitudes)
+            residual, slopes = self.whiten(parts, amplitudes)
         return AmplitudeSolution(amplitudes=amplitudes, residual=residual, slopes=slopes)
 
     def _of_uncut_rings(self, uncut: Array) -> Array:
-        """First amplitudes, from the rings that are not cut, each with its own variance alone."""
+        """Initial amplitudes from the unclipped rings, correlations neglected."""
         even, data = (np.broadcast_to(one[..., None], uncut.shape) for one in (self.uncut_even, self.uncut_data))
         return best_step(uncut, even, data)[0]
 
-    def whitened(self, parts: ModelParts, amplitudes: Array) -> tuple[Array, Array]:
-        """Whitened residuals, shape (level, ring, point), and slopes of the rings, (amplitude, level, ring, point)."""
+    def whiten(self, parts: ModelParts, amplitudes: Array) -> tuple[Array, Array]:
+        """Whitened residuals, shape (level, ring, point), and their slopes, (amplitude, level, ring, point)."""
         lost = self.lost(parts, amplitudes)
         levels, nodes, parts_lost, points = lost.shape
         of_rings = self.series.ring_means(lost.reshape(levels, nodes, parts_lost * points))
         lost = of_rings.reshape(levels, of_rings.shape[1], parts_lost, points)
-        return whitened_residuals(parts.white, self.white_even, self.white_data, amplitudes, lost, self.whitener)
+        return residuals_and_slopes(parts.white, self.white_even, self.white_data, amplitudes, lost, self.whitener)
 
     def lost(self, parts: ModelParts, amplitudes: Array) -> Array:
-        """Light that is not read and how it follows the amplitudes, shape (level, node, 1 + amplitude, point).
+        """Clipped signal and its derivatives, shape (level, node, 1 + amplitude, point).
 
-        Nodes end where nothing is lost any more.
+        The nodes end beyond the last clipped one.
         """
         return lost_at_top(parts.straight, amplitudes, self.series.node_sd, self.series.full_dn, NEAR_TOP)
 
     def light(self, parts: ModelParts, amplitudes: Array) -> Array:
-        """Light at the nodes, shape (level, node, point), DN."""
+        """Signal at the nodes, shape (level, node, point), DN."""
         return parts.straight * amplitudes[:, :1] + amplitudes[:, 1:]
 
     def read(self, light_dn: Array, sd_dn: Array) -> tuple[Array, Array]:
-        """Mean code and its slope at nodes of some light, shape (level, node, point), and noise, (level, node)."""
+        """Mean grey value and its slope at nodes, shape (level, node, point)."""
         from scipy.special import ndtr
 
         full = self.series.full_dn
@@ -321,16 +379,16 @@ class SeriesLikelihood:
         return read, slope
 
     def rings(self, points: Array) -> Array:
-        """Ring means that the form expects, cut codes as read, shape (level, ring, point), DN."""
+        """Expected ring means with clipping, shape (level, ring, point), DN."""
         return self.series.averages @ self.read(self.light_at(points), self.series.node_sd)[0]
 
     def light_at(self, points: Array) -> Array:
-        """Light at the nodes with every level's own at its best, shape (level, node, point), DN."""
+        """Signal at the nodes with optimum amplitudes, shape (level, node, point), DN."""
         parts = self.parts(points)
         return self.light(parts, self.solve_amplitudes_of(parts).amplitudes)
 
     def likeliest_misfit(self, point: Array) -> tuple[Misfit, float]:
-        """Shares of the light by which rings are off that make a point most likely, and the log-likelihood then."""
+        """Return the most likely relative model errors at a point, and the log-likelihood."""
         light = np.maximum(self.series.light, LEAST_LIGHT_DN)
         residual = (self.series.data - self.rings(point[None])[..., 0]) / light
         near = about_core(self.series.radius_px)
@@ -342,7 +400,7 @@ class SeriesLikelihood:
 
 
 def _normal(slopes: Array) -> Array:
-    """Curvature of chi2/2 from slopes (amplitude, level, ring, point), shape (level, amplitude, amplitude, point)."""
+    """Normal matrix of slopes (amplitude, level, ring, point), shape (level, amplitude, amplitude, point)."""
     source, even = slopes
     (a, b, d) = ((one * other).sum(axis=1) for one, other in ((source, source), (source, even), (even, even)))
     return np.stack([np.stack([a, b], axis=1), np.stack([b, d], axis=1)], axis=1)

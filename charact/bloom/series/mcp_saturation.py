@@ -1,8 +1,4 @@
-"""A plate that tires where it is bright: its cores give less than their share while the halo grows on.
-
-Light x that arrives at a place leaves it as x / (1 + k (B x)), B the mean over the channels around it; then comes what
-blurs behind the gain. k is one over the density of light, as it would be recorded, at which the gain has halved.
-"""
+"""MCP saturation in a point series: cores lose gain while the halo stays linear."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -12,58 +8,51 @@ from numpy.typing import NDArray
 
 from charact.bloom import transfer
 from charact.bloom.series.halo_models import HaloModel, ModelParameter, pixel_of
-from charact.bloom.series.hankel import frequencies
 from charact.bloom.series.levenberg_marquardt import SeriesOptimum, optimise
 from charact.bloom.series.likelihood import ModelParts, SeriesLikelihood
+from charact.bloom.transfer import frequencies
 from labdata.sensor import Sensor
 
 Array = NDArray[np.float64]
 
-# One over DN per pixel: from a plate that never tires to one that does at a few codes.
+# Reciprocal signal density at half gain, px/DN: from no saturation to saturation at a few DN.
 PLATE_LOAD = ModelParameter(name="plate_load", unit="px/DN", low=0.0, high=0.05, start=0.0)
-# Share of the core's blur that acts behind the gain, where the tube is not described and where it is.
+# Fraction of the core's blur after the gain, without a sensor description.
 POST_GAIN_SHARE = ModelParameter(name="post_gain_share", unit="1", low=0.0, high=1.0, mean=0.5, sd=0.3)
-DESCRIBED_SD = 0.15
-STEPS = 6
-# Steps of a climb after which a plate that tires must fit better than one at rest.
-NEAR_STEPS = 6
-# Gain of the log-probability that the first step must promise for a plate that tires to be fitted at all.
-PROMISING = 5.0
-# Gain in the end below which its two parameters are not worth their price in the criterion.
+# Minimum gain in log-probability of the two additional parameters.
 WORTHWHILE = 10.0
-FIRST_LOADS = (1e-5, 1e-4, 1e-3)
 
 
 @dataclass(frozen=True, kw_only=True)
 class SaturatingHaloModel(HaloModel):
-    """A form whose light passes a plate that tires."""
+    """Halo model with a saturating MCP."""
 
     @cached_property
     def parameters(self) -> tuple[ModelParameter, ...]:
-        """In the order of a point's numbers."""
+        """Parameters in the order of a point's coordinates."""
         share = POST_GAIN_SHARE
         if self.sensor is not None:
-            share = replace(share, mean=float(self.sensor.tube.post_gain_share), sd=DESCRIBED_SD)
+            share = replace(share, mean=float(self.sensor.tube.post_gain_share), sd=0.15)
         return (*self._core_parameters(), *self._halo_parameters(), PLATE_LOAD, share)
 
     def behind(self, points: Array) -> Array:
-        """Transform of what blurs behind the gain, pixel included, shape (draw, frequency)."""
+        """Transfer function of the blur after the gain, pixel included, shape (draw, frequency)."""
         share = self.at(points)["post_gain_share"][:, None]
         return self.blur_transform(points) ** share * pixel_of(self.pitch_ratio)
 
     def before(self, points: Array) -> Array:
-        """Transform of the light that arrives at the plate, halo and wing included, shape (draw, frequency)."""
+        """Transfer function of the light at the MCP, halo and wing included, shape (draw, frequency)."""
         share = self.at(points)["post_gain_share"][:, None]
         return self.add_wing(self.blur_transform(points) ** (1.0 - share), points) * self.halo_factor(points)
 
     @property
     def neighbourhood_px(self) -> float:
-        """Width of the channels' neighbourhood, column pitches; 0 where the plate is not described."""
+        """Range of the channel load, column pitches; 0 without a sensor description."""
         return neighbourhood_px(self.sensor)
 
 
 def neighbourhood_px(sensor: Sensor | None) -> float:
-    """Width over which a plate's load is shared, column pitches; 0 where the camera is not described."""
+    """Range over which the MCP load is averaged, column pitches; 0 without a sensor description."""
     if sensor is None:
         return 0.0
     pitch_um = float(sensor.ccd.pitch_x_um) * float(sensor.taper.demagnification)
@@ -72,14 +61,14 @@ def neighbourhood_px(sensor: Sensor | None) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class SaturatingSeriesLikelihood(SeriesLikelihood):
-    """A form with a plate that tires, put to a series."""
+    """Likelihood of a series under a saturating model."""
 
     form: SaturatingHaloModel
-    steps: int = STEPS
+    steps: int = 6
 
     @cached_property
     def _to_frequencies(self) -> Array:
-        """Takes light at the nodes to its transform, shape (frequency, node)."""
+        """Matrix from signal at the nodes to its transform, shape (frequency, node)."""
         from scipy.special import j0
 
         at = self.series.node_px
@@ -88,7 +77,7 @@ class SaturatingSeriesLikelihood(SeriesLikelihood):
         return j0(2.0 * np.pi * frequencies()[:, None] * at) * (2.0 * np.pi * at * weight)
 
     def parts(self, points: Array) -> "SaturatingModelParts":
-        """Return what the form gives at points."""
+        """Return the model of unit signal at points."""
         behind, before = self.form.behind(points), self.form.before(points)
         load = before * transfer.gaussian(frequencies(), np.full(len(points), self.form.neighbourhood_px**2))
         recorded, arriving, loading = ((one @ self.series.onto_nodes).T for one in (before * behind, before, load))
@@ -100,29 +89,29 @@ class SaturatingSeriesLikelihood(SeriesLikelihood):
         )
 
     def light(self, parts: ModelParts, amplitudes: Array) -> Array:
-        """Light at the nodes, shape (level, node, point), DN."""
+        """Signal at the nodes, shape (level, node, point), DN."""
         return super().light(parts, amplitudes) - self._light_loss(parts, amplitudes)[0]
 
     def lost(self, parts: ModelParts, amplitudes: Array) -> Array:
-        """Light that is not read and how it follows the amplitudes, shape (level, node, 1 + amplitude, point)."""
-        straight, (tired, follows) = super().light(parts, amplitudes), self._light_loss(parts, amplitudes)
-        read, slope = self.read(straight - tired, self.series.node_sd)
+        """Clipped signal and its derivatives, shape (level, node, 1 + amplitude, point)."""
+        straight, (loss, follows) = super().light(parts, amplitudes), self._light_loss(parts, amplitudes)
+        read, slope = self.read(straight - loss, self.series.node_sd)
         return np.stack([straight - read, parts.straight - slope * (parts.straight - follows), 1.0 - slope], axis=2)
 
     def _light_loss(self, parts: ModelParts, amplitudes: Array) -> tuple[Array, Array]:
-        """Light at the nodes that the plate fails to give, and how it follows the source's, (level, node, point)."""
+        """Signal lost by saturation at the nodes, and its derivative by the source signal, (level, node, point)."""
         assert isinstance(parts, SaturatingModelParts)
         source = amplitudes[:, :1]
         load = np.maximum(source * parts.loading, 0.0)
         lost, follows = source * parts.arriving * load / (1.0 + load), parts.arriving * (1.0 - 1.0 / (1.0 + load) ** 2)
-        return self._recorded(lost, parts.behind), self._recorded(follows, parts.behind)
+        return self._blur_behind_gain(lost, parts.behind), self._blur_behind_gain(follows, parts.behind)
 
-    def _recorded(self, at_plate: Array, behind: Array) -> Array:
-        """Blur light at the nodes, shape (level, node, point), as what lies behind the gain does."""
+    def _blur_behind_gain(self, at_plate: Array, behind: Array) -> Array:
+        """Apply the blur after the gain to signal at the nodes, shape (level, node, point)."""
         return self.series.onto_nodes.T @ (behind * (self._to_frequencies @ at_plate))
 
     def compression(self, points: Array) -> Array:
-        """Light that leaves the plate over what a plate at rest would give, shape (level, point)."""
+        """Output of the MCP over its unsaturated output, shape (level, point)."""
         parts = self.parts(points)
         source = self.solve_amplitudes_of(parts).amplitudes[:, :1]
         load = np.maximum(source * parts.loading, 0.0)
@@ -132,14 +121,14 @@ class SaturatingSeriesLikelihood(SeriesLikelihood):
 
 @dataclass(frozen=True, kw_only=True)
 class SaturatingModelParts(ModelParts):
-    """What a form with a plate gives at some points.
+    """Model parts with a saturating MCP.
 
     Parameters
     ----------
     arriving, loading
-        Light at the plate of one DN px^2 of source, and load in units of one that halves the gain, shape (node, point).
+        Signal at the MCP of a source of one DN px^2, and its load relative to that at half gain, shape (node, point).
     behind
-        Transform of what blurs behind the gain, shape (frequency, point).
+        Transfer function of the blur after the gain, shape (frequency, point).
     """
 
     arriving: Array
@@ -150,7 +139,7 @@ class SaturatingModelParts(ModelParts):
 def fit_mcp_saturation(
     problem: SeriesLikelihood, peak: SeriesOptimum
 ) -> tuple[SaturatingSeriesLikelihood, SeriesOptimum] | None:
-    """Fit a plate that tires from where one at rest fits best; None where the first step promises nothing."""
+    """Fit a saturating MCP from the optimum without saturation; None if the first step gains too little."""
     form = problem.form
     tiring = SaturatingSeriesLikelihood(
         series=problem.series,
@@ -159,15 +148,15 @@ def fit_mcp_saturation(
         misfit=problem.misfit,
     )  # fmt: skip
     share = tiring.form.parameters[-1].mean
-    starts = np.array([[*peak.point, load, share] for load in (0.0, *FIRST_LOADS)])
+    starts = np.array([[*peak.point, load, share] for load in (0.0, *(1e-5, 1e-4, 1e-3))])
     values = tiring.log_probability(starts)
     best = starts[int(np.argmax(values[1:])) + 1]
     first = optimise(tiring, best, iterations=2)
-    if first.log_probability - float(values[0]) < PROMISING:
+    if first.log_probability - float(values[0]) < 5.0:
         return None
-    # With no load it is the form at rest but for where the core's blur acts: it must do better than that, too.
+    # Without load the model differs only in the position of the blur: it must improve on that as well.
     rest = max(float(values[0]), peak.log_probability)
-    near = optimise(tiring, first.point, iterations=NEAR_STEPS)
+    near = optimise(tiring, first.point, iterations=6)
     if near.log_probability < rest:
         return None
     last = optimise(tiring, near.point)

@@ -1,4 +1,4 @@
-"""Which form the data bear: every form is fitted, and the Bayesian information criterion decides."""
+"""Selection of the halo model by the Bayesian information criterion, and acceptance of its halo."""
 
 from dataclasses import dataclass, replace
 
@@ -6,39 +6,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.bloom.series.halo_models import CORES, CORES_OF_TUBES, LEAST_DIAMETER_PX, WINGS, Core, Halo, HaloModel
-from charact.bloom.series.levenberg_marquardt import SeriesOptimum, optimise, optimise_from_starts
-from charact.bloom.series.likelihood import RingSeries, SeriesLikelihood
+from charact.bloom.series.levenberg_marquardt import SeriesOptimum, optimise, optimise_from_starts, slopes_at
+from charact.bloom.series.likelihood import RingSeries, SeriesLikelihood, select_levels
 from charact.bloom.series.mcp_saturation import SaturatingHaloModel, fit_mcp_saturation
+from charact.bloom.series.rings import SECTORS
 from labdata.sensor import Sensor
 
 Array = NDArray[np.float64]
 
-# Diameters from which a disc is looked for, the best of them that are climbed from, and steps of a first climb.
-STARTS, CLIMBED, FIRST_STEPS = 24, 2, 12
-# Numbers of a disc, and where it is first looked for: flat, rimmed and peaked in equal parts.
-HALO, FIRST_HALO = 6, (0.3, 0.3, 0.0, 0.0, 0.08)
-# Shares of electrons that keep their energy from which a disc is climbed to again.
-SHAKEN = (0.15, 0.6)
-# Excess of the criterion over the best form's beyond which a form need not be fitted to the end.
+# Steps of a first optimisation.
+FIRST_STEPS = 12
+# Number of parameters of a disc.
+HALO = 6
+# Excess in the criterion over the best model above which a model is not fitted further.
 WORTHWHILE = 400.0
-# Levels that tell a plate that tires.
-LEAST_LEVELS = 3
-# By how much its criterion must be better: cameras that are not quite round make small gains of their own.
-CLEARLY_BETTER = 15.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class FittedHaloModel:
-    """A form at its best.
+    """Halo model at its optimum.
 
     Parameters
     ----------
     problem
-        The form put to the series, with the shares of the light by which its rings are off.
+        Likelihood of the series under the model, with its relative model error.
     peak
-        Where it is best.
+        Optimum.
     log_likelihood
-        There, of the rings and in DN.
+        Log-likelihood of the rings at the optimum, in DN.
     bic
         -2 log L + k ln N.
     """
@@ -50,31 +45,31 @@ class FittedHaloModel:
 
     @property
     def form(self) -> HaloModel:
-        """The form."""
+        """The halo model."""
         return self.problem.form
 
     @property
     def name(self) -> str:
-        """As reports call it."""
+        """Name in reports."""
         halo = {"none": "no halo", "disc": "disc", "gaussian": "Gaussian halo"}[self.form.halo]
         return f"{self.form.core} core, {halo}" + (
-            ", plate that tires" if isinstance(self.form, SaturatingHaloModel) else ""
+            ", saturating MCP" if isinstance(self.form, SaturatingHaloModel) else ""
         )
 
 
 def candidates(
     series: RingSeries, *, pitch_ratio: float, sensor: Sensor | None, has_tube: bool, first_diameter_px: float
 ) -> list[FittedHaloModel]:
-    """Fit all forms, the one that the data bear best first.
+    """Fit all models and return them in order of the information criterion.
 
     Parameters
     ----------
     series
         Ring means of all levels.
     pitch_ratio, sensor
-        Row pitch over column pitch; description of the camera, None if unknown.
+        Row pitch over column pitch; sensor description, None if unknown.
     has_tube
-        Whether the session shows that the camera has one, whose gain may saturate where it is bright.
+        Whether the camera has a tube, whose MCP may saturate.
     first_diameter_px
         Diameter of the clearest step of the rings; NaN where there is none.
     """
@@ -100,7 +95,7 @@ def candidates(
     )
     if not has_tube:
         return out
-    # A plate that tires changes which core fits best: each is tried with one; a described tube's core is known.
+    # Saturation changes which core fits best, so that each core is tried with it; a described tube's core is known.
     near = [one for one in reversed(out) if one.bic < least + WORTHWHILE]
     cores = {one.form.core: one for one in near if sensor is None or one.form.core == "tube"}
     tiring = [found for one in cores.values() for found in _saturating_candidates(one, out[0].bic)]
@@ -108,32 +103,35 @@ def candidates(
 
 
 def _saturating_candidates(best: FittedHaloModel, least: float) -> list[FittedHaloModel]:
-    """A core's best form with a plate that tires, where one level's core and another's halo can tell it.
+    """Fit a core's best model with a saturating MCP, where several stacks can constrain it.
 
-    It must be clearly better than the least criterion of any form without. Of cores that are cut at every level only
-    the wings are seen, and a plate would make up for what is wrong with their form.
+    It must be clearly better than any model without saturation. If the core is clipped in every stack, only its wings
+    are visible, and saturation would compensate errors of their model.
     """
     series = best.problem.series
-    if best.form.halo != "disc" or len(series.labels) < LEAST_LEVELS or series.cut[:, 0].all():
+    if best.form.halo != "disc" or len(series.labels) < 3 or series.cut[:, 0].all():
         return []
     found = fit_mcp_saturation(best.problem, best.peak)
     first = _candidate(*found) if found else best
     fitted_on = [refit_with_misfit(first)] if first.bic < best.bic else []
-    return [one for one in fitted_on if one.bic < least - CLEARLY_BETTER]
+    return [one for one in fitted_on if one.bic < least - 15.0]
 
 
 def _discs(
     form: HaloModel, first_diameter_px: float, bare: FittedHaloModel, found: list[FittedHaloModel]
 ) -> list[Array]:
-    """Starts of a disc: those of other cores, the step seen, and every diameter, for an edge makes many small peaks.
+    """Start points of a disc: those of other cores, the observed step, and a range of diameters.
 
-    A wing that was fitted without a halo stands for one: wings start beside the core of a plain one and its disc, too.
+    A wing fitted without a halo takes the halo's place, so that wings also start with a Gaussian core and its disc.
     """
     low, high = form.bounds[form.names.index("halo_diameter")]
-    diameters = np.linspace(LEAST_DIAMETER_PX + 2, high - 2, STARTS)
+    diameters = np.linspace(LEAST_DIAMETER_PX + 2, high - 2, 24)
     if np.isfinite(first_diameter_px):
         diameters = np.append(diameters, np.clip(first_diameter_px, low + 1, high - 1))
-    halos = [*(one.peak.point[-HALO:] for one in found), *([diameter, *FIRST_HALO] for diameter in diameters)]
+    halos = [
+        *(one.peak.point[-HALO:] for one in found),
+        *([diameter, *(0.3, 0.3, 0.0, 0.0, 0.08)] for diameter in diameters),
+    ]
     cores = [bare.peak.point, form.first[: len(bare.peak.point)]]
     out = [np.array([*core, *halo]) for halo in halos for core in cores[: 2 if len(found) else 1]]
     if form.core in WINGS:
@@ -143,20 +141,20 @@ def _discs(
 
 
 def fit_model(series: RingSeries, form: HaloModel, starts: list[Array]) -> FittedHaloModel:
-    """Fit one form from the best of its starts, rings taken to be off a little."""
+    """Fit one model from the best of its starts, with a small relative model error."""
     problem = SeriesLikelihood(series=series, form=form)
     tried = np.array(starts or [form.first])
-    order = np.argsort(problem.log_probability(tried))[::-1][:CLIMBED]
+    order = np.argsort(problem.log_probability(tried))[::-1][:2]
     peaks = optimise_from_starts(problem, tried[order], iterations=FIRST_STEPS)
     return _candidate(problem, max(peaks, key=lambda one: one.log_probability))
 
 
 def refit_from_other_profiles(candidate: FittedHaloModel) -> FittedHaloModel:
-    """Climb again from other mixes of energies, with the core as it is and as cores are at first: wings hide halos."""
+    """Fit again from other halo profiles, with the fitted and the initial core."""
     form, point = candidate.form, candidate.peak.point
     at, core = form.names.index("elastic_share"), len(point) - HALO
     starts = [point]
-    for share in SHAKEN:
+    for share in (0.15, 0.6):
         for first in (point[:core], form.first[:core]):
             start = np.concatenate([first, point[core:]])
             start[at] = share
@@ -167,7 +165,7 @@ def refit_from_other_profiles(candidate: FittedHaloModel) -> FittedHaloModel:
 
 
 def refit_with_misfit(candidate: FittedHaloModel) -> FittedHaloModel:
-    """Fit a form again with rings as far off as they turned out to be."""
+    """Fit a model again with its estimated relative model error."""
     for _ in range(2):
         peak = optimise(candidate.problem, candidate.peak.point)
         candidate = _candidate(candidate.problem, peak)
@@ -180,3 +178,83 @@ def _candidate(problem: SeriesLikelihood, peak: SeriesOptimum) -> FittedHaloMode
     count = len(problem.form.names) + 2 * len(problem.series.data) + 2
     bic = -2.0 * value + count * float(np.log(problem.series.data.size))
     return FittedHaloModel(problem=off, peak=peak, log_likelihood=value, bic=bic)
+
+
+# Relative model error above which the model is rejected.
+MISFIT_SHARE = 0.12
+# Consecutive rings with asymmetric sectors that reveal another source.
+UNEVEN_RINGS = 3
+
+
+def halo_refusal_reason(found: list[FittedHaloModel]) -> str | None:
+    """Refusal reason of the halo; None where it is accepted."""
+    best = found[0]
+    if best.form.halo != "disc":
+        return f"the data favour a {best.name}: no halo with an edge is visible"
+    rival = min((one for one in found if one.form.halo != "disc"), key=lambda one: one.bic)
+    if rival.bic - best.bic < 15.0:
+        return f"the data fit a {rival.name} nearly as well as a halo with an edge: no halo is reported"
+    return None if edge_is_tied(best) else "no halo edge: discs of clearly different diameters fit equally well"
+
+
+def edge_is_tied(best: FittedHaloModel) -> bool:
+    """Whether other diameters are clearly less probable with all other parameters free."""
+    problem, at = best.problem, best.form.names.index("halo_diameter")
+    low, high = best.form.bounds[at]
+    for factor in (0.8, 1.25):
+        start = best.peak.point.copy()
+        start[at] = np.clip(factor * start[at], low, high)
+        other = optimise(problem, start, held=(at,), iterations=8)
+        if best.peak.log_probability - other.log_probability < 12.5:
+            return False
+    return True
+
+
+def own_diameters(best: FittedHaloModel) -> tuple[Array, Array, Array]:
+    """Diameter and standard error from each stack alone, with common core and profile, and their significance.
+
+    Returns
+    -------
+    diameter_px, sd_px, significance
+        Shape (level,) each; NaN for a stack without visible halo.
+    """
+    names = best.form.names
+    held = tuple(i for i, name in enumerate(names) if name not in ("halo_diameter", "halo_fraction"))
+    at, share = names.index("halo_diameter"), names.index("halo_fraction")
+    number = np.arange(len(best.problem.series.data))
+    out = np.full((3, len(number)), np.nan)
+    for one in number:
+        alone = replace(best.problem, series=select_levels(best.problem.series, number == one))
+        seen = _significance(alone, best.peak.point, share)
+        out[2, one] = seen
+        if seen > 8.0:
+            peak = optimise(alone, best.peak.point, held=held, iterations=6)
+            free = [i for i in range(len(names)) if i not in held]
+            out[0, one], out[1, one] = peak.point[at], _sd(alone, peak.point, free, at)
+    return out[0], out[1], out[2]
+
+
+def _significance(alone: SeriesLikelihood, point: Array, share: int) -> float:
+    """Square root of twice the loss in log-probability of a stack without halo."""
+    bare = point.copy()
+    bare[share] = alone.form.bounds[share, 0]
+    with_halo, without = alone.log_probability(np.array([point, bare]))
+    return float(np.sqrt(max(2.0 * (with_halo - without), 0.0)))
+
+
+def _sd(alone: SeriesLikelihood, point: Array, free: list[int], at: int) -> float:
+    """Standard error of one free parameter."""
+    slopes = slopes_at(alone, point)[:, free]
+    covariance = np.linalg.pinv(slopes.T @ slopes)
+    place = free.index(at)
+    return float(np.sqrt(max(covariance[place, place], 0.0)))
+
+
+def is_uneven(series: RingSeries) -> bool:
+    """Whether rings of a stack are asymmetric: two sources, a tail, a border."""
+    variance = SECTORS * np.diagonal(series.own_covariance, axis1=1, axis2=2)
+    excess = np.maximum(series.sector_sd**2 - variance, 0.0)
+    clear = (excess > 4.0**2 * variance) & (excess > (0.5 * series.light) ** 2)
+    clear &= ~series.cut & (series.radius_px > 6.0)
+    on_end = np.array([np.convolve(one, np.ones(UNEVEN_RINGS)) for one in clear])
+    return bool(on_end.max() >= UNEVEN_RINGS)

@@ -57,7 +57,7 @@ def whiten_rings(rings: Array, whitener: Array) -> Array:
 
 
 @njit(cache=True)
-def whitened_residuals(white: Array, even: Array, data: Array, amplitudes: Array, lost: Array, whitener: Array
+def residuals_and_slopes(white: Array, even: Array, data: Array, amplitudes: Array, lost: Array, whitener: Array
               ) -> tuple[Array, Array]:  # fmt: skip
     """Return what light leaves of the measured rings, and how that falls with source and background.
 

@@ -1,4 +1,4 @@
-"""Rings about a point source: their pixels, and how light worked out along the radius is averaged over them."""
+"""Rings around a point source: geometry, ring means of a stack, and their noise."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -9,37 +9,34 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# Farthest ring, column pitches, and share of a ring that must lie inside the frame for it to count.
+# Outermost ring, column pitches.
 REACH_PX = 90
-LEAST_SHARE = 0.34
 INNERMOST = 3
-# Share of a ring's pixels that must be left unspoiled for it to say anything.
-LEAST_LEFT = 0.3
-# Nodes of the radius on which light is worked out: fine where a core is steep, coarser beyond.
-FINE_PX, COARSE_PX, FINE_TO_PX = 0.125, 0.4, 8.0
+# Node spacing, column pitches: fine within the core, coarser beyond.
+COARSE_PX, FINE_TO_PX = 0.4, 8.0
 SECTORS = 16
 
 
 @dataclass(frozen=True, kw_only=True)
 class Geometry:
-    """Which pixels make up the rings about a place, and where light is worked out to be averaged over them.
+    """Pixels of the rings around a position, and the radial nodes averaged over them.
 
     Parameters
     ----------
     rows, cols
-        Slices of the frame that hold all rings.
+        Slices of the frame that contain all rings.
     order
         Pixels of that window, ring by ring, flat indices.
     first
-        Where each ring begins in `order`, shape (ring,).
+        First index of each ring in `order`, shape (ring,).
     radius_px
         Mean radius of each ring, column pitches, shape (ring,).
     count
         Pixels of each ring, shape (ring,).
     lost
-        Rings most of whose pixels are spoiled: they have them all and say nothing, shape (ring,).
+        Rings with mostly excluded pixels: they retain them and are not used, shape (ring,).
     node_px
-        Radii at which light is worked out, column pitches, shape (node,).
+        Radii of the nodes, column pitches, shape (node,).
     pixel_radius_px, pixel_angle
         Radius, column pitches, and angle, radians, of each pixel of `order`.
     """
@@ -57,7 +54,7 @@ class Geometry:
 
     @cached_property
     def averages(self) -> Array:
-        """Takes light at the nodes to ring means, shape (ring, node)."""
+        """Matrix from values at the nodes to ring means, shape (ring, node)."""
         ring = np.repeat(np.arange(len(self.count)), self.count.astype(int))
         return _averages(self.pixel_radius_px, ring, self.node_px, len(self.count))
 
@@ -78,12 +75,12 @@ class Geometry:
         )
 
     def pixels(self, frames: NDArray) -> Array:
-        """Return the rings' pixels in their order, shape (frame, row, col) -> (frame, pixel)."""
+        """Return the pixels of the rings in order, shape (frame, row, col) -> (frame, pixel)."""
         window = np.asarray(frames[:, self.rows, self.cols], np.float64).reshape(len(frames), -1)
         return window[:, self.order]
 
     def means(self, pixels: Array) -> Array:
-        """Average pixels in their order over rings, shape (.., pixel) -> (.., ring)."""
+        """Average ordered pixels over rings, shape (.., pixel) -> (.., ring)."""
         return np.add.reduceat(pixels, self.first, axis=-1) / self.count
 
     def largest(self, pixels: Array) -> Array:
@@ -91,7 +88,7 @@ class Geometry:
         return np.maximum.reduceat(pixels, self.first)
 
     def sector_means(self, pixels: Array) -> Array:
-        """Average pixels in their order over the sectors of rings, shape (pixel,) -> (sector, ring); NaN where none."""
+        """Average ordered pixels over ring sectors, shape (pixel,) -> (sector, ring); NaN where empty."""
         ring = np.repeat(np.arange(len(self.count)), self.count.astype(int))
         sector = ((self.pixel_angle / (2 * np.pi) + 0.5) * SECTORS).astype(np.int64) % SECTORS
         cell, size = ring * SECTORS + sector, len(self.count) * SECTORS
@@ -109,7 +106,7 @@ def geometry_of(
     spoiled: Mask | None,
     reach_px: int = REACH_PX,
 ) -> Geometry:
-    """Return the rings about a place, one column pitch wide each.
+    """Return rings of one column pitch around a position.
 
     Parameters
     ----------
@@ -120,9 +117,9 @@ def geometry_of(
     pitch_ratio
         Row pitch over column pitch.
     spoiled
-        Pixels to leave out, shape of the frame.
+        Pixels to exclude, shape of the frame.
     reach_px
-        Farthest ring asked for; rings end where less than `LEAST_SHARE` of one lies inside the frame.
+        Requested outermost ring; rings end where less than 34 % of one lies inside the frame.
     """
     up = int(np.ceil(reach_px / pitch_ratio))
     rows = slice(max(0, int(row) - up), min(shape[0], int(row) + up + 2))
@@ -133,8 +130,8 @@ def geometry_of(
     ring = radius.astype(np.int64)
     inside = ring < reach_px
     whole = np.pi * (2 * np.arange(reach_px) + 1) / pitch_ratio
-    enough = np.bincount(ring[inside], minlength=reach_px) > LEAST_SHARE * whole
-    # The innermost rings are a few pixels each, more or fewer as the place lies among them.
+    enough = np.bincount(ring[inside], minlength=reach_px) > 0.34 * whole
+    # The innermost rings contain few pixels, depending on the subpixel position.
     enough[:INNERMOST] |= np.bincount(ring[inside], minlength=reach_px)[:INNERMOST] > 0
     reach = int(np.argmin(enough)) if not enough.all() else reach_px
     kept = ring < reach
@@ -142,7 +139,7 @@ def geometry_of(
     if spoiled is not None:
         clean = kept & ~spoiled[rows, cols].ravel()
         left = np.bincount(ring[clean], minlength=reach) / np.bincount(ring[kept], minlength=reach)
-        lost = left < LEAST_LEFT
+        lost = left < 0.3
         kept &= clean | lost[np.minimum(ring, reach - 1)]
     order = np.flatnonzero(kept)
     order = order[np.argsort(ring[order], kind="stable")]
@@ -163,7 +160,7 @@ def geometry_of(
 
 
 def _nodes(reach_px: float) -> Array:
-    fine = np.arange(0.0, FINE_TO_PX, FINE_PX)
+    fine = np.arange(0.0, FINE_TO_PX, 0.125)
     return np.concatenate([fine, np.arange(FINE_TO_PX, reach_px + 3 * COARSE_PX, COARSE_PX)])
 
 
@@ -180,3 +177,215 @@ def _averages(radius: Array, ring: NDArray[np.int64], nodes: Array, rings: int) 
     cell = (ring[:, None] * len(nodes) + four).ravel()
     out = np.bincount(cell, weight.ravel(), minlength=rings * len(nodes)).reshape(rings, -1)
     return out / np.bincount(ring, minlength=rings)[:, None]
+
+
+SMOOTHED = 7
+# Innermost rings, of few pixels, are less correlated.
+FIRST_CORRELATED_RING = 4
+# Fraction of clipped samples above which a ring's scatter is no measure of its noise.
+HARDLY_CUT = 1e-3
+# Rings next to a clipped core that an undetected streak may contaminate.
+ADJACENT_RINGS = 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class LevelRings:
+    """Ring means of one stack.
+
+    Parameters
+    ----------
+    label
+        Label of the stack.
+    geometry
+        Its rings.
+    mean_dn
+        Ring means over all frames, clipped values included, shape (ring,), DN.
+    cut_share
+        Fraction of each ring's samples at full scale, shape (ring,).
+    pixel_variance
+        Temporal variance of single pixels, averaged over the ring, shape (ring,), DN^2.
+    scatter
+        Ring means of single frames less their mean; for a single frame those of sectors, scaled to complete rings.
+    frames
+        Number of frames.
+    sector_sd
+        Root mean square deviation of sectors from their ring, shape (ring,), DN.
+    """
+
+    label: str
+    geometry: Geometry
+    mean_dn: Array
+    cut_share: Array
+    pixel_variance: Array
+    scatter: Array
+    frames: int
+    sector_sd: Array
+
+    def without_core(self, reach_px: float) -> "LevelRings":
+        """Return the stack without its clipped rings, those next to them, and all within a radius."""
+        cut = np.flatnonzero(self.cut_share > HARDLY_CUT)
+        lost = self.geometry.lost | (self.geometry.radius_px < reach_px)
+        lost[: int(cut[-1]) + 1 + ADJACENT_RINGS if len(cut) else 0] = True
+        return replace(self, geometry=replace(self.geometry, lost=lost))
+
+
+def level_of(label: str, frames: NDArray, geometry: Geometry, *, full_dn: float) -> LevelRings:
+    """Average a stack, shape (frame, row, col), DN, over rings."""
+    pixels = geometry.pixels(frames)
+    image = pixels.mean(axis=0)
+    mean = geometry.means(image)
+    uneven = geometry.sector_means(image - _along(geometry, mean))
+    off = uneven - np.nanmean(uneven, axis=0)
+    if len(frames) > 1:
+        scatter = geometry.means(pixels) - mean
+        variance = geometry.means(pixels.var(axis=0, ddof=1))
+    else:
+        scatter = np.nan_to_num(off) / np.sqrt(SECTORS * (SECTORS - 1))
+        variance = geometry.means((image - _along(geometry, mean)) ** 2)
+    return LevelRings(
+        label=label,
+        geometry=geometry,
+        mean_dn=mean,
+        cut_share=geometry.means((pixels >= full_dn).mean(axis=0)),
+        pixel_variance=variance,
+        scatter=scatter,
+        frames=len(frames),
+        sector_sd=np.sqrt(np.nanmean(off**2, axis=0)),
+    )
+
+
+def _along(geometry: Geometry, mean: Array) -> Array:
+    """Smooth profile of ring means at each pixel."""
+    return np.interp(geometry.pixel_radius_px, geometry.radius_px, mean)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RingNoise:
+    """Noise of a series, estimated from its frames.
+
+    Parameters
+    ----------
+    floor_dn2, slope_dn
+        Variance of a pixel, floor + slope x (signal - dark).
+    dark_dn
+        Black level, DN.
+    sharing
+        Variance of a ring's mean over that of independent pixels, shape (ring,).
+    correlation
+        Correlation of ring means by distance 0, 1, 2, .., shape (lag,).
+    fewer
+        Frames per independent frame.
+    """
+
+    floor_dn2: float
+    slope_dn: float
+    dark_dn: float
+    sharing: Array
+    correlation: Array
+    fewer: float
+
+    def pixel_sd(self, level_dn: Array) -> Array:
+        """Return the standard deviation of a pixel at given signals, DN."""
+        return np.sqrt(np.maximum(self.floor_dn2 + self.slope_dn * (level_dn - self.dark_dn), 1e-4))
+
+    def covariance(self, level_dn: Array, count: Array, frames: int) -> Array:
+        """Return the covariance of a stack's ring means at given signals, shape (ring, ring), DN^2."""
+        sd = self.pixel_sd(level_dn) * np.sqrt(self.sharing[: len(count)] / count * min(self.fewer / frames, 1.0))
+        rounding = np.diag(self.rounding_sd(level_dn) ** 2 + 0.01**2)
+        return self._matrix[: len(count), : len(count)] * np.outer(sd, sd) + rounding
+
+    def rounding_sd(self, level_dn: Array) -> Array:
+        """Return the rounding error of a mean, DN: at most exp(-2 pi^2 s^2)/pi for noise of s DN.
+
+        Rare pulses do not dither the values between them: below 1 DN only the dark noise counts.
+        """
+        stirred = self.floor_dn2 + self.slope_dn * np.maximum(level_dn - self.dark_dn - 1.0, 0.0)
+        return np.exp(-2.0 * np.pi**2 * stirred) / np.pi
+
+    @cached_property
+    def _matrix(self) -> Array:
+        """Correlation of all rings, with its eigenvalues bounded from below."""
+        size = len(self.sharing)
+        apart = np.abs(np.subtract.outer(np.arange(size), np.arange(size)))
+        padded = np.concatenate([self.correlation, np.zeros(max(1, size - len(self.correlation)))])
+        values, vectors = np.linalg.eigh(padded[apart])
+        return (vectors * np.maximum(values, 0.05)) @ vectors.T
+
+
+def noise_of(levels: tuple[LevelRings, ...], *, dark_dn: float) -> RingNoise:
+    """Estimate the noise common to all stacks of a series."""
+    free = np.array([(level.cut_share < HARDLY_CUT) & ~level.geometry.lost for level in levels])
+    floor, slope = _variance_law(levels, free, dark_dn)
+    bare = RingNoise(
+        floor_dn2=floor, slope_dn=slope, dark_dn=dark_dn, sharing=np.ones(1), correlation=np.ones(1), fewer=1.0
+    )
+    scaled = [
+        np.where(usable, level.scatter / (bare.pixel_sd(level.mean_dn) / np.sqrt(level.geometry.count)), np.nan)
+        for level, usable in zip(levels, free, strict=True)
+    ]
+    freedom = np.array([max(level.frames - 1, 1) for level in levels])
+    square = np.sum([np.nansum(one**2, axis=0) for one in scaled], axis=0)
+    sharing = _smooth_over_rings(square, freedom @ free)
+    alike = [one / np.sqrt(sharing) for one in scaled]
+    return RingNoise(
+        floor_dn2=floor,
+        slope_dn=slope,
+        dark_dn=dark_dn,
+        sharing=sharing,
+        correlation=_correlation(alike),
+        fewer=_frames_per_independent_frame(alike, levels),
+    )
+
+
+def _variance_law(levels: tuple[LevelRings, ...], free: NDArray[np.bool_], dark_dn: float) -> tuple[float, float]:
+    """Floor and slope of the pixel variance against signal, by weighted least squares."""
+    mean = np.concatenate([level.mean_dn[use] for level, use in zip(levels, free, strict=True)]) - dark_dn
+    variance = np.concatenate([level.pixel_variance[use] for level, use in zip(levels, free, strict=True)])
+    pixels = np.concatenate([level.geometry.count[use] for level, use in zip(levels, free, strict=True)])
+    if len(mean) < 3:
+        return 1.0, 0.0
+    design = np.stack([np.ones_like(mean), np.maximum(mean, 0.0)], axis=1)
+    fitted = np.full(len(mean), np.median(variance))
+    for _ in range(4):
+        weight = np.sqrt(pixels) / np.maximum(fitted, 1e-3)
+        floor, slope = np.linalg.lstsq(design * weight[:, None], variance * weight, rcond=None)[0]
+        fitted = np.maximum(design @ [max(floor, 1e-3), max(slope, 0.0)], 1e-3)
+    return float(max(floor, 1e-3)), float(max(slope, 0.0))
+
+
+def _smooth_over_rings(square: Array, seen: Array) -> Array:
+    """Mean squares over neighbouring rings; the mean of all where none is usable."""
+    kernel = np.ones(SMOOTHED)
+    total, number = (np.convolve(np.pad(one, SMOOTHED // 2), kernel, mode="valid") for one in (square, seen))
+    whole = square.sum() / max(seen.sum(), 1)
+    return np.maximum(np.where(number > 20, total / np.maximum(number, 1), max(whole, 0.3)), 0.1)
+
+
+def _correlation(alike: list[Array]) -> Array:
+    """Correlation of ring means by ring separation, beyond the innermost."""
+    out = [1.0]
+    for lag in range(1, 6 + 1):
+        pairs = [(one[:, FIRST_CORRELATED_RING:-lag], one[:, FIRST_CORRELATED_RING + lag :]) for one in alike]
+        products = np.concatenate([(near * far).ravel() for near, far in pairs])
+        squares = np.concatenate([(0.5 * (near**2 + far**2)).ravel() for near, far in pairs])
+        known = np.isfinite(products)
+        enough = known.sum() > 50 and squares[known].sum() > 0
+        out.append(float(products[known].sum() / squares[known].sum()) if enough else 0.0)
+    return np.clip(np.array(out), -0.5, 1.0)
+
+
+def _frames_per_independent_frame(alike: list[Array], levels: tuple[LevelRings, ...]) -> float:
+    """Number of frames per independent frame: 1 + 2 x the bias-corrected correlation of successive frames."""
+    top = bottom = 0.0
+    frames = []
+    for one, level in zip(alike, levels, strict=True):
+        if level.frames < 4:
+            continue
+        top += float(np.nansum(one[1:] * one[:-1])) * level.frames / (level.frames - 1)
+        bottom += float(np.nansum(one**2))
+        frames.append(level.frames)
+    if not bottom:
+        return 1.0
+    # Deviations from a mean of N have the correlation -1/N.
+    one_apart = top / bottom + 1.0 / float(np.mean(frames))
+    return float(max(1.0, 1.0 + 2.0 * max(0.0, one_apart)))

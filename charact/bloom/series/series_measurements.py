@@ -1,26 +1,165 @@
-"""What a fitted series tells: halo, encircled light, glare and plate, each with what its form leaves out."""
+"""Measurements of a fitted series: halo, encircled energy, glare and MCP saturation."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from charact import robust
 from charact.bloom import transfer
 from charact.bloom.point_stack import PointStack
-from charact.bloom.series.derived_halo import energy_radii, glare, halo_of
-from charact.bloom.series.leak import find_leak
+from charact.bloom.series.halo_models import HaloModel, pixel_of, profile_of
 from charact.bloom.series.likelihood import AmplitudeSolution
 from charact.bloom.series.mcp_saturation import SaturatingSeriesLikelihood
 from charact.bloom.series.model_selection import FittedHaloModel
+from charact.bloom.transfer import onto_nodes
 from charact.posterior.diagnostics import crowds_at_bound
+from labdata.flags import Finding
 from labdata.measurement import Measurement, Posterior, make_refusal, measurement_from_draws
 
 Array = NDArray[np.float64]
 
+REMEDY = "a target that is opaque around its pinhole, or a series with the pinhole covered"
+
+
+def find_leak(
+    group: tuple[PointStack, ...], light: Array, reach_px: float, area_px2: float, near: tuple[float, float]
+) -> list[Finding]:
+    """Return a finding where the background near the source rises faster with its signal than far from it.
+
+    Parameters
+    ----------
+    group
+        Stacks of one source.
+    light
+        Source signal of each stack, DN px^2, shape (level,).
+    reach_px
+        Radius of the fitted background around the source, column pitches.
+    area_px2
+        Area of the frame, column pitches squared.
+    near
+        Uniformly spread light over the source signal from that background, and its standard error.
+    """
+    seen = [_far(one, reach_px) for one in group]
+    if any(one is None for one in seen):
+        return []
+    level, sd = np.array(seen, float).T
+    far = glare(light, level, sd, area_px2)
+    if far is None or abs(near[0] - far[0]) < 4.0 * float(np.hypot(near[1], far[1])):
+        return []
+    if abs(near[0] - far[0]) < 0.3 * max(near[0], far[0]):
+        return []
+    near_percent, far_percent = (100.0 * ratio / (1.0 + max(ratio, 0.0)) for ratio in (near[0], far[0]))
+    effect = (
+        f"veiling_glare is {near_percent:.2g} % by the background within {reach_px:.0f} px of the source, "
+        f"{far_percent:.2g} % by that beyond"
+    )
+    return [Finding(flag="model-misfit", effect=effect, remedy=REMEDY)]
+
+
+def _far(spot: PointStack, reach_px: float) -> tuple[float, float] | None:
+    """Return the median of the pixels far from all sources and its standard error, DN; None with too few pixels."""
+    rows, cols = np.ogrid[: spot.image.shape[0], : spot.image.shape[1]]
+    far = np.hypot((rows - spot.row) * spot.row_pitch, cols - spot.col) > reach_px
+    for other in spot.others:
+        far &= np.hypot((rows - other.row) * spot.row_pitch, cols - other.col) > 40.0
+    values = spot.image[far]
+    if values.size < 200:
+        return None
+    median = float(np.median(values))
+    spread = robust.robust_sd(values)
+    # Pulse noise is correlated: a quarter of the pixels counts. A median has 1.25 times the error of a mean.
+    return median, max(1.2533 * 2.0 * spread / float(np.sqrt(values.size)), 1e-6)
+
+
+RIM = (0.75, 1.1)
+STEP_PX = 0.1
+
+
+@dataclass(frozen=True, kw_only=True)
+class HaloHeights:
+    """Plateau and rim of a halo, one number for each draw.
+
+    Parameters
+    ----------
+    plateau
+        Mean light between 0.3 and 0.7 of its radius over the source's total light, 1/px^2.
+    rim
+        Maximum light of the rim, blurred by the core without its wing, over the plateau, dimensionless.
+    """
+
+    plateau: Array
+    rim: Array
+
+
+def halo_of(form: HaloModel, points: Array) -> HaloHeights:
+    """Return plateau and rim of a disc at draws of its parameters, shape (draw, parameter)."""
+    of = form.at(points)
+    radius, profile = of["halo_diameter"] / 2.0, profile_of(of)
+    inner, outer = (0.3, 0.7)
+    within = _within(outer) - _within(inner)
+    share = profile @ within[:-1] + (1.0 - profile.sum(axis=1)) * within[-1]
+    per_px2 = share / (np.pi * radius**2 * (outer**2 - inner**2))
+    at = np.arange(RIM[0] * radius.min(), RIM[1] * radius.max(), 0.2)
+    halo = form.halo_transform(points)
+    assert halo is not None
+    light = (form.blur_transform(points) * pixel_of(form.pitch_ratio) * halo) @ onto_nodes(at)
+    near = (at > RIM[0] * radius[:, None]) & (at < RIM[1] * radius[:, None])
+    rim = np.where(near, light, -np.inf).max(axis=1)
+    return HaloHeights(plateau=of["halo_fraction"] * per_px2, rim=rim / per_px2)
+
+
+def _within(x: float) -> Array:
+    """Fractions of the light within x of the disc's radius for each density of `transfer.PROFILE` and a flat one."""
+    root = float(np.sqrt(1.0 - x**2))
+    return np.array([1.0 - root, x * np.arccos(x) - root + 1.0, x**4, x**14, x**2])
+
+
+def energy_radii(form: HaloModel, points: Array, shares: tuple[float, ...], reach_px: float) -> Array:
+    """Return radii that contain fractions of a point's light, shape (draw, share), px; NaN beyond the reach."""
+    at = np.arange(STEP_PX / 2, reach_px, STEP_PX)
+    light = form.transform(points) @ onto_nodes(at)
+    within = np.cumsum(light * 2.0 * np.pi * at * STEP_PX, axis=1)
+    edges = at + STEP_PX / 2
+    # Ringing of the transform may give small negative light: radii need an increasing sum.
+    rising = np.maximum.accumulate(within, axis=1)
+    out = [[np.interp(share, one, edges, right=np.nan) for share in shares] for one in rising]
+    return np.array(out)
+
+
+def glare(light: Array, background_dn: Array, sd_dn: Array, area_px2: float) -> tuple[float, float] | None:
+    """Ratio of uniformly spread light to the source's signal, and its standard error.
+
+    Parameters
+    ----------
+    light
+        Source signal of each stack, DN px^2, shape (level,).
+    background_dn, sd_dn
+        Background of each stack and its standard error, shape (level,).
+    area_px2
+        Area of the frame, column pitches squared.
+
+    Returns
+    -------
+    tuple or None
+        Ratio and standard error, widened by excess scatter of the stacks; None with fewer than three stacks.
+    """
+    if len(light) < 3:
+        return None
+    design = np.stack([np.ones_like(light), light / light.max()], axis=1) / sd_dn[:, None]
+    covariance = np.linalg.inv(design.T @ design)
+    best = covariance @ design.T @ (background_dn / sd_dn)
+    chi2 = float(((background_dn / sd_dn - design @ best) ** 2).sum()) / (len(light) - 2)
+    per_light = float(best[1]) / float(light.max()) * area_px2
+    sd = float(np.sqrt(covariance[1, 1] * max(chi2, 1.0))) / float(light.max()) * area_px2
+    return per_light, sd
+
+
 OF_THE_HALO = (("halo_diameter", "px"), ("halo_fraction", "1"), ("halo_plateau", "1/px2"), ("halo_rim", "1"))
-# Relative error that forms leave out of a number: of any source, and as multiples of the shares of the light by which
-# rings are off beyond the core and about it. The first is as closed-form series with wings show it, the others as
-# simulated cameras do: about the core all levels are off alike, and what that does to its light does not average away.
+# Relative model error of a quantity: a constant, and multiples of the relative model errors beyond the core and near
+# it. The constant is calibrated on closed-form series with wings, the others on simulated cameras: near the core all
+# stacks have the same error, which does not average out.
 LEFT_OUT = {
     "halo_fraction": (0.012, 3.0, 0.7),
     "halo_plateau": (0.012, 3.0, 0.7),
@@ -30,30 +169,13 @@ LEFT_OUT = {
     "veiling_glare": (0.05, 3.0, 0.7),
     "plate_saturation_density": (0.03, 6.0, 0.7),
 }
-# Distance in ln of the densities that two forms of the core ask for beyond which neither is told.
-MOST_UNLIKE = float(np.log(4.0))
-# A best fit so near a bound, as a share of the range, is pressed against it.
-AT_BOUND = 1e-3
-# Draws for which the glare is worked out, and what belongs to it as well.
-OF_GLARE = 200
-LEAKS = "light that leaks through the target beside its pinhole counts as glare"
-# Draws for which derived numbers are worked out.
+LEAKS = "light that leaks through the target around its pinhole counts as glare"
+# Draws of derived quantities.
 DERIVED = 400
-# Share of a halo's diameter by which another's that overlaps it moves its edge.
-OVERLAPPED = 0.005
-# Fraction by which a diameter is off, as a standard error, where a rim on a flat disc is a ring: noise-free discs with
-# rings of 5 to 30 % of their radius are at most 0.8 % off.
-RIM_WIDTH = 0.004
-# What the diameter of any disc is off by besides, px: drawn flat discs whose noise leaves 0.03 px scatter by so much.
-DISC_PX = 0.05
-# Degrees of freedom that the noise has at least: rings of single frames tell it, too.
-LEAST_FREEDOM = 3
-# Standard error below which a level's own diameter counts as no better.
-LEAST_SD_PX = 0.1
 
 
 def nearest_px(group: tuple[PointStack, ...]) -> float:
-    """Distance of the nearest other source that any stack shows, column pitches; inf where there is none."""
+    """Distance of the nearest other source in any stack, column pitches; inf where there is none."""
     return min(
         (
             float(np.hypot((other.row - one.row) * one.row_pitch, other.col - one.col))
@@ -65,28 +187,35 @@ def nearest_px(group: tuple[PointStack, ...]) -> float:
 
 
 def several_flag(group: tuple[PointStack, ...]) -> tuple[str, ...]:
-    """The flag of numbers that another source's light moves."""
+    """Flag of quantities that another source's light affects."""
     return ("several-targets",) if np.isfinite(nearest_px(group)) else ()
 
 
 def levels_apart(own: tuple[Array, Array, Array]) -> tuple[float, int]:
-    """How far the levels' own diameters lie from their mean, as chi squared with its freedom.
+    """Chi squared of the stacks' own diameters about their mean, and its degrees of freedom.
 
-    All of them share the core and the profile of the likeliest point: the median of a skewed posterior is not theirs.
+    All stacks have the core and profile of the optimum, so that the median of a skewed posterior is not their mean.
     """
     seen = np.isfinite(own[0])
-    sd = np.maximum(own[1][seen], LEAST_SD_PX)
+    sd = np.maximum(own[1][seen], 0.1)
     mean = np.sum(own[0][seen] / sd**2) / max(float(np.sum(sd**-2.0)), 1e-300)
     return float(np.sum(((own[0][seen] - mean) / sd) ** 2)), max(int(seen.sum()) - 1, 0)
 
 
-def halo_measurements(best: FittedHaloModel, posterior: Posterior, own: tuple[Array, Array, Array], group: tuple[PointStack, ...],
-          flags: tuple[str, ...], notes: tuple[str, ...], fields: dict[str, Any]) -> list[Measurement]:  # fmt: skip
-    """The halo's diameter, share, plateau and rim; the diameter's interval is wider where levels scatter more.
+def halo_measurements(
+    best: FittedHaloModel,
+    posterior: Posterior,
+    own: tuple[Array, Array, Array],
+    group: tuple[PointStack, ...],
+    flags: tuple[str, ...],
+    notes: tuple[str, ...],
+    fields: dict[str, Any],
+) -> list[Measurement]:
+    """Return the halo's diameter, fraction, plateau and rim; scatter of the stacks widens the diameter's interval.
 
-    Light of another source lies on the rings of this one: only the place of the edge stands apart from it.
+    Light of another source contaminates the rings, but not the position of the edge.
     """
-    beside = several_flag(group)
+    several = several_flag(group)
     middle = float(np.median(posterior["halo_diameter"]))
     apart, freedom = levels_apart(own)
     wider = np.sqrt(max(1.0, apart / freedom)) if freedom else 1.0
@@ -94,7 +223,7 @@ def halo_measurements(best: FittedHaloModel, posterior: Posterior, own: tuple[Ar
     draws = {"halo_diameter": middle + wider * (posterior["halo_diameter"] - middle)}
     if nearest_px(group) < middle:
         rng = np.random.default_rng([posterior.seed or 0, 1])
-        draws["halo_diameter"] += OVERLAPPED * middle * rng.standard_normal(len(posterior.draws))
+        draws["halo_diameter"] += 0.005 * middle * rng.standard_normal(len(posterior.draws))
     draws["halo_diameter"] += _form_unknown(posterior, middle)
     halo = halo_of(best.form, posterior.draws[:DERIVED])
     of_light = {"halo_fraction": posterior["halo_fraction"], "halo_plateau": halo.plateau, "halo_rim": halo.rim}
@@ -102,9 +231,9 @@ def halo_measurements(best: FittedHaloModel, posterior: Posterior, own: tuple[Ar
     blind = () if shows_core(best, posterior) else ("prior-bound",)
     flags_of = {
         "halo_diameter": flags,
-        "halo_fraction": flags + beside + blind,
-        "halo_plateau": flags + beside + blind,
-        "halo_rim": flags + beside,
+        "halo_fraction": flags + several + blind,
+        "halo_plateau": flags + several + blind,
+        "halo_rim": flags + several,
     }
     return [
         measurement_from_draws(
@@ -115,22 +244,22 @@ def halo_measurements(best: FittedHaloModel, posterior: Posterior, own: tuple[Ar
 
 
 def _form_unknown(posterior: Posterior, diameter_px: float) -> Array:
-    """Errors of a diameter by the unknown width of a rim on a flat disc, and of any disc, px, shape (draw,)."""
+    """Errors of a diameter due to the unknown rim width and disc model, px, shape (draw,)."""
     profile = np.stack([posterior[name] for name in transfer.PROFILE], axis=1)
     elastic, rim, flat = profile[:, 0], profile[:, 3], 1.0 - profile.sum(axis=1)
     rimmed = np.clip(4.0 * np.maximum(elastic, rim) * flat, 0.0, 1.0)
-    sd = np.hypot(RIM_WIDTH * rimmed * diameter_px, DISC_PX)
+    sd = np.hypot(0.004 * rimmed * diameter_px, 0.05)
     return sd * np.random.default_rng([posterior.seed or 0, 3]).standard_normal(len(profile))
 
 
 def _noise_unknown(group: tuple[PointStack, ...], draws: int, seed: int | None) -> Array:
-    """Factors for a noise that is itself known from so many frames only (Student's), shape (draw,)."""
-    freedom = max(min(one.frames for one in group) - 1, LEAST_FREEDOM)
+    """Factors for the uncertainty of a noise estimate from few frames (Student's), shape (draw,)."""
+    freedom = max(min(one.frames for one in group) - 1, 3)
     return np.sqrt(freedom / np.random.default_rng(seed).chisquare(freedom, draws))
 
 
 def _model_error_factors(best: FittedHaloModel, quantity: str, draws: int, posterior: Posterior) -> Array:
-    """Factors for what a form leaves out of a quantity: that of any, and that of a source that is not round."""
+    """Factors for the model error of a quantity, general and by rotational asymmetry."""
     of_any, beyond, of_core = LEFT_OUT[quantity]
     misfit = best.problem.misfit
     sd = np.linalg.norm([of_any, beyond * misfit.share, of_core * misfit.core])
@@ -138,25 +267,26 @@ def _model_error_factors(best: FittedHaloModel, quantity: str, draws: int, poste
 
 
 def shows_core(best: FittedHaloModel, posterior: Posterior) -> bool:
-    """Whether the source's whole light is known: where every core is cut, it may be anything that makes its halo."""
+    """Whether the source's total signal is known; unknown where every core is clipped."""
     if best.form.halo == "none":
         return True
     share = best.form.names.index("halo_fraction")
     bounds = best.form.bounds[[share]]
-    pressed = np.abs(bounds - best.peak.point[share]).min() < AT_BOUND * np.ptp(bounds)
+    pressed = np.abs(bounds - best.peak.point[share]).min() < 1e-3 * np.ptp(bounds)
     return not pressed and not crowds_at_bound(posterior.draws[:, [share]], bounds).any()
 
 
-def energy_radius_measurements(best: FittedHaloModel, posterior: Posterior, flags: tuple[str, ...], notes: tuple[str, ...],
-            fields: dict[str, Any]) -> list[Measurement]:  # fmt: skip
-    """Radii that hold half and nine tenths of the light."""
+def energy_radius_measurements(
+    best: FittedHaloModel, posterior: Posterior, flags: tuple[str, ...], notes: tuple[str, ...], fields: dict[str, Any]
+) -> list[Measurement]:
+    """Return the radii that contain 50 and 90 % of the signal."""
     reach = float(best.problem.series.radius_px[-1])
     radii = energy_radii(best.form, posterior.draws[:DERIVED], (0.5, 0.9), reach)
     flags = flags if shows_core(best, posterior) else (*flags, "prior-bound")
     out = []
     for quantity, draws in zip(("encircled_radius_50", "encircled_radius_90"), radii.T, strict=True):
         if np.isnan(draws).any():
-            reason = f"some of this light lies beyond the {reach:.0f} px about the source that were looked at"
+            reason = f"part of this light lies beyond the {reach:.0f} px analysed around the source"
             out.append(make_refusal(quantity, "px", reason, **fields))
         else:
             draws = draws * _model_error_factors(best, quantity, len(draws), posterior)
@@ -164,13 +294,19 @@ def energy_radius_measurements(best: FittedHaloModel, posterior: Posterior, flag
     return out
 
 
-def glare_measurements(best: FittedHaloModel, posterior: Posterior, group: tuple[PointStack, ...], flags: tuple[str, ...],
-           notes: tuple[str, ...], fields: dict[str, Any]) -> list[Measurement]:  # fmt: skip
-    """Light of the source that lies evenly over the frame, from the backgrounds of all levels."""
+def glare_measurements(
+    best: FittedHaloModel,
+    posterior: Posterior,
+    group: tuple[PointStack, ...],
+    flags: tuple[str, ...],
+    notes: tuple[str, ...],
+    fields: dict[str, Any],
+) -> list[Measurement]:
+    """Return the veiling glare, from the backgrounds of all stacks."""
     settings = {(one.conditions.mcp_v, one.conditions.camera_gain_db, one.conditions.gain_control) for one in group}
     if len(settings) > 1:
-        return [make_refusal("veiling_glare", "%", "the levels were taken at different gains", **fields)]
-    solved = best.problem.solve_amplitudes(posterior.draws[:OF_GLARE])
+        return [make_refusal("veiling_glare", "%", "the stacks were taken at different gains", **fields)]
+    solved = best.problem.solve_amplitudes(posterior.draws[:200])
     rows, cols = group[0].image.shape
     area = rows * cols * best.form.pitch_ratio
     sd = _background_sd(solved)
@@ -178,40 +314,43 @@ def glare_measurements(best: FittedHaloModel, posterior: Posterior, group: tuple
         glare(light, background, error, area)
         for light, background, error in zip(solved.amplitudes[:, 0].T, solved.amplitudes[:, 1].T, sd.T, strict=True)
     ]
-    told = np.array([one for one in found if one is not None])
-    if not len(told):
-        return [make_refusal("veiling_glare", "%", "the backgrounds of three levels at least would tell it", **fields)]
+    known = np.array([one for one in found if one is not None])
+    if not len(known):
+        return [make_refusal("veiling_glare", "%", "the backgrounds of at least three stacks are needed", **fields)]
     rng = np.random.default_rng([posterior.seed, 1])
-    beside = told[:, 0] + told[:, 1] * rng.standard_normal(len(told))
-    beside = beside * _model_error_factors(best, "veiling_glare", len(beside), posterior)
-    draws = 100.0 * beside / (1.0 + np.maximum(beside, 0.0))
+    ratio = known[:, 0] + known[:, 1] * rng.standard_normal(len(known))
+    ratio = ratio * _model_error_factors(best, "veiling_glare", len(ratio), posterior)
+    draws = 100.0 * ratio / (1.0 + np.maximum(ratio, 0.0))
     reach = float(best.problem.series.radius_px[-1])
     light = np.median(solved.amplitudes[:, 0], axis=1)
-    near = (float(np.median(beside)), float(np.hypot(beside.std(), np.median(told[:, 1]))))
+    near = (float(np.median(ratio)), float(np.hypot(ratio.std(), np.median(known[:, 1]))))
     number = measurement_from_draws("veiling_glare", "%", draws, flags=flags, notes=(*notes, LEAKS), **fields)
     return [number.with_(findings=find_leak(group, light, reach, area, near))]
 
 
-def mcp_saturation_measurements(forms: list[FittedHaloModel], posterior: Posterior, flags: tuple[str, ...], notes: tuple[str, ...],
-           fields: dict[str, Any]) -> list[Measurement]:  # fmt: skip
-    """Density of light at which the plate's gain has halved, and what is left of each level's light behind it.
+def mcp_saturation_measurements(
+    forms: list[FittedHaloModel],
+    posterior: Posterior,
+    flags: tuple[str, ...],
+    notes: tuple[str, ...],
+    fields: dict[str, Any],
+) -> list[Measurement]:
+    """Return the signal density at half MCP gain, and each stack's core compression.
 
-    Cores of different forms ask for densities that differ by factors: how far apart they lie is an error of each.
+    The densities of different core models differ by factors; their distance is a systematic uncertainty.
     """
     best = forms[0]
     if not isinstance(best.problem, SaturatingSeriesLikelihood):
-        reason = "cores keep their share of the light at all levels: a plate at rest says all they show"
+        reason = "the cores are linear in all stacks: no MCP saturation is visible"
         return [make_refusal("plate_saturation_density", "DN", reason, **fields)]
     unlike = _unlike_cores(forms)
-    if unlike > MOST_UNLIKE:
-        reason = (
-            f"forms of the core ask for densities that differ by a factor of {np.exp(unlike):.2g}: describe the camera"
-        )
+    if unlike > float(np.log(4.0)):
+        reason = f"core models give densities that differ by a factor of {np.exp(unlike):.2g}: describe the camera"
         return [make_refusal("plate_saturation_density", "DN", reason, **fields)]
     load = best.form.names.index("plate_load")
     if crowds_at_bound(posterior.draws[:, [load]], best.form.bounds[[load]]).any():
         flags = (*flags, "prior-bound")
-    # Of two cores as likely, their distance over root two is the error of either.
+    # For two equally likely cores, the error of either is their distance over root two.
     rng = np.random.default_rng([posterior.seed, 2])
     factors = np.exp(unlike / np.sqrt(2.0) * rng.standard_normal(len(posterior.draws)))
     points = posterior.draws.copy()
@@ -226,7 +365,7 @@ def mcp_saturation_measurements(forms: list[FittedHaloModel], posterior: Posteri
 
 
 def _unlike_cores(forms: list[FittedHaloModel]) -> float:
-    """Return how far apart, in ln, the densities lie that cores of other forms ask for from that of the best."""
+    """Return the distance, in ln, of the saturation densities of other cores' models from the best one's."""
     loads = [
         float(one.peak.point[one.form.names.index("plate_load")])
         for one in forms
@@ -237,7 +376,7 @@ def _unlike_cores(forms: list[FittedHaloModel]) -> float:
 
 
 def _background_sd(solved: AmplitudeSolution) -> Array:
-    """Standard error of each level's background, shape (level, point)."""
+    """Standard error of each stack's background, shape (level, point)."""
     normal = solved.normal
     determinant = normal[:, 0, 0] * normal[:, 1, 1] - normal[:, 0, 1] ** 2
     return np.sqrt(np.maximum(normal[:, 0, 0] / np.maximum(determinant, 1e-300), 1e-12))

@@ -18,7 +18,7 @@ const colour = (name) => getComputedStyle(document.body).getPropertyValue(name).
 const UNITS = { exposure_s: [1e3, "exposure", "ms"], mcp_v: [1, "plate", "V"], gate_ns: [1e-3, "gate", "µs"],
   illuminance_lux: [1, "light", "lux"], camera_gain_db: [1, "camera gain", "dB"], temperature_c: [1, "temperature", "°C"] };
 
-// One picture is asked for at a time, and the next when it is there: a busy machine shows fewer, never none.
+// One image is requested at a time, the next after its arrival: a busy machine shows fewer, never none.
 function showPicture(number) {
   if (loading) { nextPicture = number; return; }
   loading = true;
@@ -60,7 +60,7 @@ function showFocus(view) {
   const known = focus.mtf50_cy_per_px !== null;
   show("mtf50", known ? focus.mtf50_cy_per_px.toFixed(4) : "–");
   show("interval", known ? `95 %: ${focus.interval95.map((end) => end.toFixed(4)).join(" to ")} cy/px` : "");
-  const flags = focus.flags.length ? `distrust: ${focus.flags.join(", ")}; ` : "";
+  const flags = focus.flags.length ? `flags: ${focus.flags.join(", ")}; ` : "";
   const where = focus.region ? `region ${focus.region.join(",")} px, ` : "";
   show("focus-note", known ? `${flags}${where}read in ${(1e3 * focus.seconds).toFixed(0)} ms` : focus.reason);
   if (best === null) { show("best", "best so far: –"); } else {

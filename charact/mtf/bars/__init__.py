@@ -1,1 +1,1 @@
-"""Targets of a few bars."""
+"""Bar targets."""

@@ -1,4 +1,4 @@
-"""The numbers a bar target is reduced to: its light and its fundamental, with the noise that is in them."""
+"""Sums over a bar target: background, light, fundamental and second harmonic, with their noise."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -7,15 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.mtf.bars.target import BarTarget, amplitude
+from charact.mtf.bars.thresholds import ACCURACY, LIMITS
 from charact.mtf.image_lag import ImageLagModel
 
 Array = NDArray[np.float64]
-
-# From this many frames on, their own scatter says what the noise is.
-MIN_COVARIANCE_FRAMES = 4
-# Frames from which on pixels tell how long light lingers.
-MIN_LAG_FRAMES = 7
-SLAB_PX = 4.0
+Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,9 +21,9 @@ class Amplitudes:
     Parameters
     ----------
     light
-        Sum of the window's pixels over the pedestal, or below it for dark bars, DN.
+        Sum of the window's pixels above the pedestal, or below it for dark bars, DN.
     fundamental
-        Fourier sum at the bars' frequency in the phase of the bars, DN.
+        Fourier sum at the bar frequency in the phase of the bars, DN.
     covariance
         Covariance of (light, fundamental), DN2, shape (2, 2).
     freedom
@@ -35,13 +31,13 @@ class Amplitudes:
     phase_rad
         Phase of the fundamental.
     zeros
-        Largest modulus at the two zeros beside the fundamental, over the fundamental.
+        Largest modulus at the two zeros adjacent to the fundamental, over the fundamental.
     flank
-        Modulus half way to the lower zero, over what as many bars have there by the fundamental: more bars have less.
+        Modulus half way to the lower zero, over that expected from the fundamental; more bars give less.
     fields_apart_px, fields_apart_sd_px
-        Distance between the bars in odd and in even rows, and its standard error, px across the bars.
+        Displacement of the bars in odd rows from those in even rows, and its standard uncertainty, px across the bars.
     frame_correlation
-        Factor by which light that lingers from frame to frame widens the error of the mean, on its square.
+        Variance factor of the mean by image lag.
     """
 
     light: float
@@ -57,7 +53,7 @@ class Amplitudes:
 
     @property
     def signal_to_noise(self) -> float:
-        """The fundamental in its own standard errors."""
+        """The fundamental in standard uncertainties."""
         return self.fundamental / max(float(np.sqrt(self.covariance[1, 1])), 1e-12 * abs(self.light) + 1e-30)
 
 
@@ -68,18 +64,18 @@ def amplitudes_of(
     beyond: NDArray[np.bool_],
     memory: ImageLagModel | None = None,
 ) -> Amplitudes:
-    """Reduce frames (frame, row, col) of a target in a window; the pedestal is the mean of the pixels beyond it.
+    """Return the sums over frames (frame, row, col) of a target above the mean of the pixels beyond the window.
 
     Parameters
     ----------
     memory
-        How long a described camera's screen remembers; None: the frames' pixels tell it.
+        Image lag of the described phosphor; None: estimated from the frames.
 
     Notes
     -----
-    Sums over whole bars and the blur around them are projections along the bars, so that the fundamental is exactly
-    O(f) H(f) and the light O(0) H(0) (projection-slice theorem). Scatter from frame to frame holds every correlation
-    between pixels. Where there are too few frames, neighbouring slabs along the bars take their place.
+    Sums over complete bars and their blur are projections along the bars: the fundamental is O(f) H(f) and the light
+    O(0) H(0) (projection-slice theorem). The scatter between frames includes every correlation between pixels. With too
+    few frames, slabs along the bars replace them.
     """
     across, _ = target.coordinates(data.shape[1:])
     wave = np.exp(-2j * np.pi * target.frequency * across[window])
@@ -90,7 +86,7 @@ def amplitudes_of(
     phase = float(np.angle(fundamental.mean()))
     turned = np.real(fundamental * np.exp(-1j * phase))
     lag = _image_lag_factor(data, window, memory)
-    if len(data) >= MIN_COVARIANCE_FRAMES:
+    if len(data) >= ACCURACY.min_covariance_frames:
         covariance, freedom = _frame_covariance(light, turned, lag)
     else:
         covariance, freedom = _slab_covariance(data.mean(axis=0), target, window, beyond, phase)
@@ -115,22 +111,22 @@ def amplitudes_of(
 
 
 def _image_lag_factor(data: NDArray, window: NDArray[np.bool_], memory: ImageLagModel | None) -> float:
-    """Return by how much lingering light widens the variance of the mean of sums.
+    """Return the variance factor of the mean of sums by image lag.
 
-    A pixel sees light of the frame before, sums that of the field before, too: as much more as the screen's decay says.
+    A pixel contains light of the frame before, a sum also light of the field before; the decay gives the ratio.
     """
     seen = frame_correlation(data, window)
     if memory is None:
         return seen
-    told = seen if len(data) >= MIN_LAG_FRAMES else memory.widening
-    return max(told * memory.widening_of_sums / memory.widening, 1.0)
+    factor = seen if len(data) >= ACCURACY.min_lag_frames else memory.widening
+    return max(factor * memory.widening_of_sums / memory.widening, 1.0)
 
 
 def _frame_covariance(light: NDArray, turned: NDArray, lag: float) -> tuple[NDArray, float]:
     """Return the covariance of the means of light and fundamental over frames, and its degrees of freedom.
 
-    Two means with the covariance S of n frames have a Student's t of freedom n - 2 and shape S (n - 1)/(n - 2)
-    (Hotelling); frames with a correlation r of neighbours, as such a lag means, count as (1 - r^2)/(1 + r^2) of them.
+    Two means with the covariance S of n frames have a Student's t of n - 2 degrees of freedom and shape S (n - 1)/(n -
+    2) (Hotelling). Frames with a correlation r of neighbours, as the lag implies, count as (1 - r^2)/(1 + r^2) each.
     """
     count = len(light)
     neighbours = (lag - 1.0) / (lag + 1.0)
@@ -139,7 +135,7 @@ def _frame_covariance(light: NDArray, turned: NDArray, lag: float) -> tuple[NDAr
 
 
 def _frame_sums(frame: NDArray, window, beyond, wave: NDArray, odd: NDArray) -> tuple[float, NDArray]:
-    """Return light and the fundamental of even and odd rows of one frame over its own pedestal."""
+    """Return light and the fundamental of even and odd rows of one frame above its pedestal."""
     values = frame[window] - frame[beyond].mean()
     terms = values * wave
     return float(values.sum()), np.array([terms[~odd].sum(), terms[odd].sum()])
@@ -150,26 +146,26 @@ def _amplitude(mean: Array, target: BarTarget, window, beyond, order: float) -> 
 
 
 def _field_offset(halves: NDArray, target: BarTarget, sd: float) -> tuple[float, float]:
-    """Return how far apart the bars lie in the two fields, and the standard error."""
+    """Return the displacement of the bars between the two fields, and its standard uncertainty, px."""
     even, odd = halves.mean(axis=0)
     if min(abs(even), abs(odd)) == 0:
         return 0.0, np.inf
     radian_px = 1.0 / (2.0 * np.pi * target.frequency)
-    # Half of the noise in each half of the fundamental, and both in their difference.
+    # Each field holds half of the fundamental's noise.
     error = np.sqrt(2.0) * (sd / np.sqrt(2.0)) * np.hypot(1.0 / abs(even), 1.0 / abs(odd)) / np.sqrt(2.0)
     return float(np.angle(odd * np.conj(even)) * radian_px), float(error * radian_px)
 
 
 def frame_correlation(data: NDArray, window: NDArray[np.bool_]) -> float:
-    """Return the variance of the mean over that of independent frames with the scatter seen, at least 1.
+    """Return the variance of the mean over that of independent frames of the same scatter, at least 1.
 
     Notes
     -----
-    From half mean squared differences v_k of frames k apart: v_k = g_0 - g_k, g the autocovariance, taken to have
-    died out from lag 4 on. All pixels of the window speak, so that a dozen frames are enough.
+    Half mean squared differences of frames k apart are v_k = g_0 - g_k, g the autocovariance, taken as zero from lag 4.
+    All pixels of the window contribute, so that a dozen frames suffice.
     """
     count = len(data)
-    if count < MIN_LAG_FRAMES:
+    if count < ACCURACY.min_lag_frames:
         return 1.0
     pixels = data[:, window].astype(np.float32)
     halves = [0.5 * float(np.mean((pixels[lag:] - pixels[:-lag]) ** 2)) for lag in range(1, count - 1)]
@@ -185,14 +181,14 @@ def frame_correlation(data: NDArray, window: NDArray[np.bool_]) -> float:
 def _slab_covariance(
     mean: Array, target: BarTarget, window: NDArray[np.bool_], beyond: NDArray[np.bool_], phase: float
 ) -> tuple[Array, float]:
-    """Return the covariance from the differences of neighbouring slabs along the bars, and its degrees of freedom.
+    """Return the covariance from differences of adjacent slabs along the bars, and its degrees of freedom.
 
-    Differences hold the fall of the light at the bars' ends as well, so that the error is rather too large.
+    The differences include the fall of the light at the bars' ends, which makes the uncertainty conservative.
     """
     across, along = target.coordinates(mean.shape)
     values = mean - mean[beyond].mean()
     half = target.length_px / 2
-    edges = np.linspace(-half, half, max(int(target.length_px / SLAB_PX), 2) + 1)
+    edges = np.linspace(-half, half, max(int(target.length_px / ACCURACY.slab_px), 2) + 1)
     terms = np.real(values * np.exp(-2j * np.pi * target.frequency * across - 1j * phase))
     slabs = [window & (along >= low) & (along < high) for low, high in pairwise(edges)]
     sums = np.array([[values[slab].sum(), terms[slab].sum()] for slab in slabs])
@@ -200,3 +196,50 @@ def _slab_covariance(
     outside = float(values[beyond].std()) * np.sqrt(np.count_nonzero(window))
     covariance = len(slabs) * (jumps.T @ jumps) / (2.0 * len(jumps)) + np.diag([outside**2, 0.5 * outside**2])
     return covariance, float(max(len(jumps), 2))
+
+
+@dataclass(frozen=True, kw_only=True)
+class TargetBackground:
+    """Pixels that show a target's pedestal.
+
+    Parameters
+    ----------
+    beyond
+        Pixels beyond the window without other light, shape (row, col).
+    crowded
+        Whether the blur of other light reaches into the window.
+    """
+
+    beyond: Mask
+    crowded: bool
+
+
+def target_background(mean: Array, target: BarTarget, margin_px: float) -> TargetBackground:
+    """Return the background of a target in a mean frame (row, col), other objects excluded."""
+    from scipy.ndimage import binary_dilation, gaussian_filter
+
+    shape = (mean.shape[0], mean.shape[1])
+    outside = ~target.box(shape, margin_px)
+    smooth = np.asarray(gaussian_filter(mean, ACCURACY.other_smoothing_px))
+    level = float(np.median(smooth[outside]))
+    spread = 1.4826 * float(np.median(np.abs(smooth[outside] - level)))
+    height = float(np.abs(smooth[target.box(shape, 0.0)] - level).max())
+    other = outside & (np.abs(smooth - level) > max(LIMITS.max_other_sd * spread, LIMITS.max_other_light * height))
+    other = np.asarray(binary_dilation(other, iterations=ACCURACY.other_margin_px), bool) & outside
+    crowded = bool((other & target.box(shape, margin_px + ACCURACY.other_margin_px)).any())
+    beyond = outside & ~other
+    # If hardly any background remains, the objects are the background.
+    return TargetBackground(beyond=beyond if beyond.sum() > 0.25 * outside.sum() else outside, crowded=crowded)
+
+
+def second_harmonic(mean: Array, target: BarTarget, window: Mask, pedestal: float, found: Amplitudes) -> float:
+    """Return the image's spectrum at twice the bar frequency in the phase of the bars, over the fundamental.
+
+    Bars as wide as their gaps have no such component, whatever the blur; a nonlinear response adds one. Returns 0 where
+    the alias of the fundamental overlaps.
+    """
+    direction = max(abs(np.cos(target.angle_rad)), abs(np.sin(target.angle_rad)))
+    if abs(1.0 - 3.0 * target.frequency * direction) < 2.0 * target.frequency / target.bars:
+        return 0.0
+    double = amplitude(mean - pedestal, target, 2.0 * target.frequency, window)
+    return float(np.real(double * np.exp(-2j * found.phase_rad)) / found.fundamental)

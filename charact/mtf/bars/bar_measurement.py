@@ -1,4 +1,4 @@
-"""Bars found and measured: those through a region and whole ones fitted, those of a described camera summed."""
+"""Detection and measurement of bars: by fit, or by sums for a camera with a description."""
 
 from dataclasses import dataclass, replace
 
@@ -6,37 +6,36 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.mtf.bars import findings
-from charact.mtf.bars.amplitudes import amplitudes_of, frame_correlation
-from charact.mtf.bars.background_level import second_harmonic, target_background
-from charact.mtf.bars.bar_count_test import likelier_bar_count
+from charact.mtf.bars.amplitudes import amplitudes_of, frame_correlation, second_harmonic, target_background
 from charact.mtf.bars.bar_image_model import BarLikelihood
-from charact.mtf.bars.bias import mtf_bias
+from charact.mtf.bars.blur_models import TUBE
 from charact.mtf.bars.checks import (
+    bar_count_findings,
+    clipping_findings,
+    crowding_findings,
     findings_of_fit,
     findings_of_sums,
     fundamental_in_standard_errors,
     light_in_standard_errors,
+    likelier_bar_count,
+    margin_findings,
     not_identifiable,
+    rounding_findings,
+    sum_notes,
 )
-from charact.mtf.bars.fit import BarFit, fit_all_models, fit_frames
-from charact.mtf.bars.forms import TUBE
+from charact.mtf.bars.detection import target_in
+from charact.mtf.bars.fit import BarFit, fit_all_models, fit_frames, mtf_bias
 from charact.mtf.bars.nonlinearity import linearise_mtf_draws, response_findings, response_of
 from charact.mtf.bars.posterior import mtf_of, sample_fit, sample_sums
-from charact.mtf.bars.sight import target_in
-from charact.mtf.bars.target import BarTarget, core_margin_px, measure_frequency
-from charact.mtf.bars.thresholds import (
-    FITTED_PERIODS,
-    FITTED_PX,
-    FREQUENCY_TOLERANCE,
-    MIN_FREQUENCY_SIGNAL_SD,
-    MIN_LIGHT_SD,
-    MIN_MARGIN_PX,
-    MIN_SIGNAL_SD,
-    OTHER_OBJECT,
-    OTHER_OBJECT_SD,
+from charact.mtf.bars.target import (
+    BarTarget,
+    core_margin_px,
+    fitting_margin,
+    lost_fraction,
+    margin_px,
+    measure_frequency,
 )
-from charact.mtf.bars.window import fitting_margin, lost_fraction, margin_px
+from charact.mtf.bars.thresholds import ACCURACY, LIMITS
 from charact.mtf.image_lag import image_lag_model
 from labdata.flags import Finding
 from labdata.frames import FrameStack
@@ -48,18 +47,18 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, kw_only=True)
 class BarMeasurement:
-    """A target measured.
+    """A measured bar target.
 
     Parameters
     ----------
     target
-        Where it lies.
+        Position of the bars.
     posterior, mtf
         Draws, and the MTF of each.
     findings, notes
-        What to distrust, and what to know.
+        Findings, and notes.
     margin_px
-        How far the window reaches beyond the bars.
+        Margin of the window around the bars.
     """
 
     target: BarTarget
@@ -72,7 +71,7 @@ class BarMeasurement:
 
 @dataclass(frozen=True, kw_only=True)
 class BarRefusal:
-    """Why there is no number: the flag of a refusal and its sentence."""
+    """Refusal of a bar target: flag and reason."""
 
     reason: str
     flag: str = "no-target"
@@ -80,7 +79,7 @@ class BarRefusal:
 
 @dataclass(frozen=True, kw_only=True)
 class StatedBars:
-    """What is stated of a target, None where it is not: number of bars and cycles per column pitch."""
+    """Number of bars and cycles per column pitch as stated by the user; None: not stated."""
 
     bars: int | None
     frequency: float | None
@@ -91,27 +90,27 @@ class StatedBars:
 
     @property
     def remedy(self) -> str:
-        """The options that are left to state."""
+        """Options that would help."""
         options = [name for name, value in (("--bars", self.bars), ("--frequency", self.frequency)) if value is None]
-        return " and ".join([*options, "--roi"]) + " say what to look for, and where"
+        return " and ".join([*options, "--roi"]) + " narrow the search"
 
 
 def measure_bars_in(used: FrameStack, asked: StatedBars, context: Context) -> BarMeasurement | BarRefusal:
-    """Find and measure the target of a region."""
+    """Detect and measure the target of a region."""
     mean = used.data.mean(axis=0, dtype=np.float64)
     if asked.frequency and max(mean.shape) < (asked.bars or 2) / asked.frequency:
         size = f"{mean.shape[0]} x {mean.shape[1]} px"
-        return BarRefusal(reason=f"no target: {asked} need a larger region than {size}")
+        return BarRefusal(reason=f"no target: {asked} require a larger region, got {size}")
     seen = target_in(mean, bars=asked.bars, frequency=asked.frequency, pitch_ratio=context.pitch_ratio)
     if seen is None:
-        return BarRefusal(reason=f"no target: nothing in the region answers to {asked}; {asked.remedy}")
+        return BarRefusal(reason=f"no target: no group of {asked} found; {asked.remedy}")
     return (_measure_strip if seen.through else _measure_complete_target)(used, mean, seen.target, asked, context)
 
 
 def _measure_strip(
     used: FrameStack, mean: Array, target: BarTarget, asked: StatedBars, context: Context
 ) -> BarMeasurement | BarRefusal:
-    """Measure bars that run through the region."""
+    """Measure bars that cross the region."""
     turned = abs(np.sin(target.angle_rad)) > np.sqrt(0.5)
     target = replace(target, length_px=mean.shape[1] if turned else mean.shape[0] * target.pitch_ratio)
     problem = BarLikelihood(
@@ -126,42 +125,44 @@ def _measure_strip(
     if why is not None:
         return BarRefusal(reason=why, flag="aliased")
     fit, problem = fit_frames(used.data, problem, target, inflation=frame_correlation(used.data, problem.window))
-    if not light_in_standard_errors(fit) > MIN_LIGHT_SD:
-        return BarRefusal(reason=f"no target: the light of the bars is under {MIN_LIGHT_SD:g} standard errors")
+    if not light_in_standard_errors(fit) > LIMITS.min_light_sd:
+        return BarRefusal(
+            reason=f"no target: the light of the bars must be at least {LIMITS.min_light_sd:g} standard uncertainties"
+        )
     margin = _margin_px(fit.target, mean.shape)
     if not _is_in_region(fit):
         return _refuse_other_object(target, asked)
     return _sample_measurement(
-        used, fit, problem, context, asked, margin, findings.margin_findings(margin, MIN_MARGIN_PX)
+        used, fit, problem, context, asked, margin, margin_findings(margin, LIMITS.min_margin_px)
     )
 
 
 def _refuse_faint(standard_errors: float) -> BarRefusal:
     return BarRefusal(
-        reason=f"no target: the fundamental stands {standard_errors:.1f} standard errors out of the noise, "
-        f"fewer than {MIN_SIGNAL_SD:g}"
+        reason=f"no target: the fundamental is {standard_errors:.1f} standard uncertainties; "
+        f"at least {LIMITS.min_signal_sd:g} are required"
     )
 
 
 def _refuse_other_object(target: BarTarget, asked: StatedBars) -> BarRefusal:
     wanted = StatedBars(bars=target.bars, frequency=asked.frequency or float(f"{target.frequency:.4g}"))
-    return BarRefusal(reason=f"no target: the object's spectrum is not that of {wanted}; {asked.remedy}")
+    return BarRefusal(reason=f"no target: the spectrum of the object does not match {wanted}; {asked.remedy}")
 
 
 def _is_in_region(fit: BarFit) -> bool:
-    """Tell whether the fitted bars are of the sign seen, and lie in the region with their middle and some pixels."""
+    """Return whether the fitted bars have the detected sign and lie in the region."""
     (rows, cols), here = fit.window.shape, fit.target
     placed = 0 <= here.row < rows and 0 <= here.col < cols
     return placed and fit["level_dn"] * here.sign > 0 and bool(_illuminated_pixels(fit).any())
 
 
 def _illuminated_pixels(fit: BarFit) -> Mask:
-    """Return the fitted pixels that the bars change, shape (pixel,)."""
+    """Return the fitted pixels that the bars illuminate, shape (pixel,)."""
     return (fit.model_dn - fit["pedestal_dn"]) / fit["level_dn"] > 0.02
 
 
 def _margin_px(target: BarTarget, shape: tuple[int, ...]) -> float:
-    """Return how far a region reaches beyond bars that run through it, on the nearer side."""
+    """Return the margin of the region around bars that cross it, on the nearer side."""
     across, _ = target.coordinates((shape[0], shape[1]))
     return float(min(-across.min(), across.max()) - target.width_px / 2.0)
 
@@ -175,18 +176,18 @@ def _sample_measurement(
     margin: float,
     given: list[Finding],
 ) -> BarMeasurement:
-    """Draw the posterior of a fitted picture."""
+    """Sample the posterior of a fitted image and collect findings and notes."""
     own, notes = fit.target.frequency, []
     if asked.frequency is None:
         problem = replace(problem, asked=own)
-    elif abs(np.log(own / problem.asked)) > max(FREQUENCY_TOLERANCE, 3.0 * fit.sd("log_frequency")):
-        notes.append(f"The bars repeat at {own:.4g} cy/px, told is the MTF at {problem.asked:.4g}.")
+    elif abs(np.log(own / problem.asked)) > max(LIMITS.frequency_tolerance, 3.0 * fit.sd("log_frequency")):
+        notes.append(f"Measured bar frequency {own:.4g} cy/px; the MTF is reported at {problem.asked:.4g} cy/px.")
     if asked.bars is None:
         kind = "bright bars on a darker" if fit.target.sign > 0 else "dark bars on a brighter"
-        notes.append(f"The picture shows {fit.target.bars} {kind} ground.")
+        notes.append(f"Found {fit.target.bars} {kind} background.")
     forms = fit_all_models(fit, problem)
     _, fit, problem = forms[0]
-    # Forms that describe the picture alike bend alike; a full posterior is drawn of the best.
+    # Blur models that fit alike have about the same bias; the full posterior is that of the preferred one.
     bias = mtf_bias(fit, problem)
     posterior = sample_fit(fit, problem, context, bias)
     response = response_of(used, fit)
@@ -194,7 +195,7 @@ def _sample_measurement(
         _average_models(forms, mtf_of(posterior, fit, context), context, bias), response, context.seed
     )
     notes.append(f"Normalised to the light within {margin:.0f} px of the bars.")
-    notes.append("Bars taken to be half a period wide: of bars 1 % of that wider the MTF is told 1 % too low.")
+    notes.append("Bar width assumed to be half a period; a width error of 1 % biases the MTF by −1 %.")
     if context.sensor is None:
         notes.append("Pixels taken as square.")
     near = np.zeros(problem.window.shape, bool)
@@ -206,11 +207,11 @@ def _sample_measurement(
         findings=(
             *given,
             *findings_of_fit(fit),
-            *findings.bar_count_findings(likelier_bar_count(fit, problem), fit.target.bars),
-            *findings.rounding_findings(fit),
+            *bar_count_findings(likelier_bar_count(fit, problem), fit.target.bars),
+            *rounding_findings(fit),
             *response_findings(response),
-            # White is cut off where there is light, black mostly where there is none.
-            *findings.clipping_findings(used, (near, problem.window), context, fit),
+            # White clips where there is light, black mostly where there is none.
+            *clipping_findings(used, (near, problem.window), context, fit),
         ),
         notes=tuple(notes),
         margin_px=margin,
@@ -220,17 +221,17 @@ def _sample_measurement(
 def _average_models(
     forms: list[tuple[float, BarFit, BarLikelihood]], drawn: Array, context: Context, bias: float
 ) -> Array:
-    """Return draws over all forms, given those of the first.
+    """Return draws over all blur models, given those of the first.
 
-    Where the pixels ask for no other form than a tube's, what others would answer is doubt about its answer; where they
-    do, of each form as many draws are taken as its share.
+    If the tube model is first, the scatter of the other models is a systematic uncertainty; otherwise the draws are
+    mixed in proportion to the weights.
     """
-    (share, fit, _), others = forms[0], forms[1:]
+    (fraction, fit, _), others = forms[0], forms[1:]
     if fit.shape.form is TUBE:
         doubt = float(np.sqrt(sum(part * (one.shape.mtf - fit.shape.mtf) ** 2 for part, one, _ in others)))
         return drawn + doubt * np.random.default_rng([context.seed, 43]).standard_normal(drawn.size)
     quick = replace(context, quick=True)
-    parts = [(share, drawn)]
+    parts = [(fraction, drawn)]
     parts += [(part, mtf_of(sample_fit(one, its, quick, bias), one, quick)) for part, one, its in others]
     taken = [np.linspace(0, own.size - 1, round(part * drawn.size)).astype(np.intp) for part, own in parts]
     return np.concatenate([own[which] for (_, own), which in zip(parts, taken, strict=True)])
@@ -239,39 +240,43 @@ def _average_models(
 def _measure_complete_target(
     used: FrameStack, mean: Array, target: BarTarget, asked: StatedBars, context: Context
 ) -> BarMeasurement | BarRefusal:
-    """Measure a target that lies whole in the region."""
+    """Measure a target that lies completely in the region."""
     wanted = target
     margin, cut = fitting_margin(target, (mean.shape[0], mean.shape[1]), margin_px(context, target.frequency))
     window = target.box(mean.shape, margin)
     if np.count_nonzero(~window) < 50:
         return BarRefusal(
-            reason="no target: the region ends at the bars, and their pedestal cannot be told; widen --roi"
+            reason="no target: the region must include background beyond the bars (pedestal not measurable); "
+            "enlarge --roi"
         )
-    ground = target_background(mean, target, margin)
-    memory = None if context.sensor is None else image_lag_model(context, len(used.data))
-    amplitudes = amplitudes_of(used.data, target, window, ground.beyond, memory)
-    told = target.frequency
-    if amplitudes.signal_to_noise > MIN_FREQUENCY_SIGNAL_SD:
+    background = target_background(mean, target, margin)
+    image_lag = None if context.sensor is None else image_lag_model(context, len(used.data))
+    amplitudes = amplitudes_of(used.data, target, window, background.beyond, image_lag)
+    reported = target.frequency
+    if amplitudes.signal_to_noise > LIMITS.min_frequency_signal_sd:
         target = replace(target, frequency=measure_frequency(mean, target, margin))
-        # The bars' own frequency is a measurement too: where it is the one stated, that is where the MTF is told.
-        near = asked.frequency is not None and abs(target.frequency / told - 1.0) < FREQUENCY_TOLERANCE
-        told = told if near else target.frequency
-        amplitudes = amplitudes_of(used.data, target, window, ground.beyond, memory)
+        # The measured frequency is uncertain too: if it equals the stated one, the MTF is reported at that.
+        near = asked.frequency is not None and abs(target.frequency / reported - 1.0) < LIMITS.frequency_tolerance
+        reported = reported if near else target.frequency
+        amplitudes = amplitudes_of(used.data, target, window, background.beyond, image_lag)
     if context.sensor is not None:
         box = target.box(mean.shape, core_margin_px(wanted.frequency))
-        core = amplitudes_of(used.data, target, box, ground.beyond, memory)
-        if core.signal_to_noise < MIN_SIGNAL_SD:
+        core = amplitudes_of(used.data, target, box, background.beyond, image_lag)
+        if core.signal_to_noise < LIMITS.min_signal_sd:
             return _refuse_faint(core.signal_to_noise)
-    if not amplitudes.light > 0 or amplitudes.zeros > OTHER_OBJECT + OTHER_OBJECT_SD / amplitudes.signal_to_noise:
+    if (
+        not amplitudes.light > 0
+        or amplitudes.zeros > LIMITS.max_zeros + LIMITS.max_zeros_sd / amplitudes.signal_to_noise
+    ):
         return _refuse_other_object(target, asked)
-    # Where the alias lies so near, the bars' own frequency is not known either.
+    # A close alias makes the measured frequency uncertain too.
     why = not_identifiable(wanted, wanted.length_px) or not_identifiable(target, target.length_px)
     if why is not None:
         return BarRefusal(reason=why, flag="aliased")
-    second = second_harmonic(mean, target, window, float(mean[ground.beyond].mean()), amplitudes)
+    second = second_harmonic(mean, target, window, float(mean[background.beyond].mean()), amplitudes)
     given = findings_of_sums(target, amplitudes, second)
-    given += findings.crowding_findings(ground.crowded)
-    given += findings.margin_findings(margin, MIN_MARGIN_PX if cut else 0.0)
+    given += crowding_findings(background.crowded)
+    given += margin_findings(margin, LIMITS.min_margin_px if cut else 0.0)
     if context.sensor is not None:
         box = target.box(used.shape[1:], 1.0)
         posterior = sample_sums(amplitudes, lost_fraction(context, margin), context)
@@ -280,12 +285,14 @@ def _measure_complete_target(
             target=target,
             posterior=posterior,
             mtf=posterior["mtf"],
-            findings=(*given, *findings.clipping_findings(used, (box,), context)),
-            notes=(*findings.sum_notes(target, wanted, amplitudes, stated=asked.frequency is not None), *notes),
+            findings=(*given, *clipping_findings(used, (box,), context)),
+            notes=(*sum_notes(target, wanted, amplitudes, stated=asked.frequency is not None), *notes),
             margin_px=margin,
         )
     inflation = amplitudes.frame_correlation
-    return _measure_by_fit(used, mean, target, ground.beyond | window, context, asked, (told, given, margin, inflation))
+    return _measure_by_fit(
+        used, mean, target, background.beyond | window, context, asked, (reported, given, margin, inflation)
+    )
 
 
 def _measure_by_fit(
@@ -297,20 +304,20 @@ def _measure_by_fit(
     asked: StatedBars,
     known: tuple[float, list[Finding], float, float],
 ) -> BarMeasurement | BarRefusal:
-    """Fit the picture of a whole target to the pixels around it that hold no other light."""
-    told, given, margin, inflation = known
-    window = target.box(mean.shape, max(FITTED_PX, FITTED_PERIODS / target.frequency)) & clear
+    """Fit a complete target to the pixels around it that have no other light."""
+    reported, given, margin, inflation = known
+    window = target.box(mean.shape, max(ACCURACY.fit_margin_px, ACCURACY.fit_margin_periods / target.frequency)) & clear
     problem = BarLikelihood(
         image=mean,
         window=window,
         variance=np.full(np.count_nonzero(window), float(mean[window].var()) or 1.0),
-        asked=told,
+        asked=reported,
         length_px=target.length_px,
         strip=False,
     )
     fit, problem = fit_frames(used.data, problem, target, inflation=inflation)
     standing = fundamental_in_standard_errors(fit)
-    if standing < MIN_SIGNAL_SD:
+    if standing < LIMITS.min_signal_sd:
         return _refuse_faint(standing)
     if not _is_in_region(fit):
         return _refuse_other_object(target, asked)

@@ -1,65 +1,53 @@
-"""The picture of a bar target fitted to its pixels, with the errors that the noise really there makes."""
+"""Fit of a bar target's image to its pixels, with the covariance and bias by the actual noise."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.bars.bar_image_model import BarImageModel, BarLikelihood, initial_parameters, priors
-from charact.mtf.bars.bar_spectrum import BarShape
-from charact.mtf.bars.forms import BLUR_MODELS
+from charact.mtf.bars.bar_image_model import BarImageModel, BarLikelihood, BarShape, initial_parameters, priors
+from charact.mtf.bars.blur_models import BLUR_MODELS
 from charact.mtf.bars.noise import BarWindowNoise, noise_of, noise_of_one
 from charact.mtf.bars.target import BarTarget
-from charact.mtf.rounding import rounding_shifts
+from charact.mtf.bars.thresholds import ACCURACY, LIMITS
+from charact.mtf.quantisation_checks import rounding_shifts
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-ITERATIONS, SETTLED, ROUGHLY, NEAR_END = 12, 3e-3, 0.1, 2
-# Shares of a step that are tried until one betters the fit.
-STEP_FRACTIONS = (1.0, 0.4, 0.1, 0.02)
-# Standard errors by which the pixels must ask for another form before there is one: it costs others their certainty.
-MIN_PREFERENCE_SD = 3.0
-# A form of less weight than this changes no interval.
-MIN_WEIGHT = 0.01
-# Forms begin where they are most like the one fitted, over these multiples of the bars' frequency.
-LIKE, LIKE_PLACES = (0.02, 3.0), 40
-# Least variance of a pixel, on the square of the bars' height: the table of the picture is no better.
-MIN_VARIANCE = 1e-8
-
 
 @dataclass(frozen=True, kw_only=True)
 class BarFit:
-    """A picture fitted.
+    """A fitted image.
 
     Parameters
     ----------
     target
-        Where the bars lie.
+        Position of the bars.
     shape
-        Their picture.
+        Parameters of their image.
     names, value, covariance
-        Parameters, their values and covariance.
+        Parameter names, values and covariance.
     residual_dn, model_dn
-        Pixels less the picture, and the picture, shape (pixel,).
+        Pixels less the image, and the image, shape (pixel,).
     slope
-        Derivatives of the picture, shape (parameter, pixel).
+        Derivatives of the image, shape (parameter, pixel).
     inverse
         Inverse of the normal matrix, priors included, shape (parameter, parameter).
     estimator
-        What each pixel weighs in each parameter, shape (parameter, pixel).
+        Weight of each pixel in each parameter, shape (parameter, pixel).
     noise_covariance
-        The part of the covariance that the noise makes.
+        The part of the covariance that is due to noise.
     prior_mean, precision
         Of the priors, shape (parameter,); precision 0: none.
     window
-        Which pixels were used, shape (row, col).
+        Pixels used, shape (row, col).
     noise
         Noise of the pixels.
     strip
-        Whether the bars run through the window.
+        Whether the bars cross the complete window.
     cost
-        Chi squared, and what the priors add to it.
+        Chi squared with the priors' terms.
     """
 
     target: BarTarget
@@ -95,7 +83,7 @@ class BarFit:
 
     @property
     def ln_mtf_slope(self) -> Array:
-        """Derivatives of ln of the MTF at the reference frequency, shape (parameter,)."""
+        """Derivatives of ln MTF at the reference frequency, shape (parameter,)."""
         slope = np.zeros(len(self.names))
         slope[self.names.index("log_attenuation")] = -np.exp(self["log_attenuation"])
         slope[self.names.index("departure")] = 1.0 / (1.0 + self["departure"])
@@ -108,36 +96,36 @@ def fit_bars(
     start: dict[str, float],
     noise: BarWindowNoise | None = None,
     *,
-    tolerance: float = SETTLED,
+    tolerance: float = ACCURACY.fit_tolerance,
     hopeless: float = np.inf,
 ) -> BarFit:
-    """Fit the picture by damped Gauss-Newton steps, given up where they lead to no less than a hopeless cost.
+    """Fit the image by damped Gauss-Newton steps; stop early if the cost cannot fall below `hopeless`.
 
-    The noise, if known, tells the covariance.
+    The noise, if given, sets the covariance.
 
     Notes
     -----
-    Weighted least squares is a linear estimator near its answer, E = (J' W J + P)^-1 J' W: whatever the correlation
-    between pixels, its covariance is E S E' + the priors' part.
+    Near its optimum weighted least squares is a linear estimator, E = (J' W J + P)^-1 J' W. For any correlation between
+    pixels its covariance is E S E' plus the priors' part.
     """
-    picture, names = BarImageModel(problem, target), problem.names
+    image, names = BarImageModel(problem, target), problem.names
     theta = np.array([start[name] for name in names])
-    here = _evaluate_point(picture, theta, picture.shape(start).pixel)
+    here = _evaluate_point(image, theta, image.shape(start).pixel)
     bounds = np.array([problem.bounds.get(name, (-np.inf, np.inf)) for name in names])
-    for step in range(ITERATIONS):
-        there, expected = _gauss_newton_step(picture, here, bounds)
+    for step in range(ACCURACY.fit_iterations):
+        there, expected = _gauss_newton_step(image, here, bounds)
         if there is None:
             break
         gained, here = here.cost - there.cost, there
-        # Near its end a fit gains by a step at least as much as by all that follow it.
-        if expected < tolerance or (step >= NEAR_END and here.cost - max(gained, expected) > hopeless):
+        # Near the optimum a step gains at least as much as all later steps.
+        if expected < tolerance or (step >= ACCURACY.give_up_after and here.cost - max(gained, expected) > hopeless):
             break
-    return _fit_at(problem, target, picture, here, noise)
+    return _fit_at(problem, target, image, here, noise)
 
 
 @dataclass(frozen=True, kw_only=True)
 class _FitPoint:
-    """A point on the way to a fit: the picture there, its slopes, its cost and the priors in it."""
+    """A point of the optimisation: image, slopes, cost and priors."""
 
     theta: Array
     model: Array
@@ -149,7 +137,7 @@ class _FitPoint:
 
 
 def _evaluate_point(picture: BarImageModel, theta: Array, pixel: float) -> _FitPoint:
-    """Return the picture at a point; `pixel` is the aperture's transfer, which the priors need for the MTF."""
+    """Return the image at a point; the priors need `pixel`, the transfer of the aperture."""
     problem = picture.problem
     model, slope = picture(dict(zip(problem.names, theta, strict=True)))
     mean, precision = priors(problem, float(pixel * np.exp(-np.exp(theta[0]))))
@@ -159,17 +147,17 @@ def _evaluate_point(picture: BarImageModel, theta: Array, pixel: float) -> _FitP
 
 
 def _gauss_newton_step(picture: BarImageModel, here: _FitPoint, bounds: Array) -> tuple[_FitPoint | None, float]:
-    """Return a better point along the Gauss-Newton step, None if there is none, and the gain that was expected."""
+    """Return a better point along the Gauss-Newton step, None if there is none, and the expected gain."""
     problem = picture.problem
-    weighed = here.slope / problem.variance
-    normal = weighed @ here.slope.T + np.diag(here.precision)
-    gradient = weighed @ (problem.image[problem.window] - here.model) + here.precision * (here.mean - here.theta)
-    # What moves nothing, such as the shape of bars of no light, has no slope.
+    weighted = here.slope / problem.variance
+    normal = weighted @ here.slope.T + np.diag(here.precision)
+    gradient = weighted @ (problem.image[problem.window] - here.model) + here.precision * (here.mean - here.theta)
+    # Parameters without effect, such as the shape of bars without light, have no slope.
     felt = np.diag(normal)
     scale = 1.0 / np.sqrt(np.where(felt > 0.0, felt, 1.0))
     step = scale * np.linalg.solve(normal * np.outer(scale, scale) + 1e-9 * np.eye(len(scale)), scale * gradient)
-    for share in STEP_FRACTIONS:
-        there = _evaluate_point(picture, np.clip(here.theta + share * step, bounds[:, 0], bounds[:, 1]), here.pixel)
+    for fraction in ACCURACY.step_fractions:
+        there = _evaluate_point(picture, np.clip(here.theta + fraction * step, bounds[:, 0], bounds[:, 1]), here.pixel)
         if there.cost < here.cost:
             return there, float(gradient @ step)
     return None, 0.0
@@ -179,10 +167,10 @@ def _fit_at(
     problem: BarLikelihood, target: BarTarget, picture: BarImageModel, here: _FitPoint, noise: BarWindowNoise | None
 ) -> BarFit:
     """Return the fit at a point with its covariance."""
-    weighed = here.slope / problem.variance
-    normal = weighed @ here.slope.T + np.diag(here.precision)
+    weighted = here.slope / problem.variance
+    normal = weighted @ here.slope.T + np.diag(here.precision)
     inverse = np.asarray(np.linalg.pinv(normal, rcond=1e-14, hermitian=True), dtype=np.float64)
-    estimator = inverse @ weighed
+    estimator = inverse @ weighted
     noise = noise or BarWindowNoise(variance=problem.variance, correlation=np.ones((1, 1)))
     spread = noise.spread(estimator, problem.window)
     point = dict(zip(problem.names, here.theta.tolist(), strict=True))
@@ -208,7 +196,7 @@ def _fit_at(
 
 
 def _target_at(target: BarTarget, point: dict[str, float]) -> BarTarget:
-    """Return the target where the fit has put it."""
+    """Return the target at the fitted position, direction and frequency."""
     cosine, sine = np.cos(point["angle_rad"]), np.sin(point["angle_rad"])
     across, along = point["across_px"], point.get("along_px", 0.0)
     return replace(
@@ -223,55 +211,57 @@ def _target_at(target: BarTarget, point: dict[str, float]) -> BarTarget:
 def fit_frames(
     frames: Array, problem: BarLikelihood, target: BarTarget, *, inflation: float = 1.0
 ) -> tuple[BarFit, BarLikelihood]:
-    """Fit the mean of frames with the noise that is in them; return the problem with each pixel's variance too.
+    """Fit the mean of frames with its noise; return the likelihood with each pixel's variance too.
 
     Parameters
     ----------
     frames
-        Shape (frame, row, col); of one alone the noise is what a first fit leaves over.
+        Shape (frame, row, col); for one frame the noise is estimated from the residuals of a first fit.
     inflation
-        Factor by which light that lingers widens the error of the mean, on its square.
+        Variance factor of the mean by image lag.
     """
-    first = fit_bars(problem, target, initial_parameters(problem, target), tolerance=ROUGHLY)
-    window, ground = problem.window, first["pedestal_dn"]
+    first = fit_bars(problem, target, initial_parameters(problem, target), tolerance=ACCURACY.rough_tolerance)
+    window, background = problem.window, first["pedestal_dn"]
     if len(frames) > 1:
-        noise = noise_of(frames, first.model_dn, window, ground_dn=ground, inflation=inflation)
+        noise = noise_of(frames, first.model_dn, window, ground_dn=background, inflation=inflation)
     else:
-        # As much as white noise of what is left over would make of it.
+        # Start from white noise.
         spread = first.noise_covariance * np.mean(first.residual_dn**2) / np.mean(problem.variance)
         for _ in range(2):
             absorbed = _root(spread).T @ first.slope
-            noise = noise_of_one(first.residual_dn, first.model_dn, absorbed, window, ground_dn=ground)
+            noise = noise_of_one(first.residual_dn, first.model_dn, absorbed, window, ground_dn=background)
             spread = noise.spread(first.estimator, window)
-        # What rounding shifts alike stays in the picture: it is not in what a fit leaves over.
+        # A common quantisation shift is absorbed by the image: the residuals do not contain it.
         if frames.dtype.kind in "ui":
             noise = replace(noise, rounding=rounding_shifts(first.model_dn, noise.variance))
-    # No pixel weighs more than the average one: steep weights carry the noise of the first fit into the second.
-    least = max(float(noise.variance.mean()), MIN_VARIANCE * first["level_dn"] ** 2)
-    weighed = replace(problem, variance=np.maximum(noise.variance, least))
-    return fit_bars(weighed, target, first.values, noise), weighed
+    # No pixel weighs more than the average one: unequal weights carry the noise of the first fit into the second.
+    least = max(float(noise.variance.mean()), ACCURACY.min_variance * first["level_dn"] ** 2)
+    likelihood = replace(problem, variance=np.maximum(noise.variance, least))
+    return fit_bars(likelihood, target, first.values, noise), likelihood
 
 
 def fit_all_models(fit: BarFit, problem: BarLikelihood) -> list[tuple[float, BarFit, BarLikelihood]]:
-    """Return the fits of all forms that count, the weight of each and what it fits, the one that stands first.
+    """Fit all blur models; return weight, fit and likelihood of those that count, the preferred one first.
 
     Parameters
     ----------
     fit
-        A fit of one form.
+        Fit of one blur model.
     problem
-        What is fitted; its MTF may be asked for at another frequency than that of the fit.
+        Its likelihood; the reported frequency may differ from that of the fit.
 
     Notes
     -----
-    Weights are evidences (Laplace): exp(-chi^2 / 2), of noise that neighbours share as much less, times what the pixels
-    leave of the priors of a form's numbers. Where several forms describe a picture alike, their answers are all drawn.
-    A tube's form, which can be almost any blur's to first order, is the first until the pixels ask for another.
+    Weights are evidences by Laplace's approximation: exp(-chi^2 / 2), chi^2 divided by the correlation sum, times the
+    posterior-to-prior widths of the model's two parameters. The tube model, which approximates almost any blur to first
+    order, stays first unless the data clearly prefer another.
     """
     shape, ratio = fit.shape, problem.asked / fit.shape.reference
-    places = np.log(np.geomspace(LIKE[0], LIKE[1], LIKE_PLACES) * ratio)
+    positions = np.log(
+        np.geomspace(ACCURACY.matched_range[0], ACCURACY.matched_range[1], ACCURACY.matched_points) * ratio
+    )
     now = (float(np.exp(shape.log_attenuation)), shape.form_one, shape.form_two)
-    core = np.exp(shape.form.ln(places, *now))
+    core = np.exp(shape.form.ln(positions, *now))
     attenuation = -float(shape.form.ln(np.log([ratio]), *now)[0])
     fits, least = [], fit.cost
     for form in BLUR_MODELS:
@@ -279,18 +269,25 @@ def fit_all_models(fit: BarFit, problem: BarLikelihood) -> list[tuple[float, Bar
         if form is shape.form and ratio == 1.0:
             fits.append((fit, own))
             continue
-        scale, (log_attenuation, one, two) = form.nearest(places - np.log(ratio), core, attenuation)
+        scale, (log_attenuation, one, two) = form.nearest(positions - np.log(ratio), core, attenuation)
         start = {**fit.values, "across_px": 0.0, "along_px": 0.0, "level_dn": scale * fit["level_dn"]}
         start |= {"log_attenuation": float(log_attenuation), "form_one": float(one), "form_two": float(two)}
-        hopeless = least - 2.0 * fit.noise.tied * np.log(MIN_WEIGHT)
+        hopeless = least - 2.0 * fit.noise.correlation_sum * np.log(ACCURACY.min_model_weight)
         fits.append((fit_bars(own, fit.target, start, fit.noise, hopeless=hopeless), own))
         least = min(least, fits[-1][0].cost)
-    asked = min(one.cost for one, _ in fits[1:]) < fits[0][0].cost - MIN_PREFERENCE_SD**2 * fit.noise.tied
-    weighed = [(share, *one) for share, one in zip(_weights(fits), fits, strict=True) if share > MIN_WEIGHT]
-    if not asked:
+    is_preferred = (
+        min(one.cost for one, _ in fits[1:])
+        < fits[0][0].cost - LIMITS.min_model_preference_sd**2 * fit.noise.correlation_sum
+    )
+    weighted = [
+        (fraction, *one)
+        for fraction, one in zip(_weights(fits), fits, strict=True)
+        if fraction > ACCURACY.min_model_weight
+    ]
+    if not is_preferred:
         plain = (_weights(fits)[0], *fits[0])
-        return [plain, *(one for one in weighed if one[1] is not fits[0][0])]
-    return sorted(weighed, key=lambda one: -one[0])
+        return [plain, *(one for one in weighted if one[1] is not fits[0][0])]
+    return sorted(weighted, key=lambda one: -one[0])
 
 
 def _weights(fits: list[tuple[BarFit, BarLikelihood]]) -> list[float]:
@@ -301,15 +298,104 @@ def _weights(fits: list[tuple[BarFit, BarLikelihood]]) -> list[float]:
 
 
 def _ln_evidence(fit: BarFit, problem: BarLikelihood) -> float:
-    """Return ln of how likely the picture is, and of what the pixels leave of the priors of its form."""
+    """Return ln evidence by Laplace's approximation."""
     left = [
         min(fit.sd(name) / prior[1], 1.0)
         for name, prior in (("form_one", problem.form.one), ("form_two", problem.form.two))
     ]
-    return -0.5 * fit.cost / fit.noise.tied + float(np.sum(np.log(np.maximum(left, 1e-6))))
+    return -0.5 * fit.cost / fit.noise.correlation_sum + float(np.sum(np.log(np.maximum(left, 1e-6))))
 
 
 def _root(covariance: Array) -> Array:
-    """Return a matrix whose square is a covariance, shape (parameter, parameter)."""
+    """Return a matrix R with R R' equal to a covariance, shape (parameter, parameter)."""
     values, vectors = np.linalg.eigh(covariance)
     return vectors * np.sqrt(np.maximum(values, 0.0))
+
+
+def mtf_bias(fit: BarFit, problem: BarLikelihood) -> float:
+    """Return the expected excess of the fitted MTF by noise.
+
+    Notes
+    -----
+    A phase, direction or frequency that follows the noise raises the bars' amplitude. With slopes J, second derivatives
+    H, weights W, estimator E = (J' W J + P)^-1 J' W and noise covariance S the bias of the estimate is (Box 1971, doi
+    10.1111/j.2517-6161.1971.tb00871.x, for weights that may differ from the noise's)
+
+        b = (J' W J + P)^-1 [sum_k H_k' W q_k - J' W tr(H C) / 2],   C = E S E',   q = (1 - J E) S E',
+
+    and that of the MTF M is M' b + tr(M'' C) / 2, to second order in the noise. It is neglected for an MTF of less than
+    1.5 % uncertainty.
+    """
+    own = [fit.names.index("log_attenuation"), fit.names.index("departure")]
+    first, second = _mtf_slopes(fit)
+    covariance = fit.noise_covariance
+    if first @ covariance[np.ix_(own, own)] @ first < (ACCURACY.negligible_bias_sd * fit.shape.mtf) ** 2:
+        return 0.0
+    shared = fit.noise.covariance_with(fit.estimator, fit.window)
+    unlike = shared - covariance @ fit.slope
+    bends = _bends(fit, problem)
+    pull = np.zeros(len(fit.names))
+    bent = np.zeros(fit.slope.shape[1])
+    for (one, other), bend in bends.items():
+        pull[one] += np.sum(bend * unlike[other] / problem.variance)
+        bent += covariance[one, other] * bend
+        if one != other:
+            pull[other] += np.sum(bend * unlike[one] / problem.variance)
+            bent += covariance[one, other] * bend
+    off = fit.inverse @ pull - 0.5 * fit.estimator @ bent
+    return float(first @ off[own] + 0.5 * np.sum(second * covariance[np.ix_(own, own)]))
+
+
+def rounding_sd(fit: BarFit) -> float:
+    """Return the relative standard uncertainty of the MTF by quantisation."""
+    rounding = fit.noise.rounding
+    if rounding is None or not len(rounding):
+        return 0.0
+    own = [fit.names.index("log_attenuation"), fit.names.index("departure")]
+    moved = rounding @ fit.estimator[own].T @ _mtf_slopes(fit)[0]
+    return float(np.sqrt(np.mean(moved**2))) / fit.shape.mtf
+
+
+def _mtf_slopes(fit: BarFit) -> tuple[Array, Array]:
+    """Return the MTF's first and second derivatives by log attenuation and departure."""
+    attenuation = np.exp(fit["log_attenuation"])
+    family = fit.shape.pixel * np.exp(-attenuation)
+    whole = fit.shape.mtf
+    by_both = -attenuation * family
+    second = np.array([[whole * attenuation * (attenuation - 1.0), by_both], [by_both, 0.0]])
+    return np.array([-attenuation * whole, family]), second
+
+
+def _bends(fit: BarFit, problem: BarLikelihood) -> dict[tuple[int, int], Array]:
+    """Return the image's second derivatives over the pixels by pair of parameters.
+
+    Level, pedestal and departure enter linearly: they have mixed derivatives only.
+    """
+    image, index = BarImageModel(problem, fit.target), fit.names.index
+    here = {**fit.values, **{name: 0.0 for name in ("across_px", "along_px") if name in fit.names}}
+    bends: dict[tuple[int, int], Array] = {}
+    for name, step in _steps(fit, image).items():
+        up, down = (image({**here, name: here[name] + sign * step})[1] for sign in (1.0, -1.0))
+        own = index(name)
+        for other, bend in enumerate((up - down) / (2.0 * step)):
+            pair = (min(own, other), max(own, other))
+            bends[pair] = 0.5 * (bends[pair] + bend) if pair in bends else bend
+    departure, level = index("departure"), index("level_dn")
+    bends[departure, level] = fit.slope[departure] / fit["level_dn"]
+    return bends
+
+
+def _steps(fit: BarFit, picture: BarImageModel) -> dict[str, float]:
+    """Return the finite-difference step of each nonlinear parameter, for positions part of a period."""
+    reach = picture.reach
+    move = min(ACCURACY.position_step_periods / fit.target.frequency, ACCURACY.max_position_step_px)
+    steps = {
+        "log_attenuation": ACCURACY.shape_step,
+        "form_one": ACCURACY.shape_step,
+        "log_frequency": ACCURACY.shape_step / fit.target.bars,
+        "log_length": ACCURACY.shape_step / fit.target.bars,
+        "across_px": move,
+        "along_px": move,
+        "angle_rad": move / reach[1],
+    }
+    return {name: step for name, step in steps.items() if name in fit.names}

@@ -1,20 +1,79 @@
-"""The forward method for bar targets: the exact spectrum of N finite bars, fitted to the pixels."""
+"""Forward method for bar targets: the exact spectrum of N finite bars, fitted to the pixels."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 import charact
 from charact.method import Context, register
-from charact.mtf.bars import findings
+from charact.mtf.bars.bar_image_model import BarShape, table_of
 from charact.mtf.bars.bar_measurement import BarRefusal, StatedBars, measure_bars_in
-from charact.mtf.bars.motion import measure_bar_motion
-from charact.mtf.bars.profile import bar_profile
-from charact.mtf.bars.thresholds import MIN_FUNDAMENTAL_SD
-from charact.mtf.region import Region
-from charact.mtf.target_motion import MAX_UNFLAGGED_SD
+from charact.mtf.bars.blur_models import TUBE
+from charact.mtf.bars.checks import faintness_finding, misfit_finding, motion_finding, posterior_findings
+from charact.mtf.bars.target import BarTarget
+from charact.mtf.bars.thresholds import ACCURACY, LIMITS
+from charact.mtf.blur_models import transfer as forms
+from charact.mtf.mean_frame import Region
+from charact.mtf.target_motion import TargetMotion, measure_line_motion
+from charact.mtf.thresholds import LIMITS as MTF_LIMITS
 from labdata.frames import FrameStack
 from labdata.measurement import Provenance, Result, make_refusal, measurement_from_draws
 
+Array = NDArray[np.float64]
+
 METHOD = "bars-forward"
+
+
+def measure_bar_motion(used: FrameStack, target: BarTarget) -> TargetMotion:
+    """Return the motion of a target across its bars through a stack."""
+    across, along = target.coordinates(used.data.shape[1:])
+    inside = (np.abs(across) < target.width_px / 2.0 + ACCURACY.motion_margin_periods / target.frequency) & (
+        np.abs(along) < target.length_px / 2.0
+    )
+    if not inside.any():
+        return TargetMotion()
+    line = np.floor(along).astype(np.int64)
+    return measure_line_motion(list(used.data), across, line - line[inside].min(), inside)
+
+
+def bar_profile(used: FrameStack, target: BarTarget, mtf: float) -> dict:
+    """Return the mean profile across the bars and a model with the measured MTF, as figure data.
+
+    The model has the tube transfer exp(-(f/fc)^1.2) with the measured value at the fundamental.
+    """
+    across, along = target.coordinates(used.shape[1:])
+    mean = used.data.mean(axis=0, dtype=np.float64)
+    near = (np.abs(along) < 0.3 * target.length_px) & (np.abs(across) < target.width_px / 2 + 1.5 / target.frequency)
+    edges = np.arange(across[near].min(), across[near].max() + 0.25, max(0.25, 0.04 / target.frequency))
+    position = np.digitize(across[near], edges)
+    count = np.bincount(position, minlength=len(edges) + 1)[1:-1]
+    filled = count > 0
+    value = np.bincount(position, mean[near], minlength=len(edges) + 1)[1:-1][filled] / count[filled]
+    distance = (0.5 * (edges[1:] + edges[:-1]))[filled]
+    shape = _model_profile(distance, target, mtf)
+    scale, level = np.polyfit(shape, value, 1) if shape.std() > 0 else (0.0, float(value.mean()))
+    model = level + scale * shape
+    return {
+        "figure": "bars",
+        "distance_px": distance.tolist(),
+        "value_dn": value.tolist(),
+        "model_dn": model.tolist(),
+        "residual_dn": (value - model).tolist(),
+        "frequency_cy_per_px": target.frequency,
+        "mtf": mtf,
+    }
+
+
+def _model_profile(distance: Array, target: BarTarget, mtf: float) -> Array:
+    """Return N blurred bars at distances from their centre, 1 on a wide bar."""
+    frequency = target.frequency
+    pixel = float(forms.aperture(np.array([frequency]), target.angle_rad)[0])
+    core = float(np.clip(mtf / pixel, 1e-3, 0.999))
+    shape = BarShape(
+        bars=target.bars, frequency=frequency, length_px=np.inf, reference=frequency, form=TUBE,
+        log_attenuation=float(np.log(-np.log(core))), form_one=float(np.log(ACCURACY.figure_exponent)), form_two=0.0,
+        departure=0.0, angle_rad=target.angle_rad,
+    )  # fmt: skip
+    return table_of(shape, float(np.abs(distance).max()), 1.0).at(distance, distance)[0]
 
 
 @register(
@@ -22,15 +81,15 @@ METHOD = "bars-forward"
     METHOD,
     quantities=("mtf",),
     scope=(
-        "Two to sixty bars, brighter or darker than an even ground and as wide as their gaps, in any direction, whole "
-        "with their blur inside the region, or running through it within 12 degrees of an axis; fundamental over 5 "
-        "standard errors. Number and frequency are found from three bars on where they are not stated. A camera that "
-        "is not described is taken to blur as a tube, a lens, a Moffat or two Gaussians do. Broken by clipping and "
-        "motion between fields (not seen of bars along rows). A curved response is seen in the picture and in noise "
-        "that does not grow as the light, and what neither shows of it is in the interval. A camera that sharpens is "
-        "flagged where what it takes off stands over 3.5 standard errors. "
-        "Untilted bars near the sampling limit are refused; one bar more or fewer than stated is flagged where each "
-        "can be seen."
+        "Two to sixty bars as wide as their gaps, brighter or darker than a uniform background, in any direction, "
+        "completely inside the region with their blur, or crossing it within 12 degrees of an axis; fundamental over "
+        "5 standard uncertainties. Number and frequency are measured from three bars on if not stated. Without a "
+        "sensor description the blur is modelled as a tube, a lens, a Moffat or two Gaussians. Invalid with clipping "
+        "and motion between fields (undetectable for bars along rows). A nonlinear response is detected in the image "
+        "and in noise that does not grow as the light; the interval includes undetected nonlinearity. Sharpening is "
+        "flagged above 3.5 standard uncertainties. "
+        "Untilted bars near the sampling limit are refused; one bar more or fewer than stated is flagged where "
+        "detectable."
     ),
 )
 def bars_forward(
@@ -48,44 +107,45 @@ def bars_forward(
     stack
         Frames of one target.
     region
-        ROW, COL, HEIGHT, WIDTH that holds the whole target and its blur, or a strip across all bars; None: the whole
-        frame.
+        ROW, COL, HEIGHT, WIDTH that contains the complete target and its blur, or a strip across all bars; None: the
+        whole frame.
     bars
-        Number of bars; None: counted in the picture.
+        Number of bars; None: counted in the image.
     frequency_cy_per_px
-        Their frequency, cycles per column pitch across them; None: found in the picture, where the MTF is told.
+        Bar frequency, cycles per column pitch across the bars, at which the MTF is reported; None: measured.
     context
-        Seed, whether a Markov chain is wanted, and the camera.
+        Seed, speed and camera.
 
     Returns
     -------
     Result
-        `mtf` at the fundamental, and the profile across the bars as evidence.
+        `mtf` at the fundamental, and the profile across the bars as figure data.
 
     Notes
     -----
-    The spectrum of N bars of width w = 1/(2 f) and pitch P is O(v) = w sinc(v w) sin(pi N v P) / sin(pi v P); at their
-    own frequency it is (2/pi) O(0), so that MTF(f) = (pi/2) |I(f)| / I(0), I the spectrum of the image over its
-    pedestal. The picture O times a transfer of the form exp(-(f/fc)^n), free to depart from it at f, and the pixel is
-    fitted to the pixels as they are sampled. Of a camera described, whose halo is wide and known, whole targets are
-    summed instead; what its tails carry beyond the window is a parameter with a prior from the camera's ranges.
+    The spectrum of N bars of width w = 1/(2 f) and pitch P is O(v) = w sinc(v w) sin(pi N v P) / sin(pi v P). At the
+    bar frequency it is (2/pi) O(0), so that MTF(f) = (pi/2) |I(f)| / I(0), I the spectrum of the image above its
+    pedestal. O times a blur model, with a free departure at f, and the pixel aperture is fitted to the pixels. For a
+    camera with a description, whose halo is wide and known, complete targets are summed instead; the light beyond the
+    window is a parameter with a prior from the description.
     """
     used = stack if region is None else stack.region(*region)
     where = region or (0, 0, *used.shape[1:])
-    asked = StatedBars(bars=bars, frequency=frequency_cy_per_px)
-    found = measure_bars_in(used, asked, context)
+    stated = StatedBars(bars=bars, frequency=frequency_cy_per_px)
+    found = measure_bars_in(used, stated, context)
     if isinstance(found, BarRefusal):
-        return _nothing(found, where, asked, context)
-    doubts = [*found.findings, *findings.posterior_findings(found.posterior.flags)]
+        return _nothing(found, where, stated, context)
+    doubts = [*found.findings, *posterior_findings(found.posterior.flags)]
     if np.quantile(found.mtf, 0.025) > 1.0:
-        doubts.append(
-            findings.misfit_finding(f"the MTF is {100 * found.mtf.mean() - 100:.1f} % over one, which no blur has")
-        )
-    if found.mtf.mean() < MIN_FUNDAMENTAL_SD * found.mtf.std():
-        doubts.append(findings.faintness_finding(float(found.mtf.mean()), float(found.mtf.std())))
-    wander = measure_bar_motion(used, found.target)
-    if wander.moves and wander.mtf_loss(found.target.frequency) * found.mtf.mean() > MAX_UNFLAGGED_SD * found.mtf.std():
-        doubts.append(findings.motion_finding(wander, found.target.frequency))
+        doubts.append(misfit_finding(f"the MTF must be at most 1, got {100 * found.mtf.mean() - 100:.1f} % more"))
+    if found.mtf.mean() < LIMITS.min_mtf_sd * found.mtf.std():
+        doubts.append(faintness_finding(float(found.mtf.mean()), float(found.mtf.std())))
+    motion = measure_bar_motion(used, found.target)
+    if (
+        motion.moves
+        and motion.mtf_loss(found.target.frequency) * found.mtf.mean() > MTF_LIMITS.max_motion_sd * found.mtf.std()
+    ):
+        doubts.append(motion_finding(motion, found.target.frequency))
     measurement = measurement_from_draws(
         "mtf",
         "1",

@@ -1,7 +1,4 @@
-"""Groups of bars of one camera taken together: one MTF curve through the readings at their fundamentals.
-
-A user meets it where several groups are measured: in one frame (`charact mtf bars FILE`) and in one session.
-"""
+"""One MTF curve through several bar groups of a camera."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,40 +11,138 @@ from scipy.special import chdtrc
 import charact
 from charact.method import Context
 from charact.method.stopwatch import with_timing
-from charact.mtf.bars.group_curve_model import GroupCurveModel
+from charact.mtf.bars.thresholds import LIMITS
+from charact.mtf.blur_models import transfer as forms
 from charact.mtf.curve import REPORTED, crossing_frequency, curve_of
+from charact.mtf.session.joint_model import KnownCameraTransfer
+from charact.mtf.session.stage_transfers import prior_sd_of
 from charact.posterior import find_maximum, importance_sample, sample
 from labdata.errors import BadInput
 from labdata.measurement import Curve, Measurement, Posterior, Provenance, Result, make_refusal, measurement_from_draws
 
 Array = NDArray[np.float64]
 
+# Bounds of half frequency (cycles per column pitch), exponent and halo fraction.
+BOUNDS = ((0.01, 1.5), (0.7, 3.5), (0.0, 0.5))
+NAMES, UNITS = ("half_frequency", "exponent", "halo_fraction"), ("cy/px", "1", "1")
+# Mean and standard deviation of the exponent: between 2, a Gaussian, and 1.2, a tube.
+EXPONENT_PRIOR = (1.6, 0.6)
+GRID = (np.geomspace(0.03, 0.8, 40), np.linspace(0.8, 3.0, 23))
+
+
 METHOD = "bars-joint"
-# The method whose readings are free of harmonics and of phase.
+# Method without errors by harmonics or phase.
 GROUPS_BY = "bars-forward"
 # Half of a 68 % interval in standard deviations.
 HALF68_SD = 0.994458
-# Chance below which the groups do not tell of one member of the family, and directions that have one MTF, degrees.
-MISFIT_LEVEL, SAME_DIRECTION_DEG = 0.001, 15.0
-# Bars within this of the rows' or columns' direction tell of it, degrees.
-NEAR_DEG = 30.0
-# Two frequencies nearer than this factor are one, measured twice.
-MIN_FREQUENCY_RATIO = 1.1
-# Frequencies at which one half is looked for, the share of draws that may not fall to it, and how far beyond the
-# groups, as a factor of the frequency, the form is trusted.
-FINE, MAX_LOST, TRUSTED_RATIO = np.arange(0.002, 1.2, 0.002), 0.02, 1.5
+# Frequency grid for MTF50, cy/px.
+FINE = np.arange(0.002, 1.2, 0.002)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GroupHaloPrior:
+    """Halo of a described intensifier.
+
+    Parameters
+    ----------
+    diameter_px
+        Column pitches.
+    elastic_share
+        Fraction of elastically scattered electrons, dimensionless.
+    mean, sd
+        Prior of its fraction of the light, dimensionless.
+    """
+
+    diameter_px: float
+    elastic_share: float
+    mean: float
+    sd: float
+
+    @classmethod
+    def of(cls, context: Context) -> "GroupHaloPrior | None":
+        """Return the halo of the camera; None without a description."""
+        if context.sensor is None:
+            return None
+        sensor, fraction = context.sensor, context.sensor.photocathode.halo_fraction
+        column_um = float(sensor.ccd.pitch_x_um) * float(sensor.taper.demagnification)
+        return cls(
+            diameter_px=4e3 * float(sensor.photocathode.gap_mm) / column_um,
+            elastic_share=float(sensor.photocathode.halo_elastic_share),
+            mean=float(fraction),
+            sd=prior_sd_of(fraction),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class GroupCurveModel:
+    """c^((f/f2)^n) along one direction, times pixel and video filter and, if described, the halo.
+
+    Parameters
+    ----------
+    angle_rad
+        Direction from that of the rows.
+    known
+        Pixel aperture, and the described video filter.
+    halo
+        The halo, or None.
+    """
+
+    angle_rad: float
+    known: KnownCameraTransfer
+    halo: GroupHaloPrior | None
+
+    @classmethod
+    def of(cls, context: Context, *, angle_rad: float) -> "GroupCurveModel":
+        """Return the model for a camera and a direction."""
+        return cls(angle_rad=angle_rad, known=KnownCameraTransfer.of(context), halo=GroupHaloPrior.of(context))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return NAMES if self.halo else NAMES[:2]
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Their units."""
+        return UNITS[: len(self.names)]
+
+    @property
+    def bounds(self) -> Array:
+        """Their bounds, shape (parameter, 2)."""
+        return np.array(BOUNDS[: len(self.names)])
+
+    @property
+    def grid(self) -> Array:
+        """Starting points of the optimisation, shape (point, parameter)."""
+        axes = GRID if self.halo is None else (*GRID, np.array([self.halo.mean]))
+        return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(self.names))
+
+    def log_prior(self, theta: Array) -> Array:
+        """Return ln of the prior density up to a constant, shape (n,)."""
+        mean, sd = EXPONENT_PRIOR
+        density = -0.5 * ((theta[:, 1] - mean) / sd) ** 2
+        return density if self.halo is None else density - 0.5 * ((theta[:, 2] - self.halo.mean) / self.halo.sd) ** 2
+
+    def mtf(self, theta: Array, frequency: Array) -> Array:
+        """Return the MTF at frequencies across the bars, cycles per column pitch, (n, parameter) and (f,) -> (n, f)."""
+        at = np.maximum(frequency, 1e-9)
+        core = np.exp(forms.exponential(at, theta[:, 0], theta[:, 1]))
+        if self.halo is not None:
+            far = forms.halo(at, np.array(self.halo.diameter_px), np.array(self.halo.elastic_share))
+            core = core * (1.0 - theta[:, 2:3] * (1.0 - far))
+        return core * self.known(frequency * np.cos(self.angle_rad), frequency * np.sin(self.angle_rad))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Group:
-    """What one group of bars says.
+    """Measurement of one bar group.
 
     Parameters
     ----------
     frequency
         Cycles per pixel.
     mtf, sd
-        MTF there, pixel included, and its standard deviation.
+        MTF there, pixel included, and its standard uncertainty.
     angle_rad
         Direction across the bars.
     """
@@ -59,7 +154,7 @@ class Group:
 
 
 def group_of(measurement: Measurement) -> Group:
-    """Return what a measurement of "mtf" at the frequency of bars says.
+    """Return the group of a measurement of "mtf" at a bar frequency.
 
     Raises
     ------
@@ -78,26 +173,26 @@ def group_of(measurement: Measurement) -> Group:
 
 
 def frame_curves(result: Result, *, context: Context) -> Result:
-    """Return MTF50 and curves through the groups of bars of one frame; none where they are too few.
+    """Return MTF50 and curves through the bar groups of one frame; empty if there are too few.
 
     Parameters
     ----------
     result
-        Measurements of "mtf" by "bars-forward", those of a direction taken together.
+        Measurements of "mtf" by "bars-forward".
     context
         Seed, speed and camera.
 
     Returns
     -------
     Result
-        For each of rows and columns of which groups of two frequencies and more tell: `mtf50` and the curve "mtf"
-        (rows) or "mtf_vertical" (columns), cycles per column pitch in both, and their evidence. Else nothing.
+        For rows and for columns, if groups of at least two frequencies exist: `mtf50`, the curve "mtf" (rows) or
+        "mtf_vertical" (columns), in cycles per column pitch, and their figure data.
     """
     return _by_direction(result.measurements, ("mtf", "mtf_vertical"), context)
 
 
 def session_curves(result: Result, kinds: Mapping[str, str], *, context: Context) -> Result:
-    """Return MTF50 and curves through the bar targets of a session; none where they are too few.
+    """Return MTF50 and curves through the bar targets of a session; empty if there are too few.
 
     Parameters
     ----------
@@ -111,19 +206,19 @@ def session_curves(result: Result, kinds: Mapping[str, str], *, context: Context
     Returns
     -------
     Result
-        As `frame_curves`, without a stack; the curves are "mtf_bars" and "mtf_bars_vertical", which no other analysis of a
-        session takes for those of a target.
+        As for one frame, without a stack; the curves are named "mtf_bars" and "mtf_bars_vertical", to be distinct from
+        those of single targets.
     """
     own = [m for m in result.measurements if kinds.get(m.stack or "") == "bars"]
     return _by_direction(own, ("mtf_bars", "mtf_bars_vertical"), context)
 
 
 def _by_direction(measurements: Sequence[Measurement], names: tuple[str, str], context: Context) -> Result:
-    """Return one curve along rows and one along columns, each where groups of two frequencies tell of it."""
+    """Return one curve along rows and one along columns, each where groups of two frequencies exist."""
     out = Result()
     for (way, own), name in zip(_directions(measurements).items(), names, strict=True):
         frequencies = [m.frequency_cy_per_px for m in own if m.frequency_cy_per_px]
-        if not frequencies or max(frequencies) < MIN_FREQUENCY_RATIO * min(frequencies):
+        if not frequencies or max(frequencies) < LIMITS.min_frequency_ratio * min(frequencies):
             continue
         found = fit_group_curve(own, context=context)
         out += Result(
@@ -135,7 +230,7 @@ def _by_direction(measurements: Sequence[Measurement], names: tuple[str, str], c
 
 
 def _directions(measurements: Sequence[Measurement]) -> dict[str, list[Measurement]]:
-    """Return the sound groups that tell of rows and of columns, of those that turn alike the most."""
+    """Return the valid groups near the rows' and near the columns' direction."""
     sound = [
         m for m in measurements if m.quantity == "mtf" and m.method == GROUPS_BY and m.status == "ok" and m.interval68
     ]
@@ -143,11 +238,15 @@ def _directions(measurements: Sequence[Measurement]) -> dict[str, list[Measureme
 
 
 def _parallel_groups(sound: Sequence[Measurement], axis_deg: float) -> list[Measurement]:
-    """The largest set of groups near an axis that all lie within half the widest angle of one of them."""
-    near = [m for m in sound if _angle_between_deg(m.orientation_deg, axis_deg) < NEAR_DEG]
+    """Return the largest set of groups near an axis within half the permitted angle of one of them."""
+    near = [m for m in sound if _angle_between_deg(m.orientation_deg, axis_deg) < LIMITS.max_axis_angle_deg]
     sets = [
-        [m for m in near if _angle_between_deg(m.orientation_deg, middle.orientation_deg) <= 0.5 * SAME_DIRECTION_DEG]
-        for middle in near
+        [
+            m
+            for m in near
+            if _angle_between_deg(m.orientation_deg, centre.orientation_deg) <= 0.5 * LIMITS.max_direction_spread_deg
+        ]
+        for centre in near
     ]
     return max(sets, key=len, default=[])
 
@@ -160,30 +259,30 @@ def _angle_between_deg(one_deg: float | None, other_deg: float | None) -> float:
 
 @with_timing
 def fit_group_curve(measurements: Sequence[Measurement], *, context: Context) -> Result:
-    """Fit one curve, c^((f/f2)^n) times what is known of the camera, to several groups of bars of one direction.
+    """Fit one curve, c^((f/f2)^n) times the known transfer, to several bar groups of one direction.
 
     Parameters
     ----------
     measurements
-        Of "mtf" at the groups' frequencies, by "bars-forward"; those without a value or not ok are left out.
+        Of "mtf" by "bars-forward"; those without a value or not ok are excluded.
     context
-        Seed, whether a Markov chain is wanted, and the camera.
+        Seed, speed and camera.
 
     Returns
     -------
     Result
-        `mtf50`, the curve "mtf" with its intervals, and the groups as evidence; refused with fewer than two groups, or
-        where it lies far from all of them.
+        `mtf50`, the curve "mtf" and figure data of the groups; refused with fewer than two groups, or where MTF50 lies
+        far from all of them.
 
     Raises
     ------
     BadInput
-        If the groups point in different directions.
+        If the groups have different directions.
 
     Notes
     -----
-    Likelihood normal in each group's MTF, whose error is near linear in it. More groups than the form has parameters
-    tell whether they are of one member of the family: `model-misfit` where chi squared has a chance under 0.001.
+    The likelihood is normal in each group's MTF. With more groups than parameters, `model-misfit` is set where chi
+    squared has a p-value under 0.001.
     """
     groups = [group_of(one) for one in measurements if one.status == "ok" and one.value is not None]
     provenance = Provenance(
@@ -194,7 +293,7 @@ def fit_group_curve(measurements: Sequence[Measurement], *, context: Context) ->
         reason = f"too few groups: a curve needs bars of two frequencies measured ok, got {len(groups)}"
         return Result(measurements=(make_refusal("mtf50", "cy/px", reason, flags=("low-signal",), **common),))
     _require_one_direction(groups)
-    # Directions a half turn apart are one: the mean is that of the doubled angles.
+    # Directions half a turn apart are equal: average the doubled angles.
     turned = np.sum(np.exp(2j * np.array([group.angle_rad for group in groups])))
     form = GroupCurveModel.of(context, angle_rad=0.5 * float(np.angle(turned)))
     posterior, left = _posterior(groups, form, context)
@@ -215,38 +314,47 @@ def fit_group_curve(measurements: Sequence[Measurement], *, context: Context) ->
 
 
 def _mtf50(curves: Array, groups: Sequence[Group], common: dict[str, Any]) -> Measurement:
-    """MTF50 of drawn curves at the fine frequencies; refused where no group tells of it."""
+    """Return MTF50 of drawn curves; refused where no group is near it."""
     crossing = crossing_frequency(FINE, curves, 0.5)
-    told = sorted({group.frequency for group in groups})
-    notes = [f"Through {len(groups)} groups of bars at {', '.join(f'{frequency:.3g}' for frequency in told)} cy/px."]
+    frequencies = sorted({group.frequency for group in groups})
+    notes = [
+        f"Through {len(groups)} groups of bars at {', '.join(f'{frequency:.3g}' for frequency in frequencies)} cy/px."
+    ]
     half = float(np.median(np.where(np.isfinite(crossing), crossing, FINE[-1])))
-    if not told[0] / TRUSTED_RATIO < half < told[-1] * TRUSTED_RATIO or np.mean(~np.isfinite(crossing)) > MAX_LOST:
+    if (
+        not frequencies[0] / LIMITS.max_extrapolation < half < frequencies[-1] * LIMITS.max_extrapolation
+        or np.mean(~np.isfinite(crossing)) > LIMITS.max_lost_draws
+    ):
         reason = (
-            f"MTF50 must lie within a factor of {TRUSTED_RATIO:g} of the groups' frequencies, {told[0]:.3g} to {told[-1]:.3g} "
-            f"cy/px, got some {half:.2g}"
+            f"MTF50 must lie within a factor of {LIMITS.max_extrapolation:g} of the groups' frequencies, "
+            f"{frequencies[0]:.3g} to {frequencies[-1]:.3g} "
+            f"cy/px, got about {half:.2g}"
         )
         return make_refusal("mtf50", "cy/px", reason, notes=tuple(notes), **common)
-    if not told[0] <= half <= told[-1]:
-        notes.append("MTF50 lies beyond the groups: the form, exp(-(f/fc)^n) times what is known, reaches to it.")
+    if not frequencies[0] <= half <= frequencies[-1]:
+        notes.append(
+            "MTF50 lies beyond the groups; it is extrapolated by the model exp(-(f/fc)^n) times the known transfer."
+        )
     return measurement_from_draws("mtf50", "cy/px", crossing[np.isfinite(crossing)], notes=tuple(notes), **common)
 
 
 def _misfit(left: float, freedom: int) -> list[str]:
-    return ["model-misfit"] if freedom > 0 and chdtrc(freedom, left) < MISFIT_LEVEL else []
+    return ["model-misfit"] if freedom > 0 and chdtrc(freedom, left) < LIMITS.min_group_p_value else []
 
 
 def _require_one_direction(groups: Sequence[Group]) -> None:
-    """Refuse groups of different directions, whose MTFs need not be the same."""
+    """Reject groups of different directions, whose MTFs may differ."""
     apart = [abs(np.rad2deg(group.angle_rad - groups[0].angle_rad)) % 180.0 for group in groups]
     largest = max(min(one, 180.0 - one) for one in apart)
-    if largest > SAME_DIRECTION_DEG:
+    if largest > LIMITS.max_direction_spread_deg:
         raise BadInput(
-            f"groups of bars for one curve must lie within {SAME_DIRECTION_DEG:g} degrees, got {largest:.0f} apart"
+            f"groups of bars for one curve must lie within {LIMITS.max_direction_spread_deg:g} degrees, "
+            f"got {largest:.0f} apart"
         )
 
 
 def _posterior(groups: Sequence[Group], form: GroupCurveModel, context: Context) -> tuple[Posterior, float]:
-    """Return draws of the form's parameters, and chi squared at the best of them."""
+    """Return draws of the parameters, and chi squared at the optimum."""
     frequency, mtf, sd = np.array([(group.frequency, group.mtf, group.sd) for group in groups]).T
 
     def squares(theta: Array) -> Array:
@@ -257,12 +365,12 @@ def _posterior(groups: Sequence[Group], form: GroupCurveModel, context: Context)
         safe = np.clip(theta, form.bounds[:, 0], form.bounds[:, 1])
         return np.where(inside, form.log_prior(safe) - 0.5 * squares(safe), -np.inf)
 
-    asked = {"names": form.names, "units": form.units, "seed": context.seed, "bounds": form.bounds}
+    arguments = {"names": form.names, "units": form.units, "seed": context.seed, "bounds": form.bounds}
     start = form.grid[int(np.argmax(log_probability(form.grid)))]
     best, covariance = find_maximum(log_probability, start, form.bounds)
-    # Half frequency and exponent lie along a bent ridge, of which the curvature knows the middle only.
+    # Half frequency and exponent have a curved ridge, which a Gaussian approximation misses.
     drawn = (importance_sample if context.quick else sample)(
-        log_probability, start=best, covariance=covariance, **asked
+        log_probability, start=best, covariance=covariance, **arguments
     )
     return drawn, float(squares(best[None])[0])
 

@@ -1,22 +1,15 @@
-"""The noise that is in the pixels of a target: its variance by level, and what neighbouring pixels share of it."""
+"""Noise of a bar target's pixels: variance against level, correlation, row noise."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.rounding import rounding_shifts
+from charact.mtf.bars.thresholds import ACCURACY, LIMITS
+from charact.mtf.quantisation_checks import rounding_shifts
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-
-# Pixels further apart share nothing; less far, unless neighbours share more than this.
-NEAR_PX, FAR_PX, SHARED = 2, 4, 0.2
-# Lags along a row at which only what a row has in common ties pixels, standard errors from which on it does, share of
-# the bars' height up to which pixels are ground, and how many must be.
-ALONG_ROWS, ROWS_SD, GROUND, MIN_GROUND = (8, 12, 16), 6.0, 0.1, 300
-# Frames whose scatter tells the correlation.
-MAX_FRAMES = 6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,13 +21,13 @@ class BarWindowNoise:
     variance
         Of each pixel, shape (pixel,).
     correlation
-        Correlation of two pixels by how far apart they are, shape (2 k + 1, 2 k + 1), 1 in the middle.
+        Correlation of two pixels by their separation, shape (2 k + 1, 2 k + 1), 1 in the centre.
     inflation
-        Factor on all variances: light that lingers from frame to frame.
+        Factor on all variances by image lag.
     rounding
-        By how much the digitiser's steps may shift the pixels, shape (place, pixel), DN; each place is as likely.
+        Possible shifts of the pixels by quantisation, shape (offset, pixel), DN; the offsets are equally likely.
     row_variance
-        Variance of an offset that all pixels of a row share, DN^2.
+        Variance of an offset common to the pixels of a row, DN^2.
     """
 
     variance: Array
@@ -44,23 +37,23 @@ class BarWindowNoise:
     row_variance: float = 0.0
 
     @property
-    def tied(self) -> float:
-        """By how much chi squared of pixels that share noise exceeds that of independent ones."""
+    def correlation_sum(self) -> float:
+        """Ratio of the chi squared of correlated pixels to that of independent ones."""
         return max(float(np.abs(self.correlation).sum()), 1.0)
 
     def spread(self, estimator: Array, window: Mask) -> Array:
-        """Return the covariance that the noise gives to linear estimates, shape (estimate, estimate).
+        """Return the covariance of linear estimates by the noise, shape (estimate, estimate).
 
         Parameters
         ----------
         estimator
-            What each pixel weighs in each estimate, shape (estimate, pixel).
+            Weight of each pixel in each estimate, shape (estimate, pixel).
         window
-            Which pixels they are, shape (row, col).
+            Pixels, shape (row, col).
         """
-        return estimator @ self.shared(estimator, window).T
+        return estimator @ self.covariance_with(estimator, window).T
 
-    def shared(self, estimator: Array, window: Mask) -> Array:
+    def covariance_with(self, estimator: Array, window: Mask) -> Array:
         """Return the covariance of each pixel's noise with linear estimates, shape (estimate, pixel)."""
         from scipy.fft import irfft2, next_fast_len, rfft2
 
@@ -74,7 +67,7 @@ class BarWindowNoise:
         kernel = np.zeros(size)
         lags = np.arange(-reach, reach + 1)
         kernel[np.ix_(lags % size[0], lags % size[1])] = self.correlation
-        # Correlations that were estimated lag by lag may be those of no noise: no frequency has a power below none.
+        # Estimated correlations may have negative power at some frequencies, which no noise has.
         power = np.maximum(np.real(np.asarray(rfft2(kernel))), 0.0)
         spectrum = np.asarray(rfft2(fields)) * power
         shared = self.inflation * scale * np.asarray(irfft2(spectrum, size))[:, rows, cols]
@@ -92,37 +85,37 @@ def noise_of(frames: Array, model: Array, window: Mask, *, ground_dn: float, inf
     Parameters
     ----------
     frames
-        At least two, shape (frame, row, col); whole numbers are taken to be rounded.
+        At least two, shape (frame, row, col); integers are taken as quantised.
     model
-        Picture of the window's pixels, shape (pixel,).
+        Image of the window's pixels, shape (pixel,).
     ground_dn
-        Level beside the bars.
+        Background level.
     inflation
-        Factor by which light that lingers widens the error of the mean, on its square.
+        Variance factor of the mean by image lag.
     """
     left = frames - frames.mean(axis=0)
-    share = len(frames) / (len(frames) - 1.0)
-    variance = variance_of(model, share * np.mean(left[:, window] ** 2, axis=0))
-    field = np.zeros((min(len(frames), MAX_FRAMES), *window.shape))
+    fraction = len(frames) / (len(frames) - 1.0)
+    variance = variance_of(model, fraction * np.mean(left[:, window] ** 2, axis=0))
+    field = np.zeros((min(len(frames), ACCURACY.max_correlation_frames), *window.shape))
     field[:, window] = left[: len(field), window] / np.sqrt(variance)
     return BarWindowNoise(
         variance=variance / len(frames),
         correlation=correlation_of(field, window),
         inflation=inflation,
         rounding=rounding_shifts(model, variance) if frames.dtype.kind in "ui" else None,
-        row_variance=share * row_offset_variance(left, np.abs(model - ground_dn), window) / len(frames),
+        row_variance=fraction * row_offset_variance(left, np.abs(model - ground_dn), window) / len(frames),
     )
 
 
 def noise_of_one(residual: Array, model: Array, absorbed: Array, window: Mask, *, ground_dn: float) -> BarWindowNoise:
-    """Return the noise of one frame from what a fit left over.
+    """Return the noise of one frame from the residuals of a fit.
 
     Parameters
     ----------
     residual, model
-        Pixels less the picture, and the picture, shape (pixel,).
+        Pixels less the image, and the image, shape (pixel,).
     absorbed
-        The fit's own error as independent fields, shape (field, pixel): as much noise has gone into the picture.
+        Uncertainty of the fit as independent fields, shape (field, pixel): noise that the fit absorbed.
     """
     variance = variance_of(model, residual**2 + np.sum(absorbed**2, axis=0))
     scale = 1.0 / np.sqrt(variance)
@@ -136,40 +129,40 @@ def noise_of_one(residual: Array, model: Array, absorbed: Array, window: Mask, *
 
 
 def row_offset_variance(left: Array, height: Array, window: Mask) -> float:
-    """Return the variance of an offset that pixels of a row share, DN^2; 0 where it is not there for sure.
+    """Return the variance of an offset common to the pixels of a row, DN^2; 0 where it is not significant.
 
     Parameters
     ----------
     left
-        Frames less what is expected of them, shape (frame, row, col), DN.
+        Residuals of frames, shape (frame, row, col), DN.
     height
-        How far the picture of the window's pixels is off its ground, shape (pixel,), DN: the ground counts.
+        Image above the background, shape (pixel,), DN; only background pixels are used.
     window
-        Which pixels they are, shape (row, col).
+        Pixels, shape (row, col).
 
     Notes
     -----
-    Pixels of a row so far apart share nothing else; what all of a frame's ground has in common is taken off.
+    Distant pixels of a row have only the row offset in common. The mean of each frame's background is subtracted.
     """
-    ground = np.zeros(window.shape, bool)
-    ground[window] = height <= GROUND * height.max()
-    if np.count_nonzero(ground) < MIN_GROUND:
+    background = np.zeros(window.shape, bool)
+    background[window] = height <= LIMITS.max_background_height * height.max()
+    if np.count_nonzero(background) < ACCURACY.min_background_pixels:
         return 0.0
-    left = np.where(ground, left - left[:, ground].mean(axis=1)[:, None, None], 0.0)
+    left = np.where(background, left - left[:, background].mean(axis=1)[:, None, None], 0.0)
     products = []
-    for lag in ALONG_ROWS:
+    for lag in ACCURACY.row_lags_px:
         last = window.shape[1] - lag
-        pairs = ground[:, :last] & ground[:, lag:]
+        pairs = background[:, :last] & background[:, lag:]
         products.append(np.mean(left[:, :, :last] * left[:, :, lag:], axis=0)[pairs])
-    told = np.concatenate(products)
-    if told.size < MIN_GROUND:
+    covariances = np.concatenate(products)
+    if covariances.size < ACCURACY.min_background_pixels:
         return 0.0
-    mean = float(told.mean())
-    return mean if mean > ROWS_SD * float(told.std()) / np.sqrt(told.size) else 0.0
+    mean = float(covariances.mean())
+    return mean if mean > LIMITS.min_row_noise_sd * float(covariances.std()) / np.sqrt(covariances.size) else 0.0
 
 
 def variance_of(level: Array, square: Array) -> Array:
-    """Return the variance of each pixel, a rising line in its level, nowhere below a tenth of the mean."""
+    """Return the variance of each pixel: a non-decreasing line in its level, at least a tenth of the mean."""
     mean = float(square.mean())
     spread = float(level.std())
     if not spread > 0 or not mean > 0:
@@ -180,12 +173,12 @@ def variance_of(level: Array, square: Array) -> Array:
 
 
 def correlation_of(fields: Array, window: Mask) -> Array:
-    """Return the correlation of noise fields (field, row, col), their products added, between pixels of a window."""
-    near = _correlation(fields, window, NEAR_PX)
-    middle = NEAR_PX
-    if max(near[middle + 1, middle], near[middle, middle + 1]) < SHARED:
+    """Return the correlation of noise fields (field, row, col) between pixels of a window."""
+    near = _correlation(fields, window, ACCURACY.correlation_px)
+    centre = ACCURACY.correlation_px
+    if max(near[centre + 1, centre], near[centre, centre + 1]) < LIMITS.long_correlation:
         return near
-    return _correlation(fields, window, FAR_PX)
+    return _correlation(fields, window, ACCURACY.long_correlation_px)
 
 
 def _correlation(fields: Array, window: Mask, reach: int) -> Array:

@@ -1,66 +1,40 @@
-"""What bars and their noise say of the response: how far it bends the picture, and how noise grows with the light."""
+"""Nonlinear camera response from bars: deformation of their image, and noise against signal."""
 
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.bars.fit import MIN_VARIANCE, BarFit
-from charact.mtf.nonlinearity_prior import contrast_of, curvatures, usable_black_level
-from charact.mtf.photon_transfer_check import BENDING, MAX_LN_BAYES_FACTOR
+from charact.mtf.bars.fit import BarFit
+from charact.mtf.bars.thresholds import ACCURACY, LIMITS
+from charact.mtf.nonlinearity import BENDING, MAX_LN_BAYES_FACTOR, contrast_of, curvatures, usable_black_level
 from labdata.flags import Finding
 from labdata.frames import FrameStack
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# Lags along a row: of neighbours, and of pixels so far apart that only what a row has in common ties them.
-NEAR, FAR = 1, (8, 9, 10)
-# Light over the brightest below which pixels count as that dark: black is known to a code or so.
-DARKEST = 0.01
-# Share of the bars' height up to which a pixel is ground.
-GROUND = 0.1
-# Standard errors of an exponent and what it may be off besides: of neighbours, whose errors are stated a fifth too
-# large, and of single pixels, whose noise read-out adds to and unequal gains, or a picture not quite right, raise.
-NEIGHBOURS, PIXELS = (2.3, 0.02), (3.0, 0.05)
-# Standard errors from which on neighbours share any noise; light over its noise beyond which one frame's pixels show
-# how unequal they are, and noise of whole codes that rounding leaves as it is, DN.
-SHARED_SD, QUIETEST, ROUNDED_SD_DN = 4.0, 30.0, 0.5
-# Standard errors of a curvature, and what blurs of several stages make of one without any noise.
-CURVED_SD_OFF, CURVED_BY = 3.5, 0.01
-# Probability that a response is curved: one in four, as for edges, made 73 of 100 68 % intervals of strips hold.
-CURVED = 0.1
-# Powers from which the noise's own is looked for, and how.
-STARTS = (0.0, 1.0, 2.0)
-MOST_STEPS, LONGEST_STEP, CLOSE = 60, 1.0, 1e-5
-
 
 class Power(NamedTuple):
-    """How noise grows with the light: as its power.
-
-    Parameters
-    ----------
-    exponent, sd
-        Exponent and its standard error, dimensionless.
-    """
+    """Exponent with which noise grows with the light, and its standard uncertainty, dimensionless."""
 
     exponent: float
     sd: float
 
 
 class BarNonlinearity(NamedTuple):
-    """A camera's response as bars and their noise tell it.
+    """Evidence of a target on the camera response.
 
     Parameters
     ----------
     curvature, sd
-        c of a response y = u + c u (1 - u), u the light over that of a wide bar, and its standard error.
+        c of a response y = u + c u (1 - u), u the light over that of a wide bar, and its standard uncertainty.
     contrast
-        Of the bars and their ground.
+        Of the bars and their background.
     lifts
-        By how much a curvature of one lifts ln of the fitted MTF.
+        Change of ln MTF by a curvature of one.
     shared, own
-        Powers of the light with which the covariance of neighbours and the variance of pixels grow; None: not told.
+        Powers of the light with which the covariance of neighbours and the variance of pixels grow; None: unknown.
     """
 
     curvature: float
@@ -72,9 +46,9 @@ class BarNonlinearity(NamedTuple):
 
 
 def response_of(used: FrameStack, fit: BarFit) -> BarNonlinearity:
-    """Return what a fitted target tells of the response; without a code at no light its noise tells nothing."""
-    ground = fit["pedestal_dn"]
-    dark, bright = sorted((ground, ground + fit["level_dn"]))
+    """Return the evidence of a fitted target; without a black level its noise is not used."""
+    background = fit["pedestal_dn"]
+    dark, bright = sorted((background, background + fit["level_dn"]))
     black_dn = usable_black_level(used.black_level_dn, dark, bright)
     powers = (None, None) if black_dn is None else noise_powers(used.data, fit, black_dn)
     curvature, sd, lifts = _curvature(fit)
@@ -82,39 +56,41 @@ def response_of(used: FrameStack, fit: BarFit) -> BarNonlinearity:
 
 
 def response_findings(response: BarNonlinearity) -> list[Finding]:
-    """Return `gamma` where the picture or the noise of bars is not that of light under a straight response.
+    """Return `gamma` where the image or the noise of bars contradicts a linear response.
 
     Notes
     -----
-    Pulses of light tie neighbours, read-out and rounding do not. Under a response of exponent g the covariance of
-    neighbours grows as the 2 - 1/g th power of the level over black: as the level itself under a straight one. The
-    variance of pixels, to which read-out adds, then grows at most so, and does not fall.
+    Light pulses correlate neighbours, read-out and quantisation do not. Under a response of exponent g the covariance
+    of neighbours grows as the level above black to the power 2 - 1/g, which is 1 for a linear response. The variance of
+    pixels, which includes read-out noise, then grows at most in proportion, and does not fall.
     """
     shared, own = response.shared, response.own
     moved = 100.0 * abs(response.lifts) * np.hypot(response.curvature, response.sd)
-    effect = f"the MTF may be off by {moved:.2g} %: "
+    effect = f"MTF error up to {moved:.2g} %: "
     found = []
-    if abs(response.curvature) > CURVED_SD_OFF * response.sd:
+    if abs(response.curvature) > LIMITS.max_curvature_sd * response.sd:
         found.append(
-            f"the picture is bent as by a response of curvature {response.curvature:.2g} +- {response.sd:.1g}, 0 where "
-            "it is straight; bars wider or narrower than their gaps look alike"
+            f"the image indicates a response of curvature {response.curvature:.2g} +- {response.sd:.1g} (linear: 0); "
+            "unequal bars and gaps have the same effect"
         )
-    if shared and abs(shared.exponent - 1.0) > NEIGHBOURS[0] * float(np.hypot(shared.sd, NEIGHBOURS[1])):
+    if shared and abs(shared.exponent - 1.0) > LIMITS.neighbour_power[0] * float(
+        np.hypot(shared.sd, LIMITS.neighbour_power[1])
+    ):
         found.append(
-            f"what neighbours share of the noise grows with the power {shared.exponent:.2f} +- {shared.sd:.2f} of the "
-            "light, and under a straight response with the first; targets that move make noise of their own"
+            f"correlated noise grows as signal^({shared.exponent:.2f} +- {shared.sd:.2f}); a linear response gives "
+            "exponent 1. Target motion also adds noise"
         )
-    if own and max(own.exponent - 1.0, -own.exponent) > PIXELS[0] * own.sd + PIXELS[1]:
+    if own and max(own.exponent - 1.0, -own.exponent) > LIMITS.pixel_power[0] * own.sd + LIMITS.pixel_power[1]:
         found.append(
-            f"the noise of pixels grows with the power {own.exponent:.2f} +- {own.sd:.2f} of the light: of photons and "
-            "read-out it is between 0 and 1"
+            f"pixel noise grows as signal^({own.exponent:.2f} +- {own.sd:.2f}); photon and read-out noise give an "
+            "exponent between 0 and 1"
         )
-    remedy = "frames of a straight response (raw, gamma 1), or the right --black-dn"
+    remedy = "frames with a linear response (raw, gamma 1), or the correct --black-dn"
     return [Finding(flag="gamma", effect=effect + one, remedy=remedy) for one in found]
 
 
 def linearise_mtf_draws(mtf: Array, response: BarNonlinearity, seed: int) -> Array:
-    """Return draws of the MTF less what a response that may be curved has done to them."""
+    """Return draws of the MTF corrected for a possibly nonlinear response."""
     rng = np.random.default_rng([seed, 62])
     curvature = curvatures(
         (response.curvature, response.sd),
@@ -122,61 +98,61 @@ def linearise_mtf_draws(mtf: Array, response: BarNonlinearity, seed: int) -> Arr
         _noise_ln_odds(response.shared),
         rng,
         mtf.size,
-        curved=CURVED,
+        curved=ACCURACY.nonlinear_prior,
     )
     return mtf * np.exp(-response.lifts * curvature)
 
 
 def _noise_ln_odds(shared: Power | None) -> float:
-    """Return ln of how much likelier the power of neighbours' noise is under a curved response than under a straight.
+    """Return the ln Bayes factor of a nonlinear response from the power of the neighbours' covariance.
 
-    A response of exponent g makes it 2 - 1/g, which is one, give or take what exponents do.
+    A response of exponent g makes it 2 - 1/g, of mean one with the prior's spread.
     """
     if shared is None:
         return 0.0
-    away, sd = shared.exponent - 1.0, float(np.hypot(shared.sd, NEIGHBOURS[1]))
+    away, sd = shared.exponent - 1.0, float(np.hypot(shared.sd, LIMITS.neighbour_power[1]))
     apart = float(np.hypot(sd, BENDING))
     ln_odds = np.log(sd / apart) + 0.5 * ((away / sd) ** 2 - (away / apart) ** 2)
     return float(np.clip(ln_odds, -MAX_LN_BAYES_FACTOR, MAX_LN_BAYES_FACTOR))
 
 
 def _curvature(fit: BarFit) -> tuple[float, float, float]:
-    """Return the curvature that a picture asks for, its error, and by how much one of one lifts ln of the fitted MTF.
+    """Return the curvature that best fits an image, its uncertainty, and its effect on ln MTF.
 
     Notes
     -----
-    First order: the picture of bars u becomes u + c u (1 - u) times their height, of which the parameters, priors
-    and all, take up what they can.
+    To first order the image of bars u becomes u + c u (1 - u) times their height; the parameters with their priors
+    absorb part of the change.
     """
-    share = np.clip((fit.model_dn - fit["pedestal_dn"]) / fit["level_dn"], 0.0, 1.0)
-    bent = abs(fit["level_dn"]) * share * (1.0 - share)
-    weight = 1.0 / np.maximum(fit.noise.variance, MIN_VARIANCE * fit["level_dn"] ** 2)
+    fraction = np.clip((fit.model_dn - fit["pedestal_dn"]) / fit["level_dn"], 0.0, 1.0)
+    bent = abs(fit["level_dn"]) * fraction * (1.0 - fraction)
+    weight = 1.0 / np.maximum(fit.noise.variance, ACCURACY.min_variance * fit["level_dn"] ** 2)
     known = np.concatenate([(fit.slope * np.sqrt(weight)).T, np.diag(np.sqrt(fit.precision))])
     basis = np.linalg.qr(known)[0]
     wanted = np.concatenate([bent * np.sqrt(weight), np.zeros(len(fit.names))])
     apart = (wanted - basis @ (wanted @ basis))[: bent.size] * np.sqrt(weight)
     size = max(float(apart @ bent), 1e-300)
     noise = float(np.sqrt(max(float(fit.noise.spread(apart[None], fit.window)[0, 0]), 0.0))) / size
-    sd = float(np.hypot(noise, CURVED_BY))
+    sd = float(np.hypot(noise, ACCURACY.curvature_floor))
     return float(apart @ fit.residual_dn) / size, sd, float(fit.ln_mtf_slope @ (fit.estimator @ bent))
 
 
 def noise_powers(data: NDArray, fit: BarFit, black_dn: float) -> tuple[Power | None, Power | None]:
-    """Return with which power of the light noise grows: what neighbours along a row share, and that of single pixels.
+    """Return the powers of the light with which the covariance of row neighbours and the pixel variance grow.
 
     Parameters
     ----------
     data
         Shape (frame, row, col), DN.
     fit
-        The picture fitted to their mean.
+        The image fitted to their mean.
     black_dn
-        Code of no light, DN.
+        Black level, DN.
 
     Returns
     -------
     shared, own
-        None: neighbours share too little, or single pixels do not show their noise.
+        None: the covariance is too small, or single pixels do not show their noise.
     """
     light = np.full(fit.window.shape, np.nan)
     light[fit.window] = fit.model_dn - black_dn
@@ -184,15 +160,22 @@ def noise_powers(data: NDArray, fit: BarFit, black_dn: float) -> tuple[Power | N
     if not brightest > 0:
         return None, None
     noise = _noise(data.astype(np.float64), light)
-    ground, height = fit["pedestal_dn"] - black_dn, float(np.abs(fit.model_dn - fit["pedestal_dn"]).max())
-    level, product = _products(noise, light, NEAR)
-    far = [_products(noise, light, lag) for lag in FAR]
-    common = np.concatenate([apart[np.abs(between - ground) < GROUND * height] for between, apart in far])
+    background, height = fit["pedestal_dn"] - black_dn, float(np.abs(fit.model_dn - fit["pedestal_dn"]).max())
+    level, product = _products(noise, light, ACCURACY.neighbour_lag_px)
+    far = [_products(noise, light, lag) for lag in ACCURACY.distant_lags_px]
+    common = np.concatenate(
+        [apart[np.abs(between - background) < LIMITS.max_flat_height * height] for between, apart in far]
+    )
     product -= common.mean() if common.size else 0.0
     correlation = fit.noise.correlation
     spread = np.full(fit.window.shape, np.nan)
     spread[fit.window] = fit.noise.variance
-    shared = _power(level / brightest, product, _between(spread, NEAR), max(float(np.abs(correlation).sum()), 1.0))
+    shared = _power(
+        level / brightest,
+        product,
+        _between(spread, ACCURACY.neighbour_lag_px),
+        max(float(np.abs(correlation).sum()), 1.0),
+    )
     level, square = _products(noise, light, 0)
     if not _shows_noise(data, level, square):
         return shared, None
@@ -200,23 +183,20 @@ def noise_powers(data: NDArray, fit: BarFit, black_dn: float) -> tuple[Power | N
 
 
 def _shows_noise(data: NDArray, level: Array, square: Array) -> bool:
-    """Tell whether single pixels show their noise: not how unequal they are, nor how they are rounded."""
+    """Return whether the scatter of single pixels is noise, not fixed pattern or quantisation."""
     lit = level > 0.5 * level.max()
-    quiet = len(data) == 1 and level[lit].mean() > QUIETEST * np.sqrt(square[lit].mean())
+    quiet = len(data) == 1 and level[lit].mean() > LIMITS.max_single_frame_snr * np.sqrt(square[lit].mean())
     dark = level <= np.quantile(level, 0.25)
-    rounded = data.dtype.kind in "ui" and square[dark].mean() < ROUNDED_SD_DN**2
+    rounded = data.dtype.kind in "ui" and square[dark].mean() < LIMITS.min_noise_dn**2
     return not quiet and not rounded
 
 
 def _noise(frames: Array, light: Array) -> Array:
-    """Return each frame less the mean frame, or one frame less its picture, and less what all of it has in common.
-
-    What a frame has in common is an offset and a flicker of its light.
-    """
+    """Return the residuals of frames, with each frame's offset and flicker subtracted."""
     seen = np.isfinite(light)
-    share = len(frames) / max(len(frames) - 1.0, 1.0)
+    fraction = len(frames) / max(len(frames) - 1.0, 1.0)
     expected = frames.mean(axis=0) if len(frames) > 1 else light - float(np.mean((light - frames[0])[seen]))
-    left = np.sqrt(share) * np.where(seen, frames - expected, 0.0)
+    left = np.sqrt(fraction) * np.where(seen, frames - expected, 0.0)
     shapes = np.stack([np.ones(np.count_nonzero(seen)), light[seen]])
     left[:, seen] -= left[:, seen] @ np.linalg.pinv(shapes) @ shapes
     return left
@@ -231,7 +211,7 @@ def _products(noise: Array, light: Array, lag: int) -> tuple[Array, Array]:
 
 
 def _between(field: Array, lag: int) -> Array:
-    """Return the mean of pixels of a field that lie a lag apart in a row, where both are known, shape (pair,)."""
+    """Return the mean of pixels a lag apart in a row, where both are known, shape (pair,)."""
     mean = 0.5 * (field[:, : field.shape[1] - lag] + field[:, lag:])
     return mean[np.isfinite(mean)]
 
@@ -246,35 +226,39 @@ def _power(share: Array, product: Array, variance: Array, tied: float) -> Power 
     product
         Products of noise, DN^2.
     variance
-        About what their errors are in proportion to, DN^2.
+        Approximate scale of their uncertainties, DN^2.
     tied
-        By how much averages are noisier than those of independent products, on the square.
+        Variance factor of averages relative to independent products.
 
     Notes
     -----
-    The least sum of ((p - c L^b) / v)^2 over c and b; their errors are those that what is left shows.
+    Minimises the sum of ((p - c L^b) / v)^2 over c and b; uncertainties follow from the residuals.
     """
-    ln_light = np.log(np.maximum(share, DARKEST))
+    ln_light = np.log(np.maximum(share, ACCURACY.min_light))
     found, weight = product / variance, 1.0 / variance
     theta = _start(found, weight, ln_light)
-    for _ in range(MOST_STEPS if np.isfinite(theta).all() else 0):
+    for _ in range(ACCURACY.power_iterations if np.isfinite(theta).all() else 0):
         expected = weight * np.exp(theta[0] + theta[1] * ln_light)
         slopes = np.stack([expected, expected * ln_light])
         inverse, left = np.linalg.pinv(slopes @ slopes.T), found - expected
-        step = np.clip(inverse @ (slopes @ left), -LONGEST_STEP, LONGEST_STEP)
+        step = np.clip(inverse @ (slopes @ left), -ACCURACY.max_power_step, ACCURACY.max_power_step)
         theta = theta + step
-        if float(np.abs(step).max()) < CLOSE:
+        if float(np.abs(step).max()) < ACCURACY.power_tolerance:
             covariance = inverse @ ((slopes * left**2) @ slopes.T) @ inverse * tied
-            # The size where it is told best.
+            # The scale at the level where it is most precise.
             size_sd = np.sqrt(np.linalg.det(covariance) / covariance[1, 1])
-            return Power(float(theta[1]), float(np.sqrt(covariance[1, 1]))) if size_sd < 1.0 / SHARED_SD else None
+            return (
+                Power(float(theta[1]), float(np.sqrt(covariance[1, 1])))
+                if size_sd < 1.0 / LIMITS.min_power_sd
+                else None
+            )
     return None
 
 
 def _start(found: Array, weight: Array, ln_light: Array) -> Array:
-    """Return ln of the size, NaN: there is no noise, and the exponent of the power that fits best of a few."""
-    shapes = [weight * np.exp(exponent * ln_light) for exponent in STARTS]
+    """Return ln scale, NaN without noise, and the best of a few exponents."""
+    shapes = [weight * np.exp(exponent * ln_light) for exponent in ACCURACY.power_starts]
     sizes = [float(found @ shape) / float(shape @ shape) for shape in shapes]
     gains = [size * float(np.sqrt(shape @ shape)) for size, shape in zip(sizes, shapes, strict=True)]
     best = int(np.argmax(gains))
-    return np.array([np.log(sizes[best]) if sizes[best] > 0 else np.nan, STARTS[best]])
+    return np.array([np.log(sizes[best]) if sizes[best] > 0 else np.nan, ACCURACY.power_starts[best]])

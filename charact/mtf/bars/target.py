@@ -1,25 +1,28 @@
-"""Finding a bar target: where it lies, which way its bars point and how often they really repeat."""
+"""Geometry of a bar target: position, direction, length, frequency, window."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.bars.thresholds import LENGTH_MATTERS, LENGTH_OVER_WIDTH
+from charact.method import Context
+from charact.mtf.bars.thresholds import ACCURACY, LIMITS
+from charact.mtf.blur_models import transfer as forms
+from charact.mtf.known_transfer import halo_diameters_px
+from labdata.camera_description import Parameter
 
 Array = NDArray[np.float64]
 
 DIRECTIONS_DEG = np.arange(0.0, 180.0, 10.0)
-# The tallest response of noise alone over a whole frame, in its own robust standard deviations, stays below this.
-MIN_RESPONSE = 8.0
 RAYLEIGH_TENTH = float(np.sqrt(-2.0 * np.log(0.9)))
-# Longest departure of the bars' own frequency from the one asked for.
-FREQUENCY_SLACK = 0.06
+
+
+SD_OF_RANGE = 2.0 * 1.959964
 
 
 @dataclass(frozen=True, kw_only=True)
 class BarTarget:
-    """Bars in a picture, in pixels of its columns; rows are scaled by the pitch ratio.
+    """Bars in an image, in column pitches; rows are scaled by the pitch ratio.
 
     Parameters
     ----------
@@ -36,7 +39,7 @@ class BarTarget:
     length_px
         Length of the bars, column pitches.
     sign
-        1: brighter than the ground, -1: darker.
+        1: brighter than the background, -1: darker.
     """
 
     bars: int
@@ -61,7 +64,7 @@ class BarTarget:
         return x * cosine + y * sine, y * cosine - x * sine
 
     def box(self, shape: tuple[int, int], margin_px: float) -> NDArray[np.bool_]:
-        """Return which pixels lie on the target or within a margin of it."""
+        """Return the pixels on the target or within a margin of it."""
         across, along = self.coordinates(shape)
         return (np.abs(across) < self.width_px / 2 + margin_px) & (np.abs(along) < self.length_px / 2 + margin_px)
 
@@ -70,19 +73,19 @@ def blank_target(bars: int, frequency: float, pitch_ratio: float) -> BarTarget:
     """Return bars of the standard length at the first pixel, upright."""
     return BarTarget(
         bars=bars, frequency=frequency, angle_rad=0.0, row=0.0, col=0.0, pitch_ratio=pitch_ratio,
-        length_px=LENGTH_OVER_WIDTH / (2.0 * frequency),
+        length_px=LIMITS.length_over_width / (2.0 * frequency),
     )  # fmt: skip
 
 
 def ground_level(image: Array) -> float:
-    """Return the level of a region's rim, where no target lies that is whole."""
+    """Return the median level of a region's border, which a complete target does not reach."""
     return float(
         np.median(np.concatenate([image[:2].ravel(), image[-2:].ravel(), image[:, :2].ravel(), image[:, -2:].ravel()]))
     )
 
 
 def core_margin_px(frequency: float) -> float:
-    """Return how far around bars most of their light lies: a wider window holds the rest of their blur, and noise."""
+    """Return the margin around bars that contains most of their light."""
     return 0.5 / frequency + 2.0
 
 
@@ -93,7 +96,7 @@ def amplitude(image: Array, target: BarTarget, frequency: float, window: NDArray
 
 
 def detect_bars(image: Array, *, bars: int, frequency: float, pitch_ratio: float) -> BarTarget | None:
-    """Return the target that answers best to a filter of as many cycles, or None if nothing rises above noise.
+    """Return the target with the largest response to a matched filter, or None below the noise.
 
     Parameters
     ----------
@@ -114,17 +117,17 @@ def detect_bars(image: Array, *, bars: int, frequency: float, pitch_ratio: float
         response = _response(spectrum, size, turned, reach, image.shape)
         row, col = np.unravel_index(int(np.argmax(response)), response.shape)
         height = float(response[row, col])
-        # Where and how a large target does not answer there is nothing but noise: a low quantile of a Rayleigh law.
+        # Where a large target gives no response there is only noise: a low quantile of a Rayleigh distribution.
         quiet = min(quiet, float(np.quantile(response, 0.1)) / RAYLEIGH_TENTH)
         if best is None or height > best[0]:
             best = (height, replace(turned, row=float(row), col=float(col)))
-    if best is None or not best[0] > MIN_RESPONSE * quiet + 1e-9 * np.abs(image).max():
+    if best is None or not best[0] > LIMITS.min_filter_response * quiet + 1e-9 * np.abs(image).max():
         return None
     return refine_target(image, best[1])
 
 
 def _response(spectrum: NDArray, size: tuple[int, int], target: BarTarget, reach: int, shape: tuple) -> Array:
-    """Return the modulus of the filter's answer centred on each pixel; whole cycles answer to no even light."""
+    """Return the modulus of the filter's response at each pixel; complete cycles give none to constant light."""
     from scipy.fft import irfft2, rfft2
 
     centred = replace(target, row=float(reach), col=float(reach))
@@ -138,7 +141,7 @@ def _response(spectrum: NDArray, size: tuple[int, int], target: BarTarget, reach
 
 
 def refine_target(image: Array, target: BarTarget) -> BarTarget:
-    """Centre the target on its light, turn it until its fundamental is strongest, and take its length, twice."""
+    """Refine centre, direction (maximum fundamental) and length of a target, twice."""
     for step_deg in (2.0, 0.5):
         target = _centre_on_light(image, target)
         window = target.box(image.shape, core_margin_px(target.frequency))
@@ -151,7 +154,7 @@ def refine_target(image: Array, target: BarTarget) -> BarTarget:
 
 
 def _centre_on_light(image: Array, target: BarTarget) -> BarTarget:
-    """Move the centre to the centroid of the light on the target, or of what is missing there."""
+    """Move the centre to the centroid of the light on the target."""
     window = target.box(image.shape, core_margin_px(target.frequency))
     light = np.where(window, image - ground_level(image), 0.0)
     total = light.sum()
@@ -167,35 +170,35 @@ def _centre_on_light(image: Array, target: BarTarget) -> BarTarget:
 
 
 def _fit_length(image: Array, target: BarTarget) -> BarTarget:
-    """Return the target as long as its fundamental reaches: the stretch along the bars that matches it best.
+    """Return the target with the length of the stretch along the bars that matches its fundamental best.
 
-    Of white noise the square of a stretch's sum over its length is its likelihood; the standard length is kept where
-    another is hardly likelier.
+    In white noise the squared sum over a stretch divided by its length is its likelihood; the standard length is kept
+    unless another is clearly likelier.
     """
     across, along = target.coordinates((image.shape[0], image.shape[1]))
     inside = np.abs(across) < 0.5 * target.width_px
     wave = (image - ground_level(image))[inside] * np.exp(-2j * np.pi * target.frequency * across[inside])
-    place = np.floor(along[inside]).astype(np.intp)
-    first = int(place.min())
-    sums = np.bincount(place - first, wave.real) + 1j * np.bincount(place - first, wave.imag)
+    position = np.floor(along[inside]).astype(np.intp)
+    first = int(position.min())
+    sums = np.bincount(position - first, wave.real) + 1j * np.bincount(position - first, wave.imag)
     whole = np.concatenate([[0.0], np.cumsum(sums)])
     lengths = np.unique(np.round(np.geomspace(max(1.0 / target.frequency, 3.0), sums.size, 60)).astype(np.intp))
     matches = [np.abs(whole[length:] - whole[:-length]) ** 2 / length for length in lengths]
     gain = np.array([float(one.max()) for one in matches])
-    usual = int(np.argmin(np.abs(lengths - LENGTH_OVER_WIDTH / (2.0 * target.frequency))))
-    best = usual if gain[usual] > LENGTH_MATTERS * gain.max() else int(np.argmax(gain))
-    length = LENGTH_OVER_WIDTH / (2.0 * target.frequency) if best == usual else float(lengths[best])
-    middle = first + int(np.argmax(matches[best])) + 0.5 * lengths[best]
+    usual = int(np.argmin(np.abs(lengths - LIMITS.length_over_width / (2.0 * target.frequency))))
+    best = usual if gain[usual] > LIMITS.min_length_match * gain.max() else int(np.argmax(gain))
+    length = LIMITS.length_over_width / (2.0 * target.frequency) if best == usual else float(lengths[best])
+    centre = first + int(np.argmax(matches[best])) + 0.5 * lengths[best]
     return replace(
         target,
         length_px=length,
-        row=target.row + middle * float(np.cos(target.angle_rad)) / target.pitch_ratio,
-        col=target.col - middle * float(np.sin(target.angle_rad)),
+        row=target.row + centre * float(np.cos(target.angle_rad)) / target.pitch_ratio,
+        col=target.col - centre * float(np.sin(target.angle_rad)),
     )
 
 
 def _vertex(x: Array, y: Array) -> float:
-    """Return where the parabola through the highest point and its neighbours peaks."""
+    """Return the vertex of the parabola through the highest point and its neighbours."""
     peak = int(np.clip(np.argmax(y), 1, len(x) - 2))
     before, at, after = y[peak - 1 : peak + 2]
     bend = before - 2.0 * at + after
@@ -204,18 +207,79 @@ def _vertex(x: Array, y: Array) -> float:
 
 
 def measure_frequency(image: Array, target: BarTarget, margin_px: float) -> float:
-    """Return the frequency at which the spectrum of N bars has its zeros, next to the one asked for.
+    """Return the bar frequency from the zeros of the spectrum next to the stated one.
 
     Notes
     -----
-    N bars of pitch P have no spectrum at k/(N P), k no multiple of N: the zeros beside the fundamental tell P better
-    than its broad peak, which the falling transfer shifts.
+    The spectrum of N bars of pitch P is zero at k/(N P), k no multiple of N. The zeros adjacent to the fundamental give
+    P more precisely than its broad peak, which the falling transfer shifts.
     """
     window = target.box(image.shape, margin_px)
     level = float(np.median(image[~window])) if (~window).any() else float(image.min())
-    tried = target.frequency * (1.0 + np.linspace(-FREQUENCY_SLACK, FREQUENCY_SLACK, 25))
+    tried = target.frequency * (1.0 + np.linspace(-LIMITS.max_frequency_error, LIMITS.max_frequency_error, 25))
     power = np.zeros(tried.size)
     for order in (target.bars - 1, target.bars + 1):
-        share = order / target.bars
-        power += [abs(amplitude(image - level, target, share * one, window)) ** 2 for one in tried]
+        fraction = order / target.bars
+        power += [abs(amplitude(image - level, target, fraction * one, window)) ** 2 for one in tried]
     return _vertex(tried, -power)
+
+
+def margin_px(context: Context, frequency: float) -> float:
+    """Return the margin around the bars: it includes the halo of a described camera."""
+    own = max(ACCURACY.window_margin_px, 1.5 / frequency)
+    if context.sensor is None:
+        return own
+    return max(own, 0.5 * halo_diameters_px(context, transposed=False)[1] + ACCURACY.halo_margin_px)
+
+
+def fitting_margin(target: BarTarget, shape: tuple[int, int], wanted: float) -> tuple[float, bool]:
+    """Return the widest margin up to `wanted` at which the window fits, and whether it is smaller."""
+    for margin in np.linspace(wanted, 2.0, 24):
+        inside = target.box(shape, float(margin))
+        across, along = target.coordinates(shape)
+        reach = (np.abs(across).max(), np.abs(along).max())
+        fits = reach[0] > target.width_px / 2 + margin and reach[1] > target.length_px / 2 + margin
+        touches = inside[0].any() or inside[-1].any() or inside[:, 0].any() or inside[:, -1].any()
+        if fits and not touches:
+            return float(margin), margin < wanted - 1e-9
+    return 2.0, True
+
+
+def lost_fraction(context: Context, margin: float) -> tuple[float, float]:
+    """Return the fraction of the light beyond the window, and its standard uncertainty.
+
+    Parameters
+    ----------
+    context
+        Its sensor description; without one the fraction is taken as 0.
+    margin
+        Margin of the window around the bars, column pitches.
+
+    Notes
+    -----
+    For a transfer M the light further off than X is 1 - (2/pi) int M(f) sin(2 pi f X)/f df; a window loses it on both
+    pairs of sides. Averaged over the described ranges of the tube and its halo.
+    """
+    if context.sensor is None:
+        return 0.0, 0.0
+    sensor = context.sensor
+    rng = np.random.default_rng(0)
+    pitch_mm = float(sensor.ccd.pitch_x_um) * 1e-3 * float(sensor.taper.demagnification)
+    corner = _draw_parameter(sensor.tube.mtf_frequency_lp_per_mm, rng) * pitch_mm
+    exponent = _draw_parameter(sensor.tube.mtf_exponent, rng)
+    diameter = 4.0 * _draw_parameter(sensor.photocathode.gap_mm, rng) / pitch_mm
+    fraction = _draw_parameter(sensor.photocathode.halo_fraction, rng)
+    elastic = _draw_parameter(sensor.photocathode.halo_elastic_share, rng)
+    f = np.asarray((np.arange(16384) + 0.5) / 8192.0, dtype=np.float64)
+    kernel = np.sin(2.0 * np.pi * f * margin) / f * (f[1] - f[0])
+    core = np.exp(-((f / corner[:, None]) ** exponent[:, None]))
+    both = core * (1.0 - fraction[:, None] + fraction[:, None] * forms.halo(f, diameter, elastic))
+    outside = 2.0 * (1.0 - 2.0 / np.pi * both @ kernel)
+    return float(outside.mean()), float(max(outside.std(), 0.25 * abs(outside.mean())))
+
+
+def _draw_parameter(parameter: Parameter, rng: np.random.Generator) -> Array:
+    if parameter.low is None or parameter.high is None:
+        return np.full(ACCURACY.description_draws, parameter.value)
+    sd = (parameter.high - parameter.low) / SD_OF_RANGE
+    return np.clip(rng.normal(parameter.value, sd, ACCURACY.description_draws), parameter.low, parameter.high)

@@ -1,59 +1,162 @@
-"""The numbers that decide about bars, one a line with its source."""
+"""Thresholds and numerical settings of bar targets, one a line with its source."""
 
-# Length of a bar over its width of a target whose length the picture does not tell: STANAG 4349.
-LENGTH_OVER_WIDTH = 7.0
-# Share of the best match that the standard length must reach to be kept: a tenth of the length costs a tenth of it.
-LENGTH_MATTERS = 0.9
-# A grating of more bars than this is none that charts have (ISO 12233: 5 to 9, NBS 1963A: 15).
-MAX_BARS = 60
-# Share of a profile's variance that N blurred bars explain at least; an edge or a spot leaves more than half.
-MIN_EXPLAINED = 0.6
-# Share of the best explanation from which on a stronger wave is preferred: side lobes explain as much at times.
-NEARLY = 0.9
-# Peaks of a spectrum that are looked at: the bars', their harmonics', those of the patch along and across them.
-PEAKS = 8
-# A stated frequency and that of the peak differ by so much at most: the width f/N of the peak of three bars' rim.
-STATED_SLACK = 0.15
-# Share of its highest amplitude that a wave keeps within the bars: at an even patch's border it is one half.
-PATCH_LEVEL = 0.5
-# A demodulated picture is averaged so far, standard deviation in periods: the patch's own light is 1e-3 of itself then.
-SMOOTHED_PERIODS = 0.6
-# A patch's extent tells the number of its bars to so many.
-COUNT_RANGE = 2
+from dataclasses import dataclass
 
-# A fundamental this many standard errors high over a whole target is bars; noise alone has up to about five.
-MIN_SIGNAL_SD = 5.0
-# The light of bars that run through a region, in its own standard errors.
-MIN_LIGHT_SD = 9.0
-# The zeros beside the fundamental, over it, and in their standard errors: more than this is another object.
-OTHER_OBJECT, OTHER_OBJECT_SD = 0.5, 3.5
-# Significance from which the zeros tell the bars' own frequency better than whoever asked, and a change worth telling.
-MIN_FREQUENCY_SIGNAL_SD, FREQUENCY_TOLERANCE = 30.0, 0.01
-# A window that reaches less far beyond the bars cuts off their core's blur, not only a halo.
-MIN_MARGIN_PX = 5.0
-# Share of the MTF that the digitiser's steps may move without a flag: more is beyond their first order.
-COARSE = 0.1
-# The fitted window reaches so far beyond the bars, px and periods.
-FITTED_PX, FITTED_PERIODS = 20.0, 1.5
-# Light elsewhere: over this share of the target's height.
-OTHER_FRACTION = 0.04
-# Noise of a frame that whole codes hide, DN, and that floats hide, of the bars' height: the table is off by as much.
-STILL_DN, STILL_FRACTION = 0.4, 1e-3
-# The zeros beside the fundamental, over it: more is bars of another frequency.
-DOUBTFUL = 0.15
-# Half way to the lower zero as many bars have at least their fundamental's share of light; twice as many have none.
-MIN_FLANK = 0.6
-# Distance between the bars of both fields that counts, px, and the sine of the direction up to which bars are upright.
-FIELD_OFFSET_PX, UPRIGHT = 0.04, 0.5
-# Standard errors of what is there for sure.
-SIGNIFICANT = 5.0
-# How far a fundamental and its alias must lie apart, in widths of either: two, of whose rims a tenth does no harm.
-MIN_ALIAS_DISTANCE = 1.8
-# Travel of the bars over the rows that averages the alias away, px.
-MIN_TRAVEL_PX = 0.8
-# Second harmonic over the fundamental that bars and gaps a little unequal make, and its noise in standard errors.
-STRAIGHT, STRAIGHT_SD = 0.006, 3.5
-# A fit's misfit over the bars' height, and its departure from the family over that expected.
-MISFIT, DEPARTED = 0.02, 3.5
-# An MTF of fewer standard errors is an upper limit: of those that chance lifts over two, too many would be ok.
-MIN_FUNDAMENTAL_SD = 3.0
+
+@dataclass(frozen=True)
+class BarLimits:
+    """Thresholds that decide about flags, refusals and candidates of bar targets."""
+
+    length_over_width: float = 7.0  # Bar length over bar width of the standard target (STANAG 4349)
+    min_length_match: float = 0.9  # The standard length is kept if it reaches this fraction of the best match
+    max_bars: int = 60  # Bars of the largest chart target (ISO 12233: 5 to 9, NBS 1963A: 15), with a factor of four
+    # Fraction of a profile's variance that N blurred bars must explain; an edge or a spot leaves more than half.
+    min_explained: float = 0.6
+    min_relative_explained: float = 0.9  # Relative to the best explanation; side lobes occasionally explain as much
+    # Relative offset of a spectral peak from the stated frequency: the width f/N of three bars.
+    max_frequency_offset: float = 0.15
+    patch_level: float = 0.5  # Fraction of the maximum amplitude at the border of a uniform patch: one half
+    min_signal_sd: float = 5.0  # Fundamental of a target, standard uncertainties; noise alone reaches about 5
+    min_light_sd: float = 9.0  # Light of bars that cross the region, standard uncertainties
+    max_zeros: float = 0.5  # Zeros adjacent to the fundamental, over it: above this another object
+    max_zeros_sd: float = 3.5  # The same, standard uncertainties
+    # Significance from which the zeros give the frequency better than the stated one.
+    min_frequency_signal_sd: float = 30.0
+    frequency_tolerance: float = 0.01  # Relative change of the frequency that is reported
+    min_margin_px: float = 5.0  # A smaller margin cuts off the core's blur, not only a halo, px
+    max_rounding_sd: float = 0.1  # Relative uncertainty of the MTF by quantisation; more is beyond first order
+    max_other_light: float = 0.04  # Other light over the target's height
+    hidden_noise_dn: float = 0.4  # Noise that quantisation hides, DN
+    hidden_noise_fraction: float = 1e-3  # Noise over the bars' height below the error of the image's table
+    suspect_zeros: float = 0.15  # Zeros adjacent to the fundamental, over it: above this another frequency
+    min_flank: float = 0.6  # Modulus half way to the lower zero over that expected; twice as many bars have none
+    max_field_offset_px: float = 0.04  # Displacement between fields, px
+    max_upright_sine: float = 0.5  # Sine of the direction up to which bars count as upright
+    significant_sd: float = 5.0  # Significance of a finding, standard uncertainties
+    # Distance of fundamental and alias, in widths of either: two lobes that overlap by a tenth of their rims.
+    min_alias_distance: float = 1.8
+    min_travel_px: float = 0.8  # Displacement of tilted bars over their rows that averages the alias, px
+    max_second_harmonic: float = 0.006  # Second harmonic over the fundamental of slightly unequal bars and gaps
+    max_second_harmonic_sd: float = 3.5  # Its noise, standard uncertainties
+    max_misfit: float = 0.02  # Residual profile over the bars' height
+    max_departure_sd: float = 3.5  # Model departure over its prior
+    # MTF in standard uncertainties, below which it is an upper limit; a limit of two passes too many by chance.
+    min_mtf_sd: float = 3.0
+    max_other_sd: float = 6.0  # Other light above the smoothed background, robust standard deviations
+    min_model_preference_sd: float = 3.0  # Preference for another model than the tube; it widens the intervals
+    max_mtf: float = 1.5  # Upper bound of a sampled MTF
+    max_posterior_offset_sd: float = 2.0  # Distance of the draws from the fit, standard deviations
+    min_modulation_sd: float = 6.0  # Modulation of the first-term method, standard uncertainties
+    min_contrast_sd: float = 12.0  # Contrast of the profile method, standard uncertainties; noise has peaks below it
+    min_group_p_value: float = 0.001  # p-value of chi squared of the groups
+    max_direction_spread_deg: float = 15.0  # Directions of one curve, deg
+    max_axis_angle_deg: float = 30.0  # Angle to the rows or columns of their curve, deg
+    min_frequency_ratio: float = 1.1  # Closer frequencies count as one
+    max_lost_draws: float = 0.02  # Fraction of draws without an MTF50
+    max_extrapolation: float = 1.5  # MTF50 may lie beyond the groups by this factor
+    long_correlation: float = 0.2  # Correlation of neighbours from which that applies
+    min_row_noise_sd: float = 6.0  # Significance of row noise, standard uncertainties
+    max_background_height: float = 0.1  # Height of background pixels over that of the bars
+    max_count_chi2_ratio: float = 2.0  # Chi squared over that of the fit beyond which another number is not fitted
+    min_count_chi2_gain: float = 25.0  # Chi squared that another number must save, over the correlation sum
+    min_count_chi2_fraction: float = 1.0 / 3.0  # Or this fraction of all of it
+    min_sharpening_sd: float = 3.5  # Significance of missing light, standard uncertainties
+    min_sharpening: float = 3e-3  # Missing fraction of a copy; the image's table errs by a few ten-thousandths
+    min_independent_fraction: float = 1e-5  # Squared fraction of a copy that the parameters do not absorb
+    min_strip_match_sd: float = 6.0  # Match of a strip, standard uncertainties; noise alone does not reach it
+    min_end_light: float = 0.6  # Light at both ends of a region over that in its centre, of bars that cross it
+    min_background_periods: float = 0.0  # Background beyond the last gap that counting needs, periods
+    max_flat_height: float = 0.1  # Height of background pixels over that of the bars
+    # Exponent of the covariance: standard uncertainties (stated a fifth too large) and tolerance.
+    neighbour_power: tuple[float, float] = (2.3, 0.02)
+    # Exponent of the variance, which read-out noise and PRNU change, likewise.
+    pixel_power: tuple[float, float] = (3.0, 0.05)
+    min_power_sd: float = 4.0  # Significance of the noise's scale, standard uncertainties
+    max_single_frame_snr: float = 30.0  # Light over noise of single frames beyond which PRNU shows
+    min_noise_dn: float = 0.5  # Noise that quantisation leaves unchanged, DN
+    max_curvature_sd: float = 3.5  # Significance of a curvature, standard uncertainties
+    # Response of the matched filter, robust standard deviations; noise over a frame stays below it.
+    min_filter_response: float = 8.0
+    max_frequency_error: float = 0.06  # Relative search range of the frequency
+
+
+@dataclass(frozen=True)
+class BarAccuracy:
+    """Sampling, iteration limits, tolerances and resolution of bar targets."""
+
+    spectral_peaks: int = 8  # Spectral peaks tried: bars, harmonics, and the patch along and across them
+    # Standard deviation of the demodulation filter, periods; it leaves 1e-3 of the patch's own light.
+    smoothing_periods: float = 0.6
+    count_range: int = 2  # The extent of a patch gives the number of bars within this
+    fit_margin_px: float = 20.0  # Margin of the fitted window, px
+    fit_margin_periods: float = 1.5  # The same, periods
+    min_covariance_frames: int = 4  # Frames whose scatter gives the noise
+    min_lag_frames: int = 7  # Frames from which image lag is estimated
+    slab_px: float = 4.0  # Length of the slabs along the bars, px
+    other_smoothing_px: float = 2.0  # Smoothing of that background, px
+    other_margin_px: int = 8  # Margin excluded around other light, px
+    shape_step: float = 0.1  # Finite difference of the shape parameters
+    position_step_periods: float = 0.06  # Finite difference of the position, periods
+    max_position_step_px: float = 0.25  # The same, at most, px
+    # Relative uncertainty below which the bias, of the order of its square, is under a thousandth.
+    negligible_bias_sd: float = 0.015
+    fit_iterations: int = 12  # Gauss-Newton iterations
+    fit_tolerance: float = 3e-3  # Gain in chi squared at which a fit has converged
+    rough_tolerance: float = 0.1  # The same for a rough fit
+    give_up_after: int = 2  # Iterations before a hopeless fit is abandoned
+    step_fractions: tuple[float, ...] = (1.0, 0.4, 0.1, 0.02)  # Fractions of a step that are tried
+    min_model_weight: float = 0.01  # A model of less weight changes no interval
+    matched_range: tuple[float, float] = (0.02, 3.0)  # Frequencies over the bar frequency at which models are matched
+    matched_points: int = 40  # Number of them
+    # Variance over the squared bar height that corresponds to the error of the image's table.
+    min_variance: float = 1e-8
+    table_range_sd: float = 4.0  # Tabulated range of attenuation and exponent, standard deviations
+    table_points: int = 7  # Points of the table along either
+    table_degree: int = 4  # Degree of the interpolating polynomial
+    flat_prior_sd: float = 100.0  # Width of a flat prior, standard deviations of the estimate
+    image_table_sd: float = 3e-4  # Relative error of the MTF by interpolation in the image's table
+    quick_ess: float = 500.0  # Effective sample size of a quick answer
+    extremum_periods: float = 0.06  # Pixels this close to the centre of a bar or gap are averaged, periods
+    inner_length: float = 0.3  # Fraction of the bars' length that is used
+    matching_steps: int = 12  # Steps of matching one blur model to another
+    max_frequency_across: float = 1.5  # Highest frequency of the image's spectrum across the bars, cy/px
+    max_frequency_along: float = 1.0  # The same along the bars, cy/px
+    row_step_px: float = 0.18  # Distance of the table's rows at the bars' ends, px
+    row_step_growth: float = 0.08  # Growth of that distance per px from the ends
+    points_per_period: int = 100  # Points of the table per period; linear interpolation errs by a few ten-thousandths
+    start_transfer: float = 0.4  # Transfer at the bar frequency from which a fit starts
+    motion_margin_periods: float = 0.5  # Pixels used for motion beyond the outer bars, periods
+    figure_exponent: float = 1.2  # Exponent of the tube in the figure
+    correlation_px: int = 2  # Range of the noise correlation, px
+    long_correlation_px: int = 4  # Its range where neighbours are strongly correlated, px
+    row_lags_px: tuple[int, ...] = (8, 12, 16)  # Lags along a row at which only row noise is common, px
+    min_background_pixels: int = 300  # Background pixels that row noise needs
+    max_correlation_frames: int = 6  # Frames from which the correlation is taken
+    # Shifts at which another number of bars is tried, periods.
+    count_shifts_periods: tuple[float, ...] = (-0.5, 0.0, 0.5)
+    sharpening_widths_px: tuple[float, ...] = (2.0, 4.0, 8.0)  # Standard deviations of the blurred copies, px
+    profile_bin_px: float = 0.5  # Bins of a strip's profile, px
+    end_divisor: int = 8  # An end is this part of the region
+    # Trial blurs, standard deviations in periods: MTF of 0.88 to 0.02.
+    trial_blurs: tuple[float, ...] = (0.08, 0.16, 0.24, 0.34, 0.44)
+    profile_points_per_period: float = 12.0  # Points of the profile per period
+    profile_margin_periods: float = 1.2  # Background in the profile, periods
+    profile_inner_length: float = 0.4  # Fraction of the patch's length that is used
+    neighbour_lag_px: int = 1  # Lag of neighbours along a row, px
+    distant_lags_px: tuple[int, ...] = (8, 9, 10)  # Lags at which only row noise is common, px
+    min_light: float = 0.01  # Light over the brightest below which the black level is too uncertain
+    curvature_floor: float = 0.01  # Curvature that the blur of several stages mimics
+    # Prior probability of a nonlinear response; one in four, as for edges, gave 73 % coverage of 68 % intervals of
+    # strips.
+    nonlinear_prior: float = 0.1
+    power_starts: tuple[float, ...] = (0.0, 1.0, 2.0)  # Starting exponents
+    power_iterations: int = 60  # Gauss-Newton iterations
+    max_power_step: float = 1.0  # Longest step
+    power_tolerance: float = 1e-5  # Step at which they end
+    halo_margin_px: float = 12.0  # Margin beyond a halo, px
+    window_margin_px: float = 12.0  # Smallest margin, px
+    description_draws: int = 200  # Draws over the ranges of a sensor description
+
+
+LIMITS = BarLimits()
+ACCURACY = BarAccuracy()

@@ -9,11 +9,18 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from charact.mtf.blur_models.extended_component_tables import disc_at, disc_table, sine_integral_at, sine_table
-from charact.mtf.blur_models.moffat_table import MoffatTable, moffat_at, moffat_table
 from charact.mtf.blur_models.one_dimensional import AIRY_HALF, MIN_LN, BlurModel
 from charact.mtf.blur_models.pupil_table import PupilTable as PupilTable
 from charact.mtf.blur_models.pupil_table import pupil_and_slopes, pupil_curves, pupil_table
+from charact.mtf.blur_models.transfer import (
+    MoffatTable,
+    disc_at,
+    disc_table,
+    moffat_at,
+    moffat_table,
+    sine_integral_at,
+    sine_table,
+)
 
 Array = NDArray[np.float64]
 Tables = tuple[MoffatTable, Array, Array, PupilTable]

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.mtf.blur_models import transfer as forms
-from charact.mtf.blur_models.moffat_table import MOFFAT_EXPONENT, moffat
 from charact.mtf.blur_models.pupil_table import AREA, SQUARED_WAVES, pupil_from_table
+from charact.mtf.blur_models.transfer import MOFFAT_EXPONENT, moffat
 
 Array = NDArray[np.float64]
 
@@ -183,7 +183,7 @@ class BlurModel:
         return 1 + len(SHAPES[self.core])
 
     def start(self, half_frequency_cy_per_px: float) -> Array:
-        """Return a point from which to climb."""
+        """Return a starting point of the optimisation."""
         wide = [0.7 * low + 0.3 * high for _, (low, high) in self.wide.parameters.values()] if self.wide else []
         return np.array([np.log(half_frequency_cy_per_px), *STARTS[self.core], *wide])
 

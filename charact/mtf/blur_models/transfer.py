@@ -4,10 +4,13 @@ Frequencies are cycles per pixel along the direction measured, the pixel being t
 it. Parameters may carry leading axes; the frequency is the last axis of what comes out.
 """
 
+from functools import lru_cache
+
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from charact.mtf.blur_models import extended_component_tables
+from charact.mtf.blur_models import transfer
 
 Array = NDArray[np.float64]
 
@@ -63,13 +66,13 @@ def halo(frequency: Array, diameter_px: ArrayLike, elastic_share: ArrayLike) -> 
     """
     x = np.pi * np.asarray(diameter_px, float)[..., None] * frequency
     share = np.broadcast_to(np.asarray(elastic_share, float), x.shape[:-1])
-    flat = extended_component_tables.halo_from_table(x.reshape(-1, x.shape[-1]), np.ascontiguousarray(share.ravel()))
+    flat = transfer.halo_from_table(x.reshape(-1, x.shape[-1]), np.ascontiguousarray(share.ravel()))
     return flat.reshape(x.shape)
 
 
 def disc(frequency: Array, diameter_px: ArrayLike) -> Array:
     """Return the transfer 2 J1(x)/x, x = pi D f, of light spread evenly over a disc."""
-    return extended_component_tables.disc_from_table(np.pi * np.asarray(diameter_px, float)[..., None] * frequency)
+    return transfer.disc_from_table(np.pi * np.asarray(diameter_px, float)[..., None] * frequency)
 
 
 def glare(frequency: Array, length_px: ArrayLike) -> Array:
@@ -82,3 +85,160 @@ def halo_edge(distance: Array, diameter_px: float, elastic_share: float) -> Arra
     x = np.clip(2.0 * np.asarray(distance, float) / diameter_px, -1.0, 1.0)
     magnitude = np.maximum(np.abs(x), 1e-12)
     return 0.5 + 0.5 * x * (elastic_share + (1.0 - elastic_share) * (1.0 - np.log(magnitude)))
+
+
+MoffatTable = tuple[Array, Array, Array]
+
+# Exponent b of a Moffat spread (1 + r^2/a^2)^-b: 3/2 is a Lorentzian whose transfer is exp(-f), infinity a Gaussian.
+MOFFAT_EXPONENT = (1.2, 8.0)
+
+
+def moffat(frequency: Array, half_frequency: Array, exponent: Array) -> Array:
+    """Return ln of the transfer of a Moffat spread, shape (f,) or (n, f), (n,), (n,) -> (n, f).
+
+    Notes
+    -----
+    The two-dimensional transform of (1 + r^2/a^2)^-b is 2^(2-b)/Gamma(b-1) x^(b-1) K_(b-1)(x), x = 2 pi a f.
+    """
+    ratio = np.log(np.maximum(frequency, 1e-12)) - np.log(half_frequency)[:, None]
+    return _moffats_from_table(ratio, np.ascontiguousarray(exponent, float), moffat_table())
+
+
+@lru_cache(maxsize=1)
+def moffat_table() -> MoffatTable:
+    """Return ln(f/f2), 1/b and ln of the transfer at them, shape (1/b, ln(f/f2))."""
+    from scipy.special import gammaln, kve
+
+    places = np.linspace(np.log(1e-5), np.log(300.0), 1400)
+    inverse = np.linspace(1.0 / (MOFFAT_EXPONENT[1] + 0.5), 1.0 / (MOFFAT_EXPONENT[0] - 0.05), 80)
+    wide = np.exp(np.linspace(np.log(1e-7), np.log(1e4), 6000))
+    rows = []
+    for order in 1.0 / inverse - 1.0:
+        log = (1.0 - order) * np.log(2.0) - gammaln(order) + order * np.log(wide)
+        log = np.minimum(log + np.log(kve(order, wide)) - wide, 0.0)
+        half = np.exp(np.interp(np.log(2.0), -log, np.log(wide)))
+        rows.append(np.interp(places + np.log(half), np.log(wide), log))
+    return places, inverse, np.ascontiguousarray(rows)
+
+
+@njit(cache=True)
+def _moffats_from_table(ratio: Array, exponent: Array, table: MoffatTable) -> Array:
+    out = np.empty(ratio.shape)
+    for i in range(ratio.shape[0]):
+        for j in range(ratio.shape[1]):
+            out[i, j] = moffat_at(ratio[i, j], exponent[i], table)[0]
+    return out
+
+
+@njit(cache=True)
+def moffat_at(ratio: float, exponent: float, table: MoffatTable) -> tuple[float, float, float]:
+    """Return ln of the transfer at ln(f/f2), and its slopes with ln(f/f2) and with the exponent.
+
+    Far below f2 it is too small for the table's first column to matter.
+    """
+    places, inverse, ln = table
+    row = min(max((1.0 / exponent - inverse[0]) / (inverse[1] - inverse[0]), 0.0), inverse.size - 1.0)
+    low = min(int(row), inverse.size - 2)
+    step = places[1] - places[0]
+    column = min(max((ratio - places[0]) / step, 0.0), places.size - 1.001)
+    left = int(column)
+    share, rest = row - low, column - left
+    one = ln[low, left] * (1.0 - rest) + ln[low, left + 1] * rest
+    other = ln[low + 1, left] * (1.0 - rest) + ln[low + 1, left + 1] * rest
+    rise = (ln[low, left + 1] - ln[low, left]) * (1.0 - share) + (ln[low + 1, left + 1] - ln[low + 1, left]) * share
+    by_exponent = (one - other) / (exponent**2 * (inverse[1] - inverse[0]))
+    return one * (1.0 - share) + other * share, rise / step, by_exponent
+
+
+# Places of the table of Si in a unit, and where it ends.
+SINE_PER_UNIT, SINE_END = 100, 400.0
+# Step and end of the table of a disc's transfer; beyond it Hankel's expansion is off by less than 1e-6.
+DISC_STEP, DISC_END = 0.02, 400.0
+
+
+@lru_cache(maxsize=1)
+def sine_table() -> Array:
+    """Return Si by Simpson's rule at places from 0 on, 1/`SINE_PER_UNIT` apart."""
+    x = np.linspace(0.0, SINE_END, int(SINE_END) * SINE_PER_UNIT + 1)
+    middle = 0.5 * (x[1:] + x[:-1])
+    step = x[1] - x[0]
+    ends, inner = np.sinc(x / np.pi), np.sinc(middle / np.pi)
+    return np.concatenate([[0.0], np.cumsum((ends[1:] + 4.0 * inner + ends[:-1]) * step / 6.0)])
+
+
+@lru_cache(maxsize=1)
+def disc_table() -> Array:
+    """Return 2 J1(x)/x and its slope -2 J2(x)/x at places from 0 on, `DISC_STEP` apart, shape (place, 2)."""
+    from scipy.special import j1, jn
+
+    x = np.maximum(np.arange(0.0, DISC_END + 2.0 * DISC_STEP, DISC_STEP), 1e-9)
+    return np.stack([2.0 * j1(x) / x, -2.0 * jn(2, x) / x], axis=1)
+
+
+def sine_integral(x: Array) -> Array:
+    """Return Si(x) for x >= 0, beyond 400 by pi/2 - cos(x)/x (error below 1e-5)."""
+    return _sines_from_table(np.ravel(x).astype(float), sine_table()).reshape(np.shape(x))
+
+
+def disc_from_table(x: Array) -> Array:
+    """Return 2 J1(x)/x for x >= 0 (error below 1e-8)."""
+    return _discs_from_table(np.ravel(x).astype(float), disc_table()).reshape(np.shape(x))
+
+
+def halo_from_table(x: Array, elastic_share: Array) -> Array:
+    """Return share sin(x)/x + (1 - share) Si(x)/x for x > 0, shape (n, f) and (n,) -> (n, f)."""
+    return _halos_from_table(x, elastic_share, sine_table())
+
+
+@njit(cache=True)
+def _halos_from_table(x: Array, share: Array, table: Array) -> Array:
+    out = np.empty(x.shape)
+    for i in range(x.shape[0]):
+        for j in range(x.shape[1]):
+            here = x[i, j]
+            out[i, j] = (share[i] * np.sin(here) + (1.0 - share[i]) * sine_integral_at(here, table)) / here
+    return out
+
+
+@njit(cache=True)
+def _sines_from_table(x: Array, table: Array) -> Array:
+    out = np.empty(x.size)
+    for i in range(x.size):
+        out[i] = sine_integral_at(x[i], table)
+    return out
+
+
+@njit(cache=True)
+def _discs_from_table(x: Array, table: Array) -> Array:
+    out = np.empty(x.size)
+    for i in range(x.size):
+        out[i] = disc_at(x[i], table)[0]
+    return out
+
+
+@njit(cache=True)
+def sine_integral_at(x: float, table: Array) -> float:
+    """Return Si(x), linear between places of the table."""
+    place = x * SINE_PER_UNIT
+    if place >= table.size - 1:
+        return np.pi / 2 - np.cos(x) / x
+    left = int(place)
+    return table[left] + (table[left + 1] - table[left]) * (place - left)
+
+
+@njit(cache=True)
+def disc_at(x: float, table: Array) -> tuple[float, float]:
+    """Return 2 J1(x)/x and its slope -2 J2(x)/x, cubic between places of the table."""
+    if x >= DISC_END:
+        scale = np.sqrt(2.0 / (np.pi * x)) * 2.0 / x
+        one, two = x - 0.75 * np.pi, x - 1.25 * np.pi
+        value = scale * (np.cos(one) - 0.375 / x * np.sin(one))
+        return value, -scale * (np.cos(two) - 1.875 / x * np.sin(two))
+    place = x / DISC_STEP
+    left = int(place)
+    t = place - left
+    low, high = table[left, 0], table[left + 1, 0]
+    rise, last = table[left, 1] * DISC_STEP, table[left + 1, 1] * DISC_STEP
+    bend, twist = 3.0 * (high - low) - 2.0 * rise - last, rise + last - 2.0 * (high - low)
+    value = low + t * (rise + t * (bend + t * twist))
+    return value, (rise + t * (2.0 * bend + 3.0 * t * twist)) / DISC_STEP

@@ -1,1 +1,1 @@
-"""Edges: each file that is named after a method is one."""
+"""MTF of slanted edges; every registered method has a module of its name."""

@@ -14,30 +14,19 @@ import charact
 from charact.method import Context
 from charact.mtf.curve import FINE, PINNED, REPORTED, crossing_frequency
 from charact.mtf.edge import checks as edge_checks
-from charact.mtf.edge.findings import Facts, sharpening_flags, with_findings
-from charact.mtf.edge.geometry import orientation_deg
-from charact.mtf.edge.photon_transfer import growth_of
+from charact.mtf.edge.checks import Facts, sharpening_flags, with_findings
+from charact.mtf.edge.nonlinearity import growth_of
 from charact.mtf.edge.pixels import line
+from charact.mtf.edge.pixels.line import orientation_deg
 from charact.mtf.edge.pixels.prepare_edge import EdgeRefusal, PreparedEdge, prepare_edge
 from charact.mtf.edge.pixels.profile import EdgeProfile
-from charact.mtf.mean_frame import OrientedFrame
-from charact.mtf.photon_transfer_check import noise_flags
-from charact.mtf.region import Region
+from charact.mtf.edge.thresholds import ACCURACY, THRESHOLDS
+from charact.mtf.mean_frame import OrientedFrame, Region
+from charact.mtf.nonlinearity import noise_flags
 from labdata.frames import FrameStack
 from labdata.measurement import Curve, Measurement, Provenance, Result, make_refusal, measurement_from_sd
 
 Array = NDArray[np.float64]
-
-BLOCKS = 20
-# Share of a crossing's frequency on both sides over which the response's slope is taken, and the least slope there.
-AROUND, SHALLOWEST = 0.3, 0.1
-MIN_ROWS, MIN_COLS = 20, 16
-# Step over the noise of a pixel below which there is nothing to estimate plainly.
-MIN_STEP_SD = 3.0
-# Step below which half a code at either plateau counts beside the bias of these methods, DN.
-COARSE_DN = 40.0
-# Share by which an edge that moves from frame to frame, or wanders along its length, may lower MTF50 untold.
-LOWERED = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,10 +142,12 @@ def mean_by_cell(cell: NDArray[np.int64], value: Array, size: int) -> Array:
         three of four are empty, and straight lines between the others would blur the edge.
     """
     inside = (cell >= 0) & (cell < size)
-    block = np.broadcast_to((np.arange(len(value)) * BLOCKS // len(value))[:, None], value.shape)
+    block = np.broadcast_to((np.arange(len(value)) * ACCURACY.jackknife_blocks // len(value))[:, None], value.shape)
     index = (block * size + cell)[inside]
-    total = np.bincount(index, weights=value[inside], minlength=BLOCKS * size).reshape(BLOCKS, size)
-    count = np.bincount(index, minlength=BLOCKS * size).reshape(BLOCKS, size)
+    total = np.bincount(index, weights=value[inside], minlength=ACCURACY.jackknife_blocks * size).reshape(
+        ACCURACY.jackknife_blocks, size
+    )
+    count = np.bincount(index, minlength=ACCURACY.jackknife_blocks * size).reshape(ACCURACY.jackknife_blocks, size)
     totals = np.concatenate([total.sum(0)[None], total.sum(0) - total])
     counts = np.concatenate([count.sum(0)[None], count.sum(0) - count])
     place = np.arange(size)
@@ -177,14 +168,15 @@ def _noise(profile: EdgeProfile) -> float:
 def _refusal(edge: PreparedEdge) -> str | None:
     """Return why nothing plain can be made of an edge, if so."""
     rows, cols = edge.picture.value.shape
-    if rows < MIN_ROWS or cols < MIN_COLS:
-        return f"the plain edge estimator needs {MIN_ROWS} rows across {MIN_COLS} px, got {rows} across {cols}"
+    if rows < THRESHOLDS.conventional_rows or cols < THRESHOLDS.conventional_cols:
+        least = f"{THRESHOLDS.conventional_rows} rows across {THRESHOLDS.conventional_cols} px"
+        return f"a conventional edge method needs {least}, got {rows} across {cols}"
     noise, step = _noise(edge.profile), edge.profile.step
     if step < 3.0 * noise / np.sqrt(len(edge.profile.distance)) or edge.rows.line.strength < 60.0:
         return "no target: no edge stands clear of the noise"
-    if step < MIN_STEP_SD * noise:
+    if step < THRESHOLDS.conventional_step_sd * noise:
         return (
-            f"the plain edge estimator needs a step of {MIN_STEP_SD:g} standard deviations of the noise, "
+            f"a conventional edge method needs a step of {THRESHOLDS.conventional_step_sd:g} times the pixel noise, "
             f"got {step / noise:.1f}"
         )
     return None
@@ -199,13 +191,13 @@ def _flags(plain: ConventionalMethod, edge: PreparedEdge, half: float, context: 
         *(("low-signal",) if profile.step < plain.min_snr * _noise(profile) else ()),
         *(
             ("quantised",)
-            if profile.step < COARSE_DN and edge_checks.noise_below_quantisation(edge.picture, profile)
+            if profile.step < THRESHOLDS.coarse_step_dn and edge_checks.noise_below_quantisation(edge.picture, profile)
             else ()
         ),
         *(("defects",) if profile.defects else ()),
         *edge.flags,
         *sharpening_flags(edge, half),
-        *edge.blur_flags(lambda moved: not moved.mtf_loss(half) < LOWERED),
+        *edge.blur_flags(lambda moved: not moved.mtf_loss(half) < THRESHOLDS.conventional_motion),
         *_window_flags(profile, half),
     )
 
@@ -256,12 +248,12 @@ def _crossing_sd(response: MtfEstimate, crossing: float, each: Array) -> float:
     left out, hardly scatter, and the true one may be far. They serve where too few frequencies are near.
     """
     frequency = response.frequency
-    near = np.abs(frequency / crossing - 1.0) < AROUND
+    near = np.abs(frequency / crossing - 1.0) < ACCURACY.crossing_range
     if np.count_nonzero(near) < 3:
         return float(_jackknife(each))
     slope = np.polyfit(frequency[near], response.value[near], 1)[0]
     scatter = float(np.sqrt(np.mean(_jackknife(response.parts[:, near]) ** 2)))
-    return scatter / max(-slope, SHALLOWEST / crossing)
+    return scatter / max(-slope, ACCURACY.min_crossing_slope / crossing)
 
 
 def _edge_angle(edge: PreparedEdge, common: dict) -> Measurement:

@@ -1,8 +1,9 @@
-"""The forward model of an edge's profile: what transfers are possible, and how probable each is.
+"""Forward model of an edge profile: parametric transfer function with free model departures.
 
-The transfer is the aperture (and a video filter, where the camera's description has one) times exp(-ln 2 (f/f2)^n),
-which holds Gaussian lenses (n = 2) and intensifier tubes (n about 1.1), times a smooth departure from that form whose
-size the data decide, times the halo. Its phase may bend: a causal filter or a curved response makes edges lopsided.
+The transfer function is the pixel aperture (and the video filter of a described camera) times exp(-ln 2 (f/f2)^n),
+which covers Gaussian lenses (n = 2) and intensifier tubes (n about 1.1), times a smooth model departure whose size is
+selected by evidence, times the halo. Its phase is free: a causal filter or a nonlinear response makes edges
+asymmetric.
 """
 
 from dataclasses import dataclass
@@ -19,8 +20,7 @@ from charact.mtf.blur_models.one_dimensional import (
     HALF_FREQUENCY_PRIOR,
     ExtendedComponent,
 )
-from charact.mtf.edge.fit.phases import apply_phases
-from charact.mtf.edge.fit.sufficient_statistics import ProfileStatistics
+from charact.mtf.edge.fit.sufficient_statistics import ProfileStatistics, apply_phases
 from charact.mtf.known_transfer import KnownTransfer
 from charact.video_filter import powers
 
@@ -96,7 +96,7 @@ class EdgeModel:
         return self.known.video.parameters if self.known.video else {}
 
     def start(self, half_frequency: float, exponent: float) -> Array:
-        """Return a point from which to climb."""
+        """Return a starting point of the optimisation."""
         wide = [0.6 * low + 0.4 * high for _, (low, high) in self.halo.parameters.values()] if self.halo else []
         tail = [*wide, *(0.0 for _ in self._video)]
         return np.array([0.0, np.log(half_frequency), exponent, *np.zeros(KNOTS.size + PHASE_KNOTS.size), *tail])

@@ -11,8 +11,7 @@ from charact.method import Context, register
 from charact.mtf.curve import crossing_frequency
 from charact.mtf.edge.conventional import ConventionalMethod, MtfEstimate, mean_by_cell, measure_conventionally
 from charact.mtf.edge.pixels.line import EdgeLine
-from charact.mtf.mean_frame import OrientedFrame
-from charact.mtf.region import Region
+from charact.mtf.mean_frame import OrientedFrame, Region
 from labdata.frames import FrameStack
 from labdata.measurement import Result
 

@@ -6,9 +6,21 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from charact.method import Context
 from charact.mtf.curve import FINE
+from charact.mtf.edge.pixels.prepare_edge import PreparedEdge
 from charact.mtf.edge.pixels.profile import EdgeProfile
+from charact.mtf.nonlinearity import (
+from charact.mtf.edge.thresholds import THRESHOLDS
 from charact.mtf.nonlinearity_prior import contrast_of, curvatures
+from charact.mtf.photon_transfer_check import (
+    PlateauNoiseRatio,
+    contrast_of,
+    covariance_ratio,
+    curvatures,
+    ln_bayes_factor_nonlinear,
+    variance_ratio,
+)
 from labdata.measurement import Posterior
 
 Array = NDArray[np.float64]
@@ -17,22 +29,16 @@ Array = NDArray[np.float64]
 CurvatureEstimate = tuple[float, float]
 NO_CURVATURE_ESTIMATE: CurvatureEstimate = (0.0, 1.0)
 
-# Curvature of the response from which the modulus is in doubt by a percent, and its significance.
-CURVATURE, CURVATURE_SD = 0.05, 3.0
 # By how much MTF50 is found too high for each curvature of one and each contrast of one, in ln, under responses that
 # steepen and that flatten, and how far it may be from that: power laws, knees, saturation, logarithms and parabolas on
 # edges of every form. Dark sides a fiftieth to two thirds as bright as bright ones make as much for their contrast.
 STEEPENING, FLATTENING, EITHER_WAY = 0.18, 0.09, 0.1
-# Most that an exponent up to 2.2 lifts MTF50 by, at a contrast of one; it goes as the contrast squared.
-MAX_BIAS = 0.23
-# Deviations of MTF50 by which a response that does not show may have moved it where that is said.
-UNDETECTED_SD = 2.0
 
 
 def response_flags(response: CurvatureEstimate, contrast: float, deviation: float) -> tuple[str, ...]:
     """Return `gamma` where the profile looks curved and that may move MTF50 by more than its standard error.
 
-    Curved is lopsided beyond what the camera's known filter makes it. A Gaussian edge through a power law above 1 stays
+    The edge is asymmetric beyond the camera's known filter. A Gaussian edge through a power law above 1 stays
     nearly symmetric and shows it in its noise at most.
 
     Parameters
@@ -44,7 +50,7 @@ def response_flags(response: CurvatureEstimate, contrast: float, deviation: floa
     deviation
         Standard deviation of MTF50, as a share of it.
     """
-    curved = abs(response[0]) > max(CURVATURE, CURVATURE_SD * response[1])
+    curved = abs(response[0]) > max(THRESHOLDS.curvature, THRESHOLDS.curvature_sd * response[1])
     return ("gamma",) if curved and max_bias_of(response, contrast) > deviation else ()
 
 
@@ -60,8 +66,8 @@ def notes_on_undetected_nonlinearity(response: CurvatureEstimate, contrast: floa
     deviation
         Standard deviation of MTF50, as a share of it.
     """
-    lifted = contrast * min(2.0 * STEEPENING * response[1], MAX_BIAS * contrast)
-    if lifted < UNDETECTED_SD * deviation:
+    lifted = contrast * min(2.0 * STEEPENING * response[1], THRESHOLDS.max_nonlinearity_bias * contrast)
+    if lifted < THRESHOLDS.undetected_bias_sd * deviation:
         return ()
     return (
         "A curved response of the camera (a gamma) would not show on this edge: it may have lifted MTF50 by up to "
@@ -72,7 +78,7 @@ def notes_on_undetected_nonlinearity(response: CurvatureEstimate, contrast: floa
 
 def max_bias_of(response: CurvatureEstimate | None, contrast: float) -> float:
     """Return the share by which a curved response may have moved MTF50: as the profile asks for, or as any may."""
-    most = MAX_BIAS * contrast**2
+    most = THRESHOLDS.max_nonlinearity_bias * contrast**2
     if response is None or response == NO_CURVATURE_ESTIMATE:
         return most
     share = (STEEPENING if response[0] < 0.0 else FLATTENING) + 2.0 * EITHER_WAY
@@ -101,7 +107,7 @@ def marginalise_nonlinearity(
     -----
     Of the share that a curved response has, each draw takes back what a curvature, drawn from what prior and profile
     leave of it, has done to its frequency. That is nothing to a tenth of the curvature at low contrast, for the blur
-    may be what is lopsided.
+    may itself be asymmetric.
     """
     draws = posterior.draws.copy()
     draws[:, 1] -= nonlinearity_bias(response, contrast(profile), noise_ln_odds, seed, len(draws))
@@ -136,13 +142,13 @@ def remove_nonlinearity(mtf: Callable[[Array], Array], lifted: Array) -> Callabl
     moved = np.flatnonzero(lifted)
     finely = mtf(FINE)[moved]
 
-    def told(frequency: Array) -> Array:
+    def corrected(frequency: Array) -> Array:
         draws = mtf(frequency)
         for place, curve in zip(moved, finely, strict=True):
             draws[place] = np.interp(frequency * np.exp(lifted[place]), FINE, curve)
         return draws
 
-    return told
+    return corrected
 
 
 def response_curvature(
@@ -166,7 +172,7 @@ def response_curvature(
     Notes
     -----
     A response y = u + c u (1 - u) of the edge spread u; a power law of exponent g over levels a to b has about
-    c = -g (g - 1) m^(g - 2) (b - a)^2 / 2 / (b^g - a^g), m their middle. A lopsided blur looks the same on one edge;
+    c = -g (g - 1) m^(g - 2) (b - a)^2 / 2 / (b^g - a^g), m their middle. An asymmetric blur looks the same on one edge;
     either way the modulus of the transform is not what it would be at low contrast. First order in c and in every
     parameter of a symmetric blur.
     """
@@ -183,3 +189,41 @@ def response_curvature(
     inverse = np.linalg.pinv(normal, rcond=1e-13, hermitian=True) / np.outer(scale, scale)
     found = inverse @ (white.T @ (precision_root @ profile.value))
     return float(found[1] / found[0]), float(np.sqrt(max(inverse[1, 1], 0.0)) / abs(found[0]))
+
+
+def growth_of(edge: PreparedEdge) -> PlateauNoiseRatio:
+    """Return how the noise of an edge grows with the light, from frame to frame where there are several that differ."""
+    black = edge.profile.black
+    found = edge.plateau_noise and covariance_ratio(edge.plateau_noise, black)
+    if found:
+        return found
+    if (
+        len(edge.used.data) == 1
+        or edge.plateau_noise is None
+        or not max(one.variance for one in edge.plateau_noise) > 0
+    ):
+        return _single_frame_growth(edge)
+    return variance_ratio(edge.plateau_noise, black)
+
+
+def edge_ln_bayes_factor_nonlinear(edge: PreparedEdge, context: Context) -> float:
+    """Return ln of how much likelier the noise is under a curved response; a described camera's is straight: -inf."""
+    return ln_bayes_factor_nonlinear(growth_of(edge)) if context.sensor is None else -np.inf
+
+
+def _single_frame_growth(edge: PreparedEdge) -> PlateauNoiseRatio:
+    """Return how the variance of a single frame's pixels grows."""
+    profile = edge.profile
+    grain = profile.grain
+    pixels = 0.5 * np.count_nonzero(profile.gathered.used) / max(grain.covariance_over_variance, 1.0)
+    photons = None
+    if profile.black is not None and profile.dark > profile.black:
+        bright_dn = profile.bright - profile.black
+        if bright_dn < THRESHOLDS.photon_noise_snr * np.sqrt(grain.bright_variance):
+            photons = bright_dn / (profile.dark - profile.black)
+    return PlateauNoiseRatio(
+        ratio=grain.bright_variance / grain.dark_variance,
+        # A variance of n pixels scatters by the root of 2/n, a ratio of two by that of 4/n.
+        scatter=float(np.sqrt(4.0 / max(pixels, 1.0))),
+        photon_ratio=photons,
+    )

@@ -1,4 +1,4 @@
-"""The parametric method for edges: forms of the point spread, fitted to the profile and weighed by their evidence."""
+"""Parametric edge method: blur models fitted to the profile and averaged by their evidence."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -17,13 +17,13 @@ from charact.mtf.edge.fit.model_selection import (
     exceeds_model,
     fit_blur_models,
 )
-from charact.mtf.edge.nonlinearity import marginalise_nonlinearity
-from charact.mtf.edge.photon_transfer import edge_ln_bayes_factor_nonlinear
+from charact.mtf.edge.nonlinearity import edge_ln_bayes_factor_nonlinear, marginalise_nonlinearity
 from charact.mtf.edge.pixels.prepare_edge import EdgeRefusal, PreparedEdge, blur_refusal, edge_refusal, prepare_edge
 from charact.mtf.edge.pixels.profile import with_shading
 from charact.mtf.edge.result import EdgeFitOutput, edge_refusals, edge_result, window_normalisation_note
+from charact.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.mtf.known_transfer import KnownTransfer, known_transfer
-from charact.mtf.region import Region
+from charact.mtf.mean_frame import Region
 from charact.posterior import importance_sample, laplace, sample_posterior
 from charact.posterior.diagnostics import crowds_at_bound
 from labdata.frames import FrameStack
@@ -34,24 +34,9 @@ Array = NDArray[np.float64]
 ModelDraws = tuple[BlurModel, Posterior, int]
 
 METHOD = "edge-parametric"
-# Share of the evidence for light wider than the window from which on the window is too small.
-MIN_GLARE_WEIGHT = 0.65
-# Share of the sizes that a form may have which are too wide for the window to tell them from a veil.
-WIDEST_SHARE = 0.15
 # Parameters whose bounds were merely chosen. Beyond those of the others lies what nature forbids or another form.
 CHOSEN_BOUNDS = ("ln_half_frequency", "exponent")
-DRAWS, QUICK_DRAWS = 1000, 500
-MAX_STEPS = 3000
-# Half frequency of a core, cycles per pixel, from which on the aperture hides it, and its posterior is no parabola.
-SHARP = 0.5
-# Standard error of ln MTF50 from which on the posteriors are no parabolas either, that from which on the interval is
-# too wide to be trusted whatever its tails, and how many draws tell it.
-UNSURE, HOPELESS, TELLING = 0.1, 0.15, 100
-# Error of ln f2 up to which a wider blur's error is taken for it: the width of a blur is positive.
-WIDEST_ERROR = 0.5
-# Effective draws by importance where the answer is wanted quickly, draws to begin with, and least share of either.
-QUICK_ENOUGH, QUICK_FIRST = 300.0, 1000
-MIN_EFFORT = 0.55
+DRAWS = 1000
 
 
 @register(
@@ -149,7 +134,7 @@ def _draw_models(
 ) -> list[ModelDraws]:
     """Return draws of every form and how many of them count."""
     total = sum(one.share for one in fits)
-    wanted = QUICK_DRAWS if parabolic else DRAWS
+    wanted = ACCURACY.quick_draws if parabolic else DRAWS
     out = []
     for number, one in enumerate(fits):
         count = max(1, round(wanted * one.share / total))
@@ -163,9 +148,11 @@ def _draw_models(
 def _is_uncertain(drawn: ModelDraws, known: KnownTransfer) -> bool:
     """Tell whether MTF50 is so uncertain under a form that parabolas about the peaks do not tell its tails."""
     form, posterior, _ = drawn
-    half = crossing_frequency(FINE, np.abs(known(FINE)) * form.modulus(posterior.draws[:TELLING, 1:], FINE), 0.5)
+    half = crossing_frequency(
+        FINE, np.abs(known(FINE)) * form.modulus(posterior.draws[: ACCURACY.skew_draws, 1:], FINE), 0.5
+    )
     half = half[np.isfinite(half)]
-    return half.size > 0 and bool(UNSURE < np.std(np.log(half)) < HOPELESS)
+    return half.size > 0 and bool(THRESHOLDS.skewed_sd < np.std(np.log(half)) < THRESHOLDS.uninformative_sd)
 
 
 def _posterior(
@@ -188,7 +175,7 @@ def _posterior(
         "bounds": fitter.bounds(fit.family),
         "draws": draws,
     }
-    if parabolic and np.exp(fit.point[1]) < SHARP:
+    if parabolic and np.exp(fit.point[1]) < THRESHOLDS.sharp_half_frequency:
         posterior = laplace(lambda theta: np.zeros(len(theta)), **asked)
         posterior = replace(posterior, draws=_symmetrise_in_width(posterior.draws, float(fit.point[1])))
     else:
@@ -205,9 +192,9 @@ def _posterior(
 def _symmetrise_in_width(draws: Array, ln_half_frequency: float) -> Array:
     """Return Gaussian draws whose errors are even in the width of the blur, 1/f2, where they were in ln f2.
 
-    Chains along these ridges lean that way: a wider blur is told better than a sharper one.
+    Chains along these ridges are skewed that way: the data constrain a wider blur better than a sharper one.
     """
-    away = np.minimum(draws[:, 1] - ln_half_frequency, WIDEST_ERROR)
+    away = np.minimum(draws[:, 1] - ln_half_frequency, ACCURACY.max_ln_error)
     return np.concatenate([draws[:, :1], (ln_half_frequency - np.log1p(-away))[:, None], draws[:, 2:]], axis=1)
 
 
@@ -215,11 +202,14 @@ def _sample(log_probability: Callable[[Array], Array], asked: dict[str, Any], co
     """Draw by importance, and where that is not enough by Markov chain; where an answer is wanted quickly from less."""
     if context.quick:
         # A form of which few draws are wanted needs few to choose from.
-        share = max(asked["draws"] / DRAWS, MIN_EFFORT)
+        share = max(asked["draws"] / DRAWS, ACCURACY.min_effort)
         return importance_sample(
-            log_probability, **asked, enough=QUICK_ENOUGH * share, first_draws=round(QUICK_FIRST * share)
+            log_probability,
+            **asked,
+            enough=ACCURACY.quick_ess * share,
+            first_draws=round(ACCURACY.quick_first_draws * share),
         )
-    return sample_posterior(log_probability, **asked, max_steps=MAX_STEPS)
+    return sample_posterior(log_probability, **asked, max_steps=ACCURACY.chain_steps)
 
 
 def _flags(fitter: BlurModelFitter, fits: list[EvidenceWeightedModels]) -> tuple[str, ...]:
@@ -229,7 +219,7 @@ def _flags(fitter: BlurModelFitter, fits: list[EvidenceWeightedModels]) -> tuple
 
 def _has_unresolved_glare(fits: list[EvidenceWeightedModels]) -> bool:
     """Tell whether most of the evidence is for light wider than the window, whose share the window cannot tell."""
-    return sum(one.share for one in fits if _exceeds_window(one.fit)) > MIN_GLARE_WEIGHT
+    return sum(one.share for one in fits if _exceeds_window(one.fit)) > THRESHOLDS.unresolved_glare_weight
 
 
 def _exceeds_window(fit: BlurModelFit) -> bool:
@@ -238,7 +228,7 @@ def _exceeds_window(fit: BlurModelFit) -> bool:
     if wide is None or isinstance(wide, UnresolvedGlareComponent):
         return wide is not None
     low, high = fit.family.bounds[-wide.after_size]
-    return bool(fit.point[-wide.after_size] > high - WIDEST_SHARE * (high - low))
+    return bool(fit.point[-wide.after_size] > high - THRESHOLDS.widest_sizes * (high - low))
 
 
 def _shares(fits: list[EvidenceWeightedModels]) -> dict[str, float]:

@@ -9,25 +9,24 @@ from numpy.typing import NDArray
 
 import charact
 from charact.method import Context
-from charact.mtf.curve import FINE, PINNED, REPORTED, crossing_frequency, curve_of
+from charact.mtf.curve import FINE, PINNED, REPORTED, crossing_frequency, curve_of, flag_filter_uncertainty
 from charact.mtf.edge import checks as edge_checks
-from charact.mtf.edge.findings import Facts, sharpening_flags, with_findings
-from charact.mtf.edge.geometry import orientation_deg
+from charact.mtf.edge.checks import Facts, sharpening_flags, with_findings
 from charact.mtf.edge.nonlinearity import (
     NO_CURVATURE_ESTIMATE,
     CurvatureEstimate,
     contrast,
+    growth_of,
     notes_on_undetected_nonlinearity,
     response_flags,
 )
-from charact.mtf.edge.photon_transfer import growth_of
+from charact.mtf.edge.pixels.line import orientation_deg
 from charact.mtf.edge.pixels.prepare_edge import PreparedEdge
 from charact.mtf.edge.pixels.profile import EdgeProfile
-from charact.mtf.filter_uncertainty import flag_filter_uncertainty
-from charact.mtf.mean_frame import OrientedFrame
-from charact.mtf.photon_transfer_check import ln_bayes_factor_nonlinear, noise_flags
-from charact.mtf.region import Region
-from charact.mtf.target_motion import MAX_UNFLAGGED_SD
+from charact.mtf.edge.thresholds import ACCURACY, THRESHOLDS
+from charact.mtf.mean_frame import OrientedFrame, Region
+from charact.mtf.nonlinearity import ln_bayes_factor_nonlinear, noise_flags
+from charact.mtf.thresholds import LIMITS
 from charact.posterior import has_several_peaks
 from labdata.frames import FrameStack
 from labdata.measurement import (
@@ -43,16 +42,6 @@ from labdata.measurement import (
 
 Array = NDArray[np.float64]
 
-# Half width of the 68 % interval over the value from which on the posterior's tails depend on what was taken for
-# possible before the data, and no interval can be trusted at four standard errors.
-MAX_RELATIVE_SD = 0.14
-# Half width of a 95 % interval over that of the posterior, and by how much more on either side for a relative error of
-# one, up to that from which on nothing is sure: forms and noise are themselves chosen by the data, and an unsure edge
-# may hide more. Errors of a frequency grow with it, about as its square: where the answer came out low, it looks surer
-# than it is, and four deviations reach further up than down. Errors of a modulus lean to neither side.
-MARGIN, MORE_BELOW_ABOVE, MORE_BOTH_SIDES = 1.03, (1.0, 3.0), (2.0, 2.0)
-# Ln of the odds by which noise must speak against a curved response for nothing to be said of one.
-STRAIGHT_LN_ODDS = -0.5
 # Every so many of the fine frequencies tell between which of them a curve falls to a level.
 EVERY = 6
 COARSE = np.append(FINE[:-1:EVERY], FINE[-1])
@@ -170,7 +159,7 @@ def _flags(outcome: EdgeFitOutput, halves: Array, context: Context) -> Iterator[
     yield from outcome.flags
     yield from edge.flags
     yield from sharpening_flags(edge, half)
-    untold = MAX_UNFLAGGED_SD * _relative_sd(halves)
+    untold = LIMITS.max_motion_sd * _relative_sd(halves)
     yield from edge.blur_flags(lambda moved: moved.mtf_loss(half) > untold)
 
 
@@ -183,7 +172,9 @@ def _curve(draws: Array) -> Curve:
     """Return the reported curve, its 95 % interval with its margin."""
     curve = curve_of(REPORTED, draws)
     assert curve.interval68 is not None and curve.interval95 is not None, "curves of draws have intervals"
-    return replace(curve, interval95=_with_margin(curve.value, curve.interval68, curve.interval95, MORE_BOTH_SIDES))
+    return replace(
+        curve, interval95=_with_margin(curve.value, curve.interval68, curve.interval95, ACCURACY.modulus_margin)
+    )
 
 
 def _measurement_of(quantity: str, unit: str, draws: Array, more: tuple[float, float], **fields: Any) -> Measurement:
@@ -195,8 +186,8 @@ def _measurement_of(quantity: str, unit: str, draws: Array, more: tuple[float, f
 
 def _with_margin(value: Array, interval68: Array, interval95: Array, more: tuple[float, float]) -> Array:
     """Return a wider 95 % interval about a value that cannot be negative, shape (2, ...)."""
-    unsure = np.minimum(0.5 * (interval68[1] - interval68[0]) / np.maximum(value, 1e-12), MAX_RELATIVE_SD)
-    margin = np.stack([MARGIN + one * unsure for one in more])
+    unsure = np.minimum(0.5 * (interval68[1] - interval68[0]) / np.maximum(value, 1e-12), THRESHOLDS.max_relative_sd)
+    margin = np.stack([ACCURACY.interval_margin + one * unsure for one in more])
     return np.maximum(value + margin * (interval95 - value), 0.0)
 
 
@@ -221,7 +212,9 @@ def _crossing_frequency(quantity: str, level: float, draws: Array, posterior: Po
         )
         return make_refusal(quantity, "cy/px", reason, **common)
     kept = draws[np.isfinite(draws)]
-    found = _measurement_of(quantity, "cy/px", kept, MORE_BELOW_ABOVE, posterior=posterior, **_with_peaks(common, kept))
+    found = _measurement_of(
+        quantity, "cy/px", kept, ACCURACY.frequency_margin, posterior=posterior, **_with_peaks(common, kept)
+    )
     sure = found if _has_known_tails(found) else found.with_(flags=("low-signal",))
     return sure.with_(value=_mode_of(found))
 
@@ -242,7 +235,7 @@ def _mode_of(found: Measurement) -> float:
 def _mtf_at(frequency: float, draws: Array, common: dict) -> Measurement:
     """Return the MTF at one frequency."""
     common = _with_peaks(common, draws)
-    return _measurement_of("mtf", "1", draws, MORE_BOTH_SIDES, frequency_cy_per_px=float(frequency), **common)
+    return _measurement_of("mtf", "1", draws, ACCURACY.modulus_margin, frequency_cy_per_px=float(frequency), **common)
 
 
 def _posterior_flags(posterior: Posterior, context: Context) -> tuple[str, ...]:
@@ -262,7 +255,7 @@ def _has_known_tails(found: Measurement) -> bool:
     """Tell whether the 68 % interval of a measurement is narrow enough for its tails to be known."""
     assert found.value is not None and found.interval68 is not None, "draws give a value and intervals"
     low, high = found.interval68
-    return high - low < 2.0 * MAX_RELATIVE_SD * found.value
+    return high - low < 2.0 * THRESHOLDS.max_relative_sd * found.value
 
 
 def edge_angle(edge: PreparedEdge, common: dict) -> Measurement:
@@ -294,7 +287,7 @@ def _response_notes(outcome: EdgeFitOutput, halves: Array, context: Context) -> 
     A described camera's response, or one under which noise grows as photons' does, is taken to be straight.
     """
     known = halves[np.isfinite(halves)]
-    straight = ln_bayes_factor_nonlinear(growth_of(outcome.edge)) < STRAIGHT_LN_ODDS
+    straight = ln_bayes_factor_nonlinear(growth_of(outcome.edge)) < THRESHOLDS.linear_ln_bayes_factor
     if context.sensor is not None or straight or not known.size:
         return ()
     return notes_on_undetected_nonlinearity(

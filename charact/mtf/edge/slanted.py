@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from charact.method import Context, register
 from charact.mtf.edge.conventional import ConventionalMethod, MtfEstimate, mean_by_cell, measure_conventionally
 from charact.mtf.edge.pixels.line import EdgeLine
-from charact.mtf.mean_frame import OrientedFrame
-from charact.mtf.region import Region
+from charact.mtf.mean_frame import OrientedFrame, Region
 from labdata.frames import FrameStack
 from labdata.measurement import Result
 
@@ -102,11 +101,11 @@ def _centroid_line(value: Array) -> tuple[float, float]:
     slope, first = 0.0, 0.5 * (cols - 1)
     for _ in range(2):
         centre = (first + slope * row)[:, None]
-        weighed = difference * _hamming(place - centre, np.maximum(centre, cols - 1 - centre))
-        light = weighed.sum(axis=1)
+        weighted = difference * _hamming(place - centre, np.maximum(centre, cols - 1 - centre))
+        light = weighted.sum(axis=1)
         if not np.all(light > 0):
             return np.inf, 0.0
-        slope, first = np.polyfit(row, weighed @ place / light + 0.5, 1)
+        slope, first = np.polyfit(row, weighted @ place / light + 0.5, 1)
     return float(slope), float(first)
 
 

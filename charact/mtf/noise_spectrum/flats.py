@@ -12,32 +12,154 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context, register
-from charact.mtf.noise_spectrum.aliasing import PostGainBlur
-from charact.mtf.noise_spectrum.checks import findings_of, misfit
+from charact.mtf.noise_spectrum.aliasing import NonparametricBlur, PostGainBlur
 from charact.mtf.noise_spectrum.model import (
+    COMMON,
     FAMILIES,
+    SpectrumLikelihood,
     SpectrumOptimum,
     optimum_under_model,
     readout_of,
+    scatter_model,
     white_log_probability,
 )
-from charact.mtf.noise_spectrum.nonparametric_blur import NonparametricBlur
-from charact.mtf.noise_spectrum.pooled_spectrum import SelectedFlats, select_flats, spectrum_of
+from charact.mtf.noise_spectrum.pooled_spectrum import PooledSpectrum, SelectedFlats, select_flats, spectrum_of
 from charact.mtf.noise_spectrum.result import DRAWS, SpectrumDraws, curves, figure_data, quantities
-from charact.mtf.noise_spectrum.undetected_scatter import note as unseen_note
+from charact.mtf.noise_spectrum.result import note as unseen_note
+from charact.mtf.noise_spectrum.thresholds import THRESHOLDS
+from charact.noise.checks import QUANTISED_DN2
 from charact.noise.provenance import provenance
-from charact.posterior import laplace, sample_posterior
-from labdata.measurement import Result, make_refusal
+from charact.posterior import laplace, predictive_check, sample_posterior
+from labdata.measurement import Posterior, Result, make_refusal
 from labdata.session import Session
 
 Array = NDArray[np.float64]
 
+
+def findings_of(
+    spectrum: PooledSpectrum, chosen: SelectedFlats, peak: SpectrumOptimum, context: Context
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return flags and notes."""
+    flags, notes = [], []
+    if chosen.left_out:
+        notes.append(f"left out, at another gain, saturated or of a single frame: {', '.join(chosen.left_out)}")
+    if chosen.clipped:
+        flags.append("clipped")
+    if chosen.flicker > THRESHOLDS.flicker:
+        flags.append("flicker")
+        notes.append(f"the light changes by {100 * chosen.flicker:.2g} % from frame to frame")
+    if spectrum.frames < THRESHOLDS.min_frames:
+        flags.append("too-few-frames")
+        notes.append(f"{spectrum.frames} frames cannot show whether exposures share light; {THRESHOLDS.min_frames} can")
+    if spectrum.lag_open:
+        flags.append("lag")
+        notes.append("earlier exposures still glow at the last lag that the frames allow")
+    elif len(spectrum.lag):
+        notes.append(f"successive exposures share light (correlation {spectrum.lag[0]:.2g}), which was allowed for")
+    if not any(level.signal_dn for level in spectrum.levels):
+        flags.append("no-darks")
+        notes.append("no darks: noise of the electronics was taken for white, and the response for straight")
+    elif len(spectrum.levels) < 2:
+        flags.append("too-few-frames")
+        notes.append("one level of light only: whether the response is straight cannot be seen")
+    if min(float(np.mean(level.power_dn2)) for level in spectrum.levels) < QUANTISED_DN2:
+        flags.append("quantised")
+    flags += _nonlinearity_flags(
+        spectrum, peak, THRESHOLDS.max_nonlinearity if context.sensor is None else THRESHOLDS.max_mcp_saturation
+    )
+    if _has_scatter(spectrum, peak):
+        flags.append("model-misfit")
+        notes.append("light seems to be scattered after the gain beyond the form's reach: the MTF may be too high")
+    if _is_too_steep(peak):
+        flags.append("model-misfit")
+        notes.append(f"the transfer falls more steeply than exp(-(f/fc)^{THRESHOLDS.max_exponent:g}), as blurs do not")
+    if context.sensor is not None and float(context.sensor.video.gamma) != 1.0:
+        flags.append("gamma")
+    return tuple(dict.fromkeys(flags)), tuple(notes)
+
+
+def _nonlinearity_flags(spectrum: PooledSpectrum, peak: SpectrumOptimum, straight: float) -> list[str]:
+    """Whether the power of pulses over the signal changes along the levels by more than a share, as under a gamma."""
+    levels = [level for level in spectrum.levels if level.signal_dn]
+    if len(levels) < 2:
+        return []
+    white, pulses = peak.problem.parts(peak.point[None])
+    shape = (white + pulses)[0]
+    signal = np.array([float(level.signal_dn or 1.0) for level in levels])
+    weight = np.array([(shape / level.power_sd_dn2) ** 2 for level in levels])
+    power = np.array([
+        float(np.average(level.power_dn2 / shape, weights=own)) for level, own in zip(levels, weight, strict=True)
+    ])  # fmt: skip
+    error = 1.0 / np.sqrt(weight.sum(axis=1))
+    low, high = np.array([level.quantisation_noise_dn2 for level in levels]).T / (power * float(shape.mean()))
+    ratio = power * (1.0 - 0.5 * (low + high)) / signal
+    mean = float(np.average(ratio, weights=(signal / error) ** 2))
+    sd = np.hypot(error / power, _pulse_height_error(spectrum, peak, signal, power))
+    allowed = straight + THRESHOLDS.nonlinearity_sd * sd + 0.5 * (high - low)
+    return ["gamma"] if np.any(np.abs(ratio / mean - 1.0) > allowed) else []
+
+
+def _pulse_height_error(spectrum: PooledSpectrum, peak: SpectrumOptimum, signal_dn: Array, power: Array) -> Array:
+    """Relative error of each level's power by the heights of its pulses, which all of its cells share, shape (level,).
+
+    Of N pulses with heights h the power scatters by E h^4 / (E h^2)^2 / N; N from the signal and the power at
+    frequency 0, k E h^2 / (E h)^2 per signal.
+    """
+    looks = np.array([
+        float(np.sum((level.power_dn2 / level.power_sd_dn2) ** 2)) for level in spectrum.levels if level.signal_dn
+    ])  # fmt: skip
+    at_zero = power * float(np.exp(peak.point[0]))
+    pulses = THRESHOLDS.pulse_square * signal_dn**2 / at_zero * 2.0 * looks
+    return np.sqrt(THRESHOLDS.pulse_kurtosis / np.maximum(pulses, 1.0))
+
+
+def _is_too_steep(peak: SpectrumOptimum) -> bool:
+    """Whether the exponent of the form is beyond those of blurs."""
+    if "exponent" not in peak.problem.shape.parameters or peak.problem.shape.name == "free":
+        return False
+    place = peak.problem.names.index("exponent")
+    return float(peak.point[place]) > THRESHOLDS.max_exponent + THRESHOLDS.exponent_sd * float(
+        np.sqrt(peak.covariance[place, place])
+    )
+
+
+def _has_scatter(spectrum: PooledSpectrum, peak: SpectrumOptimum) -> bool:
+    """Whether a veil of scattered light makes the data much likelier."""
+    form = scatter_model(spectrum.shorter_px)
+    if form is None:
+        return False
+
+    def start(problem: SpectrumLikelihood) -> Array:
+        return problem.start_at(peak.point[: len(COMMON)], float(np.exp(peak.point[len(COMMON)])))
+
+    veiled = optimum_under_model(spectrum, peak.problem.known, form, start=start)
+    return _log_likelihood(veiled) - _log_likelihood(peak) > THRESHOLDS.scatter_ln_likelihood
+
+
+def _log_likelihood(peak: SpectrumOptimum) -> float:
+    problem = peak.problem
+    return float(problem.log_likelihood(problem.model(peak.point[None]))[0])
+
+
+def misfit(peak: SpectrumOptimum, posterior: Posterior, rng: np.random.Generator) -> tuple[str, ...]:
+    """Return `model-misfit` where the spectrum, in the order of radius, departs from its model by more than noise."""
+    problem = peak.problem
+    spectrum = problem.spectrum
+    order = np.argsort(np.hypot(spectrum.column_cy_per_px, spectrum.row_cy_per_px))
+    best = problem.model(peak.point[None])[0]
+    # The cube root of a gamma variable is nearly normal (Wilson & Hilferty 1931), its mean lower by 1/(9 n).
+    looks = problem.looks
+    data = np.cbrt(spectrum.power_dn2 / best)
+    # Where the posterior bends, its mean is no fit: what matters is how far draws may lie from the best one.
+    drawn = np.cbrt(problem.model(posterior.draws[:300]) / best)
+    drawn = (1.0 + drawn - drawn.mean(axis=0)) * (1.0 - 1.0 / (9.0 * looks))
+    noise = 1.0 / (3.0 * np.sqrt(looks))
+    check = predictive_check(data[order], drawn[:, order], noise[order], rng=rng, level=THRESHOLDS.misfit_p_value)
+    return check.flags
+
+
 KIND = "post-gain"
 NOTE = "MTF of what comes after the gain (screen, taper, chip, video): lens and cathode gap are not in it"
-# Evidence, in ln, by which a blurred spectrum must beat a white one.
-MIN_EVIDENCE = 8.0
-# Forms of less than this share of the weight take no part.
-MIN_WEIGHT = 0.02
 QUANTITIES = ("post_gain_mtf50", "post_gain_mtf", "white_noise_share")
 
 
@@ -56,14 +178,14 @@ def noise_spectrum(session: Session, *, context: Context) -> Result:
     -------
     Result
         `post_gain_mtf50` and `post_gain_mtf` at pinned frequencies along rows (0 deg) and columns (90 deg),
-        `white_noise_share`; curves "mtf_post_gain" and "mtf_post_gain_vertical", and the model-free ones beside them.
+        `white_noise_share`; curves "mtf_post_gain" and "mtf_post_gain_vertical", and the non-parametric ones.
 
     Notes
     -----
     Power of the noise: white floor + k F^2 mu |H|^2, folded by sampling, fitted by Whittle's likelihood. See
     `charact.mtf.noise_spectrum.model`.
     """
-    return _measure(session, FAMILIES, "noise-spectrum", context, beside=True)
+    return _measure(session, FAMILIES, "noise-spectrum", context, with_free_curves=True)
 
 
 @register(
@@ -74,11 +196,11 @@ def noise_spectrum(session: Session, *, context: Context) -> Result:
 )
 def noise_spectrum_free(session: Session, *, context: Context) -> Result:
     """Measure the MTF after the gain as a free smooth function; returns as `noise_spectrum`."""
-    return _measure(session, (NonparametricBlur(),), "noise-spectrum-free", context, beside=False)
+    return _measure(session, (NonparametricBlur(),), "noise-spectrum-free", context, with_free_curves=False)
 
 
 def _measure(
-    session: Session, shapes: tuple[PostGainBlur, ...], method: str, context: Context, *, beside: bool
+    session: Session, shapes: tuple[PostGainBlur, ...], method: str, context: Context, *, with_free_curves: bool
 ) -> Result:
     fields: dict[str, Any] = {"method": method, "provenance": provenance(context)}
     chosen = select_flats(session, context)
@@ -92,7 +214,7 @@ def _measure(
     known = readout_of(context)
     peaks = sorted((optimum_under_model(spectrum, known, shape) for shape in shapes), key=lambda p: -p.log_weight)
     gained = peaks[0].log_evidence - white_log_probability(peaks[0])
-    if gained < MIN_EVIDENCE:
+    if gained < THRESHOLDS.min_blur_ln_evidence:
         return _refusal(
             f"the noise is white (evidence of blur exp({gained:.2g})): nothing blurs after the gain, or the flats are "
             "too few to show it",
@@ -108,7 +230,7 @@ def _measure(
     }  # fmt: skip
     result = quantities(spectrum, found, own)
     drawn_curves = result.curves
-    if beside:
+    if with_free_curves:
         free = _draw_models([optimum_under_model(spectrum, known, NonparametricBlur())], _quick(context))
         drawn_curves = {**drawn_curves, **{f"{name}_free": curve for name, curve in curves(spectrum, free).items()}}
     return replace(result, curves=drawn_curves, evidence={"post-gain-noise": figure_data(spectrum, found)})
@@ -137,7 +259,7 @@ def _draw_models(peaks: list[SpectrumOptimum], context: Context) -> SpectrumDraw
     """Draw from the posteriors of the forms that have a say."""
     height = np.array([peak.log_weight for peak in peaks])
     share = np.exp(height - height.max())
-    kept = share / share.sum() > MIN_WEIGHT
+    kept = share / share.sum() > THRESHOLDS.min_model_weight
     share = share[kept] / share[kept].sum()
     own = [peak for peak, keep in zip(peaks, kept, strict=True) if keep]
     posteriors = tuple(

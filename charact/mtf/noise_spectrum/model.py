@@ -22,6 +22,7 @@ from charact.mtf.noise_spectrum.aliasing import (
     without_weak_replicas,
 )
 from charact.mtf.noise_spectrum.pooled_spectrum import PooledSpectrum
+from charact.mtf.noise_spectrum.thresholds import THRESHOLDS
 from charact.posterior import find_maximum
 from charact.video_filter import VideoFilter, powers
 
@@ -29,25 +30,18 @@ Array = NDArray[np.float64]
 
 FAMILIES: tuple[BlurModel, ...] = (BlurModel(core="gaussian"), BlurModel(core="exponential"), BlurModel(core="moffat"))
 # How much likelier than any other the form of image tubes is that of a described one, in ln.
-TUBE, TUBE_ODDS = "exponential", 3.0
-# None of the forms is the blur itself, and what they say of frequency 0, where nothing is measured, differs by more
-# than each is sure of: they are weighed by the root of their evidence, as 494 random cameras ask for (3 of them were
-# silently wrong by the whole of it, 3 to 6 % off).
-EVIDENCE_POWER = 0.5
-# Light scattered behind the gain, looked for beside the forms: its reach from so many px to this share of the
-# image's shorter side, and its share.
+TUBE = "exponential"
+# Scattered light after the gain: least length, px, largest length as a fraction of the image's shorter side, and bounds
+# of its fraction.
 SCATTER_PX, SCATTER_SHARE = 3.0, 0.08
 SCATTER_FRACTION = (0.0, 0.4)
 COMMON = ("ln_power", "white_share", "hidden_place", "ln_anisotropy")
 COMMON_UNITS = ("ln(DN^2)", "1", "1", "1")
-# Half frequency along columns over that along rows, both in column pitches: normal in its logarithm. Blur of tubes and
-# fibres is round, but the pitches of an unknown camera's rows and the video before its digitiser are not known.
-ROUND_SD, UNKNOWN_SD = 0.1, 0.4
 ANISOTROPY = (-1.5, 1.5)
 # Share of the mean power that is white: it may go below zero, else a camera without would be pushed to one side.
 WHITE = (-0.05, 1.0)
-# Where in its range the power is that whole numbers hide: anywhere, but for a mean and standard deviation that let it
-# be climbed to where the range is narrow.
+# Position of the quantisation noise within its range; the Gaussian prior keeps the optimisation regular where the
+# range is narrow.
 QUANTISATION, QUANTISATION_PRIOR = (0.0, 1.0), (0.5, 0.5)
 
 
@@ -64,13 +58,13 @@ def scatter_model(shorter_px: float) -> BlurModel | None:
 def readout_of(context: Context) -> KnownReadout:
     """Return what the camera's description says of the transfer after the gain."""
     if context.sensor is None:
-        return KnownReadout(height_px=1.0, video=None, anisotropy_sd=UNKNOWN_SD)
+        return KnownReadout(height_px=1.0, video=None, anisotropy_sd=THRESHOLDS.anisotropy_sd)
     rows = 2.0 if context.interlaced else 1.0
     pitch_um, taper = float(context.sensor.ccd.pitch_x_um), context.sensor.taper
     return KnownReadout(
         height_px=rows * context.pitch_ratio,
         video=VideoFilter.of(context.sensor),
-        anisotropy_sd=ROUND_SD,
+        anisotropy_sd=THRESHOLDS.round_sd,
         fibres=(float(taper.fibre_pitch_um) / pitch_um, float(taper.interface_mtf_lp_per_mm) * pitch_um * 1e-3),
     )
 
@@ -198,7 +192,9 @@ class SpectrumOptimum:
     @property
     def log_weight(self) -> float:
         """ln of the weight of this form among others: the root of its evidence, and its odds before the data."""
-        return EVIDENCE_POWER * self.log_evidence - (TUBE_ODDS if _is_atypical_of_tubes(self.problem) else 0.0)
+        return THRESHOLDS.evidence_power * self.log_evidence - (
+            THRESHOLDS.tube_ln_prior if _is_atypical_of_tubes(self.problem) else 0.0
+        )
 
 
 def optimum_under_model(
@@ -208,7 +204,7 @@ def optimum_under_model(
     *,
     start: Callable[[SpectrumLikelihood], Array] | None = None,
 ) -> SpectrumOptimum:
-    """Climb to the best fit under a form: roughly, then with the replicas, cells and looks that belong to it."""
+    """Find the optimum under a blur model, first roughly, then with the replicas, cells and looks of that fit."""
     whole = spectral_replicas(spectrum.column_cy_per_px, spectrum.row_cy_per_px, spectrum.row_pitch, known)
     problem = SpectrumLikelihood(
         spectrum=spectrum, known=known, shape=shape, replicas=whole, looks=spectrum.looks_lagged

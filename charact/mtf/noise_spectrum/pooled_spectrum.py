@@ -4,28 +4,136 @@ Only what changes from exposure to exposure is looked at: each pixel's mean over
 exposure's own level are taken away, fields of interlaced frames apart.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.mtf.noise_spectrum.stack import StackSpectra, low_frequency_weights, smear, stack_spectra
+from charact.mtf.noise_spectrum.thresholds import ACCURACY, THRESHOLDS
 from charact.noise.gain.series import CLIPPED_SHARE, longest_series, read_levels, series_of
 from charact.noise.rounding import QUANTISATION_DN2, variance_range_before_rounding
-from charact.noise.stack.spectrum import Bins
+from charact.noise.stack.spectrum import Bins, bins_of, cross_spectra
+from charact.noise.stack.temporal import (
+    autocovariance,
+    exposures,
+    fluctuations,
+    n_effective_samples,
+    runs_of,
+    usable_lags,
+)
+from labdata.errors import BadInput
 from labdata.frames import FrameStack
 from labdata.session import Session
 
 Array = NDArray[np.float64]
 
-# Correlation in time is there beyond this many standard errors.
-LAG_SEEN = 4.0
-# Share of the cells that hold less noise of a dark than what is white in it is taken for.
-QUIETEST = 0.1
-# Power of a flat whose codes never change, DN^2: no weight is endless.
-STILL_DN2 = 1e-6
+
+@dataclass(frozen=True, kw_only=True)
+class StackSpectra:
+    """Spectra of one stack: with exposures taken as independent, and with lags allowed for."""
+
+    bins: Bins
+    plain_dn2: Array
+    lagged_dn2: Array
+    low_dn2: Array
+    lags: NDArray[np.int64]
+    time: NDArray[np.int64]
+    parity: NDArray[np.int64]
+    runs: int
+    frames: int
+
+    def power(self, lag: Array) -> Array:
+        """Return the power of each cell, DN^2, lags allowed for where any are given."""
+        return self.lagged_dn2 if len(lag) else self.plain_dn2
+
+    def independent(self, lag: Array) -> float:
+        """Return how many independent exposures are behind the power if they are correlated so in time."""
+        own = self._same_parity(self.lags) if len(lag) else np.zeros(1, np.int64)
+        return self.runs * n_effective_samples(self.time, self.parity, own, lag, within_parity=True)
+
+    def _same_parity(self, lags: NDArray[np.int64]) -> NDArray[np.int64]:
+        return lags[lags % 2 == 0] if len(np.unique(self.parity)) > 1 else lags
+
+
+def stack_spectra(stack: FrameStack, context: Context) -> StackSpectra:
+    """Return the spectra of a stack, run by run."""
+    plain, lagged, low, weight = [], [], [], []
+    runs = runs_of(stack)
+    for first, last in runs:
+        shots = exposures(stack, first, last, interlaced=context.interlaced)
+        change = fluctuations(shots)
+        bins = frequency_cells(change.shape[1], change.shape[2], context.pitch_ratio * shots.row_step)
+        products = cross_spectra(change, shots.parity, bins)
+        lags = usable_lags(shots.time, shots.parity, ACCURACY.max_lag_exposures)
+        same = lags[lags % 2 == 0] if context.interlaced else lags
+        none = np.zeros(1, np.int64)
+        plain.append(autocovariance(products, shots.time, shots.parity, none, within_parity=True)[:, 0])
+        lagged.append(autocovariance(products, shots.time, shots.parity, same, within_parity=True)[:, 0])
+        pooled = np.tensordot(low_frequency_weights(bins), products, 1)
+        low.append(autocovariance(pooled, shots.time, shots.parity, lags))
+        weight.append(len(shots.time))
+    count = min(len(part) for part in low)
+    return StackSpectra(
+        bins=bins,
+        plain_dn2=np.average(plain, axis=0, weights=weight),
+        lagged_dn2=np.average(lagged, axis=0, weights=weight),
+        low_dn2=np.average([part[:count] for part in low], axis=0, weights=weight),
+        lags=lags[:count],
+        time=shots.time,
+        parity=shots.parity,
+        runs=len(runs),
+        frames=len(stack),
+    )
+
+
+def low_frequency_weights(bins: Bins) -> Array:
+    """Weights of the cells in which the correlation in time is read."""
+    inside = np.hypot(bins.column_cy_per_px, bins.row_cy_per_px) < ACCURACY.lag_band_cy_per_px
+    inside &= bins.row_cy_per_px * bins.row_pitch < max(
+        ACCURACY.lag_row_band, 1.01 * bins.row_cy_per_px.min() * bins.row_pitch
+    )
+    weight = bins.modes * inside
+    return weight / max(weight.sum(), 1.0)
+
+
+def frequency_cells(rows: int, cols: int, row_pitch: float) -> Bins:
+    """Return the cells of frequency of an image whose rows lie `row_pitch` column pitches apart, axes left out.
+
+    Raises
+    ------
+    BadInput
+        If fewer than 24 cells hold modes enough.
+    """
+    plain = bins_of(rows, cols, row_pitch)
+    along = np.arange(cols // 2 + 1)[None, :]
+    down = np.abs(np.round(np.fft.fftfreq(rows) * rows))[:, None]
+    across, up = (int(np.clip(n // (2 * ACCURACY.modes_per_cell), 1, ACCURACY.max_cells)) for n in (cols, rows))
+    cell = np.minimum(2 * along * across // cols, across - 1).astype(np.int64) * up
+    cell = cell + np.minimum(2 * down * up // rows, up - 1).astype(np.int64)
+    cell[(along <= ACCURACY.axis_modes) | (down <= ACCURACY.axis_modes) | (2 * along == cols)] = -1
+    kept, position, modes = np.unique(cell, return_inverse=True, return_counts=True)
+    position = position.reshape(cell.shape)
+    full = (kept >= 0) & (modes >= ACCURACY.min_modes)
+    if full.sum() < 24:
+        raise BadInput(f"images must have some 48 x 48 pixels an exposure for a noise spectrum, got {rows} x {cols}")
+    column, row = (np.broadcast_to(f, cell.shape).ravel() for f in (along / cols, down / rows / row_pitch))
+    mean = [np.bincount(position.ravel(), f) / modes for f in (column, row)]
+    select = np.where(full, np.cumsum(full) - 1, -1)[position]
+    return replace(
+        plain, column_cy_per_px=mean[0][full], row_cy_per_px=mean[1][full], modes=modes[full].astype(float),
+        select=select,
+    )  # fmt: skip
+
+
+def smear(window: NDArray[np.float32]) -> float:
+    """Standard deviation of the kernel |W|^2 that a window convolves a spectrum with, cycles per sample.
+
+    Its second moment is the integral of w'^2 over (2 pi)^2 times that of w^2.
+    """
+    fine = window.astype(float)
+    return float(np.sqrt(np.sum(np.diff(fine) ** 2) / np.sum(fine**2)) / (2.0 * np.pi))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -240,7 +348,7 @@ def _quantisation_noise_dn2(dark: StackSpectra, share: float) -> tuple[float, fl
     what is left at the frequencies that they do not reach.
     """
     whole = float(np.average(dark.plain_dn2, weights=dark.bins.modes))
-    rest = float(np.quantile(dark.plain_dn2, QUIETEST))
+    rest = float(np.quantile(dark.plain_dn2, ACCURACY.white_quantile))
     hidden = [
         noise + QUANTISATION_DN2 - variance
         for variance in (whole, rest)
@@ -260,7 +368,7 @@ def _modes_of(bins: Bins, stack: FrameStack, context: Context) -> tuple[Array, A
 
 def _weights(flats: list[StackSpectra], signals: list[float | None]) -> list[float]:
     """Weights near those of least variance: a flat's signal over the square of its power, times its exposures."""
-    mean = [max(float(one.plain_dn2.mean()), STILL_DN2) for one in flats]
+    mean = [max(float(one.plain_dn2.mean()), ACCURACY.min_power_dn2) for one in flats]
     gain = [m if s is None else s for m, s in zip(mean, signals, strict=True)]
     weight = [one.runs * len(one.time) * g / m**2 for one, g, m in zip(flats, gain, mean, strict=True)]
     return [w / sum(w * g for w, g in zip(weight, gain, strict=True)) for w in weight]
@@ -281,13 +389,13 @@ def _lag(flats: list[StackSpectra]) -> tuple[Array, bool, bool]:
         value += one.low_dn2[1:count] / total
         square += (one.low_dn2[0] / total) ** 2 / (2.0 * modes * np.maximum(pairs, 1.0))
     sd = 1.2 * np.sqrt(square)
-    seen = bool((value[:3] > LAG_SEEN * sd[:3]).any())
+    seen = bool((value[:3] > THRESHOLDS.lag_sd * sd[:3]).any())
     if not seen:
         return np.empty(0), True, False
     full = np.zeros(int(flats[0].lags[count - 1]))
     full[flats[0].lags[1:count] - 1] = value
     tail = float(np.mean(value[-3:]))
-    return full, True, bool(tail > max(0.05, LAG_SEEN * float(sd[-3:].mean())))
+    return full, True, bool(tail > max(0.05, THRESHOLDS.lag_sd * float(sd[-3:].mean())))
 
 
 def _flat_spectrum(

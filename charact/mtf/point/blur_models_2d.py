@@ -1,7 +1,7 @@
-"""Forms of a point's picture: transfers in two dimensions, as a core that may be elliptical, and light beyond it.
+"""Two-dimensional blur models of points: elliptical cores and extended components.
 
-A transfer is kept at radial frequencies and at a few directions: what lies between directions is a polynomial in the
-cosine of twice the angle, as an ellipse's is nearly.
+A transfer is kept at radial frequencies and a few directions. Between directions it is a polynomial in the cosine of
+twice the angle.
 """
 
 from dataclasses import dataclass
@@ -11,8 +11,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.blur_models.diffraction import OBSCURATION, pupil
 from charact.mtf.blur_models.one_dimensional import BlurModel, ExtendedComponent
+from charact.mtf.blur_models.pupil_table import OBSCURATION, pupil
 from charact.mtf.point.forward_model import pinhole
 
 Array = NDArray[np.float64]
@@ -20,26 +20,26 @@ Array = NDArray[np.float64]
 # Ratio of horizontal to vertical half frequency, ln: lenses and tubes are nearly round.
 STRETCH = (-0.6, 0.6)
 STRETCH_SD = 0.15
-# Exponent of a tube's tails beside a Gaussian of lens, fibres and pulse (physics reference 1.12: 1.1 to 2).
+# Exponent of a tube's tails next to a Gaussian of lens, fibres and pulse (physics reference 1.12: 1.1 to 2).
 TAIL = (1.0, 2.0)
 TAIL_PRIOR = (1.3, 0.25)
 BLUR_PX = (0.05, 2.0)
-# Most cameras scatter a few per cent of their light: half of a normal distribution of this width.
+# Scattered fraction: half-normal prior of a few per cent.
 WIDE_SHARE_SD = 0.1
-# Exponent of the long exposure through turbulent air (Fried 1966, J. Opt. Soc. Am. 56, 1372): 5/3.
+# Exponent of the long exposure through turbulent air (Fried 1966, J. Opt. Soc. Am. 56, 1372).
 TURBULENT = 5.0 / 3.0
 # A clear pupil in focus falls to one half at this fraction of its cut-off: acos v - v sqrt(1 - v^2) = pi / 4.
 HALF_OF_CUT_OFF = 0.4039728
-# Square of the defocus, waves^2, to which a transfer is linear where it is small; half of a normal distribution.
+# Bounds of the square of the defocus, waves^2, in which a transfer is linear, and its half-normal prior.
 DEFOCUS_SQUARE, DEFOCUS_SQUARE_SD = (0.0, 2.25), 0.5
-# Departures from a form: middles of their bumps in ln of frequency over half frequency, and their width.
+# Centres of the departure bumps in ln of frequency over half frequency, and their width.
 BUMPS, BUMP_WIDTH = (-2.0, -1.0, -0.4, 0.2, 0.7), 0.5
-# Half frequencies of a tube beside which a Gaussian blur can be told, ln of cycles per column pitch.
+# Half frequencies of a tube at which a Gaussian blur is distinguishable, ln of cycles per column pitch.
 TUBE = (float(np.log(0.02)), float(np.log(0.6)))
 
 
 Core = Literal["gaussian", "kolmogorov", "exponential", "moffat", "airy", "hole", "defocus", "pupil"]
-# What each pupil has free besides its cut-off.
+# Free parameters of each pupil besides its cut-off.
 PUPILS: dict[str, tuple[str, ...]] = {
     "airy": (),
     "hole": ("obscuration_square",),
@@ -54,26 +54,26 @@ PUPIL_PARAMETERS = {
 
 @dataclass(frozen=True, kw_only=True)
 class BlurModel2D:
-    """A form of the transfer of blur and source, aperture and video filter left aside.
+    """Transfer of blur and source, without aperture and video filter.
 
     Parameters
     ----------
     core
-        "gaussian", "exponential" and "moffat" as of `charact.mtf.blur_models.one_dimensional.BlurModel`; "kolmogorov": exponential of
-        exponent 5/3; "airy", "hole", "defocus", "pupil": diffraction, without more, with a central obscuration, with
-        defocus, with both.
+        "gaussian", "exponential" and "moffat" as of `charact.mtf.forms.families.Family`; "kolmogorov": exponential of
+        exponent 5/3; "airy", "hole", "defocus", "pupil": diffraction, alone, with central obscuration, with defocus,
+        with both.
     round
         Whether rows and columns are blurred alike.
     lens
-        Whether a Gaussian blur lies beside the core: a tube behind a lens, or before its fibres.
+        Whether a Gaussian multiplies the core: a tube behind a lens, or before its fibres.
     separable
-        Whether horizontal and vertical blur act one after the other, T(fx, 0) T(0, fy), instead of being elliptical.
+        Whether horizontal and vertical blur multiply, T(fx, 0) T(0, fy), instead of being elliptical.
     wide
-        Light beyond the core, round; None: none.
+        Extended component, round; None: none.
     pinhole_px
-        Diameter of the source, column pitches, or the bounds between which it is unknown.
+        Diameter of the source, column pitches, or its bounds if unknown.
     departures
-        Standard deviation before the data of smooth departures from the form, fraction of the transfer; 0: none.
+        Prior standard deviation of model departures, fraction of the transfer; 0: none.
     """
 
     core: Core
@@ -86,7 +86,7 @@ class BlurModel2D:
 
     @property
     def name(self) -> str:
-        """Name for people."""
+        """Printed name."""
         core = f"separable {self.core}" if self.separable else self.core
         core = f"{core} x gaussian" if self.lens else core
         core = f"round {core}" if self.round else core
@@ -95,12 +95,12 @@ class BlurModel2D:
 
     @property
     def blur_parameters(self) -> int:
-        """Number of parameters before those of the light beyond the core."""
+        """Number of parameters before those of the extended component."""
         return self.core_parameters + int(self.lens) + int(not self.round)
 
     @property
     def family(self) -> BlurModel:
-        """The family of a core that has one."""
+        """One-dimensional model of the core, for cores that have one."""
         names = {"exponential": "exponential", "kolmogorov": "exponential", "moffat": "moffat"}
         return BlurModel(core=names.get(self.core, "gaussian"))  # type: ignore[arg-type]
 
@@ -122,7 +122,7 @@ class BlurModel2D:
         return np.array([bound for _, bound in self.parameters.values()])
 
     def prior(self) -> tuple[Array, Array]:
-        """Return mean and precision of the Gaussian part of each parameter's prior; precision 0: flat in bounds."""
+        """Return mean and precision of the Gaussian part of each parameter's prior; precision 0: uniform."""
         return _prior(self)
 
     def log_prior(self, theta: Array) -> Array:
@@ -132,7 +132,7 @@ class BlurModel2D:
         return np.where(inside, self.log_volume() - 0.5 * (theta - mean) ** 2 @ precision, -np.inf)
 
     def log_volume(self) -> float:
-        """Return ln of the prior density where its Gaussian part is at its peak."""
+        """Return ln prior density at the mean of its Gaussian part."""
         bounds, (_, precision) = self.bounds, self.prior()
         known = precision > 0
         flat = -np.sum(np.log(bounds[~known, 1] - bounds[~known, 0]))
@@ -140,7 +140,7 @@ class BlurModel2D:
         return float(flat + half + 0.5 * np.sum(np.log(precision[known] / (2.0 * np.pi))))
 
     def start(self, ln_half_frequency: float) -> Array:
-        """Return a point from which to climb."""
+        """Return starting values."""
         begin = {
             "ln_half_frequency": ln_half_frequency, "exponent": 1.3 if self.lens else 1.5, "moffat_exponent": 2.5,
             "blur_px": 0.4, "stretch": 0.0, "obscuration_square": 0.08, "defocus_square": 0.05,
@@ -176,7 +176,7 @@ class BlurModel2D:
         return lens * (1.0 - first[:, None] + first[:, None] * beyond)[:, None]
 
     def _core(self, theta: Array, stretch: Array | None, frequency: Array, cosine: Array) -> Array:
-        """Return the core along each direction: that of a half frequency which changes with the direction."""
+        """Return the core along each direction: that of a direction-dependent half frequency."""
         shape = theta[:, : self.core_parameters]
         if stretch is None:
             one = self._modulus(shape, frequency)[:, None]
@@ -190,7 +190,7 @@ class BlurModel2D:
         return horizontal * self._core_by_direction(shape, 0.5 * np.log(across * wider + little), frequency)
 
     def _core_by_direction(self, shape: Array, ln_narrower: Array, frequency: Array) -> Array:
-        """Return the core with half frequencies lower by factors (n, direction), shape (n, direction, frequency)."""
+        """Return the core with half frequencies reduced by factors (n, direction), shape (n, direction, frequency)."""
         every = np.repeat(shape, ln_narrower.shape[1], axis=0)
         every[:, 0] -= ln_narrower.ravel()
         return self._modulus(every, frequency).reshape(*ln_narrower.shape, frequency.size)

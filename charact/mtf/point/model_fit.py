@@ -1,4 +1,4 @@
-"""Fitting forms of the transfer to one or several points: each form by Gauss-Newton, all weighed by their evidence."""
+"""Gauss-Newton fit of blur models to one or several points, with their evidence."""
 
 from dataclasses import dataclass, replace
 
@@ -6,19 +6,91 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.mtf.point.blur_models_2d import BlurModel2D
-from charact.mtf.point.censored import Censored
 from charact.mtf.point.spot_image_matrix import cosines, radial
+from charact.mtf.point.thresholds import ACCURACY
 
 Array = NDArray[np.float64]
 
-ITERATIONS = 40
-# A parameter's finite difference, share of the width of its bounds.
-DIFFERENCE = 1e-5
+
+@dataclass(frozen=True, kw_only=True)
+class Censored:
+    """Pixels that are clipped in at least one frame.
+
+    Parameters
+    ----------
+    matrix
+        From a transfer at the nodes to their height at unit light, background and position at their optimum for the
+        other pixels, shape (pixel, node).
+    limit
+        Full scale above the background, shape (pixel,), DN.
+    sd
+        Standard deviation of one frame, shape (pixel,), DN.
+    cut, left
+        Number of frames in which the pixel is clipped, and is not, shape (pixel,).
+    mean
+        Mean of the latter above the background, shape (pixel,), DN.
+    """
+
+    matrix: Array
+    limit: Array
+    sd: Array
+    cut: Array
+    left: Array
+    mean: Array
+
+    def terms(self, height: Array) -> tuple[Array, Array, float]:
+        """Return slope and minus curvature of ln likelihood, each pixel's, and its sum, for heights (pixel,).
+
+        Notes
+        -----
+        ln L = k ln Phi((h - c)/s) - (n - k) (v - h)^2 / (2 s^2): k of n frames are clipped at c, the mean of the others
+        is v.
+        """
+        slope, curvature, value = self._terms(height[None])
+        return slope[0], np.maximum(curvature[0], 1e-12 / self.sd**2), float(value[0])
+
+    def _terms(self, height: Array) -> tuple[Array, Array, Array]:
+        from scipy.special import log_ndtr
+
+        z = (height - self.limit) / self.sd
+        log_tail = log_ndtr(z)
+        # Inverse Mills ratio phi/Phi, from logarithms to remain finite far below the limit.
+        mills = np.exp(-0.5 * z**2 - 0.5 * np.log(2.0 * np.pi) - log_tail)
+        off = (self.mean - height) / self.sd
+        slope = (self.cut * mills + self.left * off) / self.sd
+        curvature = (self.cut * mills * (mills + z) + self.left) / self.sd**2
+        value = np.sum(self.cut * log_tail - 0.5 * self.left * off**2, axis=-1)
+        return slope, curvature, value
+
+    def light(self, data: Array, unit: Array, hidden: Array, start: float) -> float:
+        """Return the most probable light of whitened pixels and clipped ones of unit heights."""
+        best, _ = self._lights(np.array([unit @ data]), np.array([unit @ unit]), hidden[None], np.array([start]))
+        return float(best[0])
+
+    def _lights(self, overlap: Array, curvature: Array, hidden: Array, start: Array) -> tuple[Array, Array]:
+        """Return the most probable lights by Newton's method, and the curvature there, shape (n,)."""
+        light = np.maximum(start, 1e-12)
+        bend = curvature
+        for _ in range(ACCURACY.light_iterations):
+            slope, weight, _ = self._terms(light[:, None] * hidden)
+            bend = curvature + np.sum(weight * hidden**2, axis=1)
+            step = (overlap - light * curvature + np.sum(slope * hidden, axis=1)) / np.maximum(bend, 1e-300)
+            # The logarithm is concave: long steps are only shortened.
+            light = light + np.clip(step, -0.5 * light, light)
+            if np.all(np.abs(step) < 1e-9 * light):
+                break
+        return light, bend
+
+    def log_likelihood(self, overlap: Array, curvature: Array, hidden: Array) -> Array:
+        """Return ln likelihood of shapes, the light marginalised by Laplace's approximation, shape (n,)."""
+        light, bend = self._lights(overlap, curvature, hidden, np.maximum(overlap / curvature, 1e-12))
+        value = self._terms(light[:, None] * hidden)[2]
+        return overlap * light - 0.5 * curvature * light**2 + value - 0.5 * np.log(np.maximum(bend, 1e-300))
 
 
 @dataclass(frozen=True, kw_only=True)
 class WhitenedPixels:
-    """What the pixels of one source say, its place and all that is linear but the light marginalised.
+    """Whitened pixels of one source, position and other linear parameters but the light marginalised.
 
     Parameters
     ----------
@@ -27,11 +99,11 @@ class WhitenedPixels:
     matrix
         From a transfer at the nodes to them at unit light, shape (value, node).
     root, basis
-        Inverse root of the covariance, and whitened directions that are marginalised, shape (value, direction).
+        Inverse root of the covariance, and marginalised whitened directions, shape (value, direction).
     rounding
-        Part of the covariance that rounding to whole codes makes, shape (value, value), DN^2.
+        Part of the covariance by quantisation, shape (value, value), DN^2.
     censored
-        Pixels of which only a least value is known; None: there are none.
+        Clipped pixels; None: none.
     free
         Values less linear parameters.
     """
@@ -44,30 +116,30 @@ class WhitenedPixels:
     rounding: Array
     censored: Censored | None = None
 
-    def whitened(self, columns: Array) -> Array:
-        """Return columns (value, column) as data are: whitened, without what is marginalised."""
+    def whiten(self, columns: Array) -> Array:
+        """Return columns (value, column) whitened, without the marginalised directions."""
         white = self.root @ columns
         return white - self.basis @ (self.basis.T @ white)
 
 
 @dataclass(frozen=True, kw_only=True)
 class BlurModelFit2D:
-    """A form fitted to points.
+    """A blur model fitted to points.
 
     Parameters
     ----------
     form
-        The form.
+        The blur model.
     point, covariance
-        Peak of the posterior and the inverse of the curvature there, light, place and background marginalised.
+        Optimum of the posterior and the inverse curvature there; light, position and background marginalised.
     light
         Light of each source, DN px^2.
     log_evidence
-        ln of the evidence by Laplace's approximation, up to what all forms share.
+        ln evidence by Laplace's approximation, up to a constant common to all models.
     cost
-        -2 ln of likelihood and Gaussian priors at the peak.
+        -2 ln of likelihood and Gaussian priors at the optimum.
     chi2, free
-        Chi squared of the pixels that are not censored, and their number less the parameters.
+        Chi squared of the pixels below full scale, and its degrees of freedom.
     """
 
     form: BlurModel2D
@@ -92,9 +164,9 @@ class _Linearisation:
 
 @dataclass(frozen=True, kw_only=True)
 class _Source:
-    """One source at its most probable light: its pixels, and below them those that were cut, weighed by their share.
+    """One source at its most probable light; clipped pixels enter as weighted pseudo-residuals.
 
-    Pixels at unit light, their change with each parameter, and what the data leave; -2 ln of their likelihood.
+    Pixels at unit light, their derivatives, residuals, and -2 ln likelihood.
     """
 
     light: float
@@ -110,7 +182,7 @@ class _Source:
 
 
 class PointFitter:
-    """Fits forms to the pixels of one or several points of one camera."""
+    """Fits blur models to the pixels of one or several points of one camera."""
 
     def __init__(self, pixels: list[WhitenedPixels], top: float) -> None:
         self.pixels = pixels
@@ -120,8 +192,8 @@ class PointFitter:
         """Return transfers at the nodes, shape (n, node)."""
         return form.transfer(theta, self._frequency, self._cosine).reshape(len(theta), -1)
 
-    def fit(self, form: BlurModel2D, start: Array, *, iterations: int = ITERATIONS) -> BlurModelFit2D:
-        """Fit a form from a starting point."""
+    def fit(self, form: BlurModel2D, start: Array, *, iterations: int = ACCURACY.model_iterations) -> BlurModelFit2D:
+        """Fit a model from starting values."""
         bounds = form.bounds
         point, damping = np.clip(start, bounds[:, 0], bounds[:, 1]), 1e-3
         here = self._linearise(form, point)
@@ -140,11 +212,11 @@ class PointFitter:
         return self._fit_at(form, point, here)
 
     def _linearise(self, form: BlurModel2D, point: Array) -> _Linearisation:
-        """Return cost, gradient and curvature at a point, lights at their best."""
+        """Return cost, gradient and curvature at a point, lights at their optimum."""
         bounds = form.bounds
         width = bounds[:, 1] - bounds[:, 0]
-        # Differences run inwards, so that they stay within the bounds.
-        moves = np.where(point > bounds.mean(axis=1), -1.0, 1.0) * DIFFERENCE * width
+        # Differences point inwards, to stay within the bounds.
+        moves = np.where(point > bounds.mean(axis=1), -1.0, 1.0) * ACCURACY.difference * width
         nodes = self.nodes(form, np.concatenate([point[None], point + np.diag(moves)]))
         sources = [_source(one, nodes, moves) for one in self.pixels]
         mean, precision = form.prior()
@@ -168,7 +240,7 @@ class PointFitter:
         scale = np.sqrt(np.maximum(np.diag(here.normal), 1e-300))
         covariance = np.linalg.pinv(here.normal / np.outer(scale, scale), rcond=1e-12, hermitian=True)
         covariance = covariance / np.outer(scale, scale)
-        # A parameter that the data do not feel spreads over its bounds.
+        # A parameter without effect is uniform over its bounds.
         widest = (bounds[:, 1] - bounds[:, 0]) / np.sqrt(12.0)
         shrink = np.minimum(1.0, widest / np.sqrt(np.maximum(np.diag(covariance), 1e-300)))
         covariance = covariance * np.outer(shrink, shrink)
@@ -188,7 +260,7 @@ class PointFitter:
         )
 
     def log_probability(self, form: BlurModel2D, theta: Array) -> Array:
-        """Return ln of the posterior with lights, places and backgrounds marginalised, shape (n,)."""
+        """Return ln posterior with lights, positions and backgrounds marginalised, shape (n,)."""
         value = form.log_prior(theta)
         inside = np.isfinite(value)
         if inside.any():
@@ -207,7 +279,7 @@ def _log_likelihood(one: WhitenedPixels, nodes: Array) -> Array:
 
 
 def _source(pixels: WhitenedPixels, nodes: Array, moves: Array) -> _Source:
-    """Return a source for transfers at the nodes, (1 + parameter, node): at a point, and moved by each parameter."""
+    """Return a source from transfers at a point and displaced by each parameter, shape (1 + parameter, node)."""
     unit, slopes = _unit_and_slopes(pixels.matrix, nodes, moves)
     light = float(pixels.data @ unit) / max(float(unit @ unit), 1e-300)
     source = _source_at_light(light, pixels.data, unit, slopes)
@@ -226,7 +298,7 @@ def _source_at_light(light: float, data: Array, unit: Array, slopes: Array) -> _
 def _add_clipped_pixels(
     source: _Source, data: Array, censored: Censored, hidden: Array, hidden_slopes: Array
 ) -> _Source:
-    """Return a source with the pixels that were cut, given at unit light: what they pull at is a residual too."""
+    """Add the clipped pixels to a source."""
     seen = _source_at_light(censored.light(data, source.unit, hidden, source.light), data, source.unit, source.slopes)
     pull, weight, height = censored.terms(seen.light * hidden)
     root = np.sqrt(weight)
@@ -240,13 +312,13 @@ def _add_clipped_pixels(
 
 
 def _unit_and_slopes(matrix: Array, nodes: Array, moves: Array) -> tuple[Array, Array]:
-    """Return pixels at unit light and their slope with each parameter, shapes (pixel,) and (pixel, parameter)."""
+    """Return pixels at unit light and their derivatives, shapes (pixel,) and (pixel, parameter)."""
     shapes = matrix @ nodes.T
     return shapes[:, 0], (shapes[:, 1:] - shapes[:, :1]) / moves
 
 
 def _step(here: _Linearisation, point: Array, bounds: Array, damping: float) -> Array:
-    """Return the damped Gauss-Newton step, parameters held by a bound left out."""
+    """Return the damped Gauss-Newton step; parameters at a bound do not move outwards."""
     blocked = ((point <= bounds[:, 0]) & (here.gradient < 0)) | ((point >= bounds[:, 1]) & (here.gradient > 0))
     free = np.flatnonzero(~blocked)
     step = np.zeros(point.size)
@@ -261,14 +333,14 @@ def _step(here: _Linearisation, point: Array, bounds: Array, damping: float) -> 
 
 
 def _ln_inside(point: Array, covariance: Array, bounds: Array, gradient: Array) -> float:
-    """Return ln of the Gaussian's volume inside the bounds over that of the whole, about the height at a point.
+    """Return ln of the fraction of a Gaussian's volume inside the bounds, relative to its height at a point.
 
-    At a bound the Gaussian's own peak lies z standard deviations beyond, exp(z^2 / 2) higher.
+    At a bound the Gaussian's optimum lies z standard deviations beyond, exp(z^2 / 2) higher.
     """
     from scipy.special import log_ndtr, ndtr
 
     sd = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     low, high = (point - bounds[:, 0]) / sd, (bounds[:, 1] - point) / sd
     pull = np.where(low < 1e-6, np.maximum(-gradient, 0.0), np.where(high < 1e-6, np.maximum(gradient, 0.0), 0.0)) * sd
-    share = np.maximum(ndtr(high) - ndtr(-low), 1e-3)
-    return float(np.sum(np.where(pull > 0.0, 0.5 * pull**2 + log_ndtr(-pull), np.log(share))))
+    fraction = np.maximum(ndtr(high) - ndtr(-low), 1e-3)
+    return float(np.sum(np.where(pull > 0.0, 0.5 * pull**2 + log_ndtr(-pull), np.log(fraction))))

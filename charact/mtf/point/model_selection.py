@@ -1,4 +1,4 @@
-"""Which forms of the transfer points ask for: simple ones first, all that come near weighed by their evidence."""
+"""Selection and averaging of blur models of points by evidence."""
 
 from dataclasses import dataclass, replace
 
@@ -10,46 +10,36 @@ from charact.mtf.point.blur_models_2d import BlurModel2D, Core
 from charact.mtf.point.model_fit import BlurModelFit2D, PointFitter
 from charact.mtf.point.source_pixels import SourcePixels, add_noise, noise_likelihood, position_source, whiten_source
 from charact.mtf.point.spot_image_matrix import cosines, radial
-from charact.mtf.point.thresholds import FAR_FROM_FOCUS, LOWER, MAX_CORES
+from charact.mtf.point.thresholds import ACCURACY
 
 Array = NDArray[np.float64]
 
-# A form this much less probable than the best, as a fraction, adds nothing to the draws.
-MIN_WEIGHT = 0.02
-# Forms within this of the best in ln of the evidence are worth pursuing.
-CLOSE = 8.0
-# Cores within this of the best are asked for light beyond them also where it gains nothing: it may hide in the noise.
-NEAR = 3.0
-# Gain in chi squared from which on wide light is worth a fit of its own for the others.
-MIN_CHI2_GAIN = 4.0
-# Odds before the data of each of the two kinds of light beyond a core, of which the camera's description says nothing:
-# together they are as likely as none.
+# Prior odds of each extended component of a camera without a description; both together equal none.
 WIDE_ODDS = 0.5
-# Odds before the data of blurs along rows and columns apart.
+# Prior odds of separable blurs.
 SEPARABLE_ODDS = 0.2
-# Cores of any camera and those of a tube, and their odds before the data: those with a parameter more share theirs.
+# Cores of any camera and of a tube, with prior odds; variants of one kind share them.
 CORES: dict[Core, float] = {
     "gaussian": 1.0, "kolmogorov": 0.5, "exponential": 0.5, "moffat": 0.5, "airy": 0.5, "hole": 0.25, "defocus": 0.25,
     "pupil": 0.25,
 }  # fmt: skip
 TUBES: tuple[Core, ...] = ("gaussian", "exponential", "moffat")
-# Departures from the best form, fraction of the transfer: small and large, and their odds before the data.
+# Model departures, fraction of the transfer, and their prior odds.
 DEPARTURES, DEPARTURES_ODDS = (0.02, 0.1), 0.03
-WIDE_SIZES = 6
 
 
 @dataclass(frozen=True, kw_only=True)
 class EvidenceWeightedModels2D:
-    """A fitted form with its share of the evidence."""
+    """A fitted blur model with its weight by evidence."""
 
     fit: BlurModelFit2D
     share: float
 
 
-def fit_sources(sites: list[SourcePixels], pinhole: float | tuple[float, float], wide: tuple[ExtendedComponent, ...]) -> tuple[
-    list[SourcePixels], PointFitter, list[EvidenceWeightedModels2D]
-]:  # fmt: skip
-    """Fit sources of one camera, places, noise and forms in turns; return all, the most probable form first."""
+def fit_sources(
+    sites: list[SourcePixels], pinhole: float | tuple[float, float], wide: tuple[ExtendedComponent, ...]
+) -> tuple[list[SourcePixels], PointFitter, list[EvidenceWeightedModels2D]]:
+    """Fit sources of one camera: positions, noise and blur models in turn; the most probable model comes first."""
     begun = [position_source(site) for site in sites]
     sites = [site for site, _ in begun]
     half = float(np.median([guess for _, guess in begun]))
@@ -60,47 +50,50 @@ def fit_sources(sites: list[SourcePixels], pinhole: float | tuple[float, float],
     first = next(form for form in cores if form.core == "exponential")
     fitter = _fitter_for(sites, first, first.start(np.log(half)), None)
     starts = {form: form.start(np.log(half)) for form in cores}
-    for lower in LOWER:
+    for lower in ACCURACY.noise_factors:
         fits = [_fit_pupil(fitter, form, starts[form]) for form in cores]
         starts = {fit.form: fit.point for fit in fits}
         best = max(fits, key=lambda fit: _likelihood(sites, fit))
         sites, fitter = _update_sources(sites, best, lower)
     found = fit_models(fitter, starts, wide)
     if found[0].fit.form != best.form:
-        # Place and noise were those of a simpler form.
+        # Positions and noise were those of a simpler model.
         sites, fitter = _update_sources(sites, found[0].fit)
         found = fit_models(fitter, starts, wide)
     return sites, fitter, found
 
 
 def _likelihood(sites: list[SourcePixels], fit: BlurModelFit2D) -> float:
-    """Return by what forms are compared before the noise is known: single frames by what each leaves."""
+    """Return the score by which models are compared before the noise is known."""
     if sites[0].window.frames > 1:
         return fit.log_evidence
-    # A parameter takes half a unit of ln of the likelihood by chance (Akaike).
+    # A parameter gains half a unit of ln likelihood by chance (Akaike).
     return sum(noise_likelihood(site, fit) for site in sites) - fit.point.size
 
 
 def _fit_pupil(fitter: PointFitter, form: BlurModel2D, start: Array) -> BlurModelFit2D:
-    """Fit a form, one with a defocus from near focus and from far off it."""
+    """Fit a model; one with defocus from near focus and from far off."""
     near = fitter.fit(form, start)
     if "defocus_square" not in form.parameters:
         return near
     far = start.copy()
-    far[0], far[list(form.parameters).index("defocus_square")] = start[0] + np.log(FAR_FROM_FOCUS[0]), FAR_FROM_FOCUS[1]
+    far[0], far[list(form.parameters).index("defocus_square")] = (
+        start[0] + np.log(ACCURACY.defocus_start[0]),
+        ACCURACY.defocus_start[1],
+    )
     return min(near, fitter.fit(form, far), key=lambda one: one.cost)
 
 
 def _update_sources(
     sites: list[SourcePixels], fit: BlurModelFit2D, lower: float = 1.0
 ) -> tuple[list[SourcePixels], PointFitter]:
-    """Return sources with place and noise as a form sees them, and their fitter."""
+    """Return sources with the position and noise of a fitted model, and their fitter."""
     sites = [add_noise(site, fit, float(light), lower=lower) for site, light in zip(sites, fit.light, strict=True)]
     return sites, _fitter_for(sites, fit.form, fit.point, fit.light)
 
 
 def _fitter_for(sites: list[SourcePixels], form: BlurModel2D, point: Array, light: Array | None) -> PointFitter:
-    """Return a fitter whose weights and slopes are those of a form."""
+    """Return a fitter whose weights and slopes are those of a model."""
     top = sites[0].aperture.top
     transfer = form.transfer(point[None], radial(top)[1], cosines())[0]
     if light is None:
@@ -109,13 +102,13 @@ def _fitter_for(sites: list[SourcePixels], form: BlurModel2D, point: Array, ligh
 
 
 def _light_of_core(site: SourcePixels) -> float:
-    """Return about the light of a source, from the sum of its core above its border."""
+    """Return the approximate light of a source: the sum of its core above its border."""
     area = float(np.diff(site.window.x[:2])[0] * np.diff(site.window.y[:2])[0])
     return max(float((site.window.core - site.window.border_dn).sum()) * area, 1e-9)
 
 
 def _start_from(fit: BlurModelFit2D, form: BlurModel2D) -> Array:
-    """Return where to begin with another form: what both have in common as it was found."""
+    """Return starting values of another model from the parameters in common."""
     start = form.start(float(fit.point[0]))
     known = dict(zip(fit.form.parameters, fit.point, strict=True))
     return np.array([known.get(name, own) for name, own in zip(form.parameters, start, strict=True)])
@@ -124,27 +117,27 @@ def _start_from(fit: BlurModelFit2D, form: BlurModel2D) -> Array:
 def fit_models(
     fitter: PointFitter, starts: dict[BlurModel2D, Array], wide: tuple[ExtendedComponent, ...]
 ) -> list[EvidenceWeightedModels2D]:
-    """Fit the forms that the data may ask for and return them with their shares, the most probable first."""
+    """Fit candidate blur models and return them with their weights, the most probable first."""
     found = [fitter.fit(form, start) for form, start in starts.items()]
     found += [
         fitter.fit(form, _start_from(one, form))
-        for one in _cores_within(found, CLOSE)
+        for one in _cores_within(found, ACCURACY.candidate_ln_evidence)
         if one.form.round and (form := replace(one.form, round=False))
     ]
     tubes = [one for one in found if one.form.core == "exponential"]
     likeliest = max(tubes, key=lambda one: one.log_evidence)
-    if likeliest in _cores_within(found, CLOSE):
+    if likeliest in _cores_within(found, ACCURACY.candidate_ln_evidence):
         found.append(_fit_two_blurs(fitter, likeliest))
         if not likeliest.form.round and abs(likeliest.point[1] - 2.0) > 2.0 * np.sqrt(likeliest.covariance[1, 1]):
             found.append(fitter.fit(replace(likeliest.form, separable=True), likeliest.point))
-    near = _cores_within(found, NEAR)
+    near = _cores_within(found, ACCURACY.extended_ln_evidence)
     for light in wide:
-        for core in _cores_within(found, CLOSE)[:MAX_CORES]:
+        for core in _cores_within(found, ACCURACY.candidate_ln_evidence)[: ACCURACY.max_cores]:
             always = core in near or isinstance(light, HaloComponent)
-            more = _fit_extended(fitter, core, light, -np.inf if always else MIN_CHI2_GAIN)
+            more = _fit_extended(fitter, core, light, -np.inf if always else ACCURACY.min_extended_chi2_gain)
             found += [] if more is None else [more]
     if any(isinstance(light, HaloComponent) for light in wide):
-        # A described intensifier has a halo, of however little light.
+        # A described intensifier has a halo.
         found = [one for one in found if one.form.wide is not None and np.isfinite(one.log_evidence)] or found
     best = max(found, key=_weight)
     found += [
@@ -156,13 +149,13 @@ def fit_models(
 
 
 def _cores_within(found: list[BlurModelFit2D], distance: float) -> list[BlurModelFit2D]:
-    """Return the cores whose ln of the evidence comes within a distance of the best, which comes first."""
+    """Return the cores whose ln evidence is within a distance of the best, best first."""
     cores = sorted((one for one in found if one.form.wide is None), key=lambda one: -_weight(one))
     return [one for one in cores if _weight(one) > _weight(cores[0]) - distance]
 
 
 def _fit_two_blurs(fitter: PointFitter, tube: BlurModelFit2D) -> BlurModelFit2D:
-    """Fit a tube's form with a Gaussian beside it, from two widths."""
+    """Fit a tube model times a Gaussian, from two widths."""
     form = replace(tube.form, lens=True)
     begun = []
     for blur in (0.3, 0.7):
@@ -174,7 +167,7 @@ def _fit_two_blurs(fitter: PointFitter, tube: BlurModelFit2D) -> BlurModelFit2D:
 
 
 def _weight(fit: BlurModelFit2D) -> float:
-    """Return ln of a form's evidence with its odds before the data."""
+    """Return ln evidence plus ln prior probability of a model."""
     form = fit.form
     odds = CORES[form.core] * (SEPARABLE_ODDS if form.separable else 1.0)
     odds *= 1.0 if form.wide is None or isinstance(form.wide, HaloComponent) else WIDE_ODDS
@@ -184,11 +177,11 @@ def _weight(fit: BlurModelFit2D) -> float:
 def _fit_extended(
     fitter: PointFitter, core: BlurModelFit2D, wide: ExtendedComponent, worth: float
 ) -> BlurModelFit2D | None:
-    """Fit a core with light beyond it from several sizes; None where chi squared gains less than it must."""
+    """Fit a core with an extended component from several sizes; None if chi squared gains less than `worth`."""
     form = replace(core.form, wide=wide)
     first = form.blur_parameters
     bounds = form.bounds[first : first + len(wide.parameters)]
-    sizes = bounds[1, 0] * (bounds[1, 1] / bounds[1, 0]) ** np.linspace(0.1, 0.9, WIDE_SIZES)
+    sizes = bounds[1, 0] * (bounds[1, 1] / bounds[1, 0]) ** np.linspace(0.1, 0.9, ACCURACY.extended_sizes)
     begun = []
     for size in sizes:
         beyond = [0.05, size, *([0.5] if len(bounds) > 2 else [])]
@@ -202,10 +195,10 @@ def _fit_extended(
 
 def _rank_by_evidence(found: list[BlurModelFit2D]) -> list[EvidenceWeightedModels2D]:
     evidence = np.array([_weight(fit) for fit in found])
-    share = np.exp(evidence - evidence.max())
-    share /= share.sum()
+    fraction = np.exp(evidence - evidence.max())
+    fraction /= fraction.sum()
     return [
-        EvidenceWeightedModels2D(fit=found[i], share=float(share[i]))
-        for i in np.argsort(-share)
-        if share[i] > MIN_WEIGHT
+        EvidenceWeightedModels2D(fit=found[i], share=float(fraction[i]))
+        for i in np.argsort(-fraction)
+        if fraction[i] > ACCURACY.min_model_weight
     ]

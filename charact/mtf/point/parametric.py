@@ -1,4 +1,4 @@
-"""The parametric method for points: forms of the point spread, fitted to pixels and weighed by their evidence."""
+"""Parametric method for points: blur models fitted to pixels and averaged by evidence."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -10,22 +10,29 @@ from numpy.typing import NDArray
 import charact
 from charact.method import Context, register
 from charact.mtf.blur_models.one_dimensional import DiscComponent, ExtendedComponent, HaloComponent, ScatterComponent
-from charact.mtf.curve import FINE, PINNED, REPORTED, crossing_frequency, curve_of
-from charact.mtf.filter_uncertainty import LEVELS, flag_filter_uncertainty
+from charact.mtf.curve import (
+    FINE,
+    LEVELS,
+    PINNED,
+    REPORTED,
+    crossing_frequency,
+    crossing_measurement,
+    curve_of,
+    flag_filter_uncertainty,
+)
 from charact.mtf.image_lag import image_lag_model
 from charact.mtf.known_transfer import halo_diameters_px
-from charact.mtf.point import parametric_checks as point_distrust
-from charact.mtf.point import source as point_source
-from charact.mtf.point.figure_data import rounding_note, source_figure_data
-from charact.mtf.point.findings import finding
+from charact.mtf.mean_frame import Region
+from charact.mtf.point.findings import finding, flag_undersampled
 from charact.mtf.point.model_fit import BlurModelFit2D, PointFitter
 from charact.mtf.point.model_selection import EvidenceWeightedModels2D, fit_sources
+from charact.mtf.point.parametric_checks import camera_nonlinearity, light_sd, source_findings
 from charact.mtf.point.parametric_noise import measure_surroundings_noise
+from charact.mtf.point.source import detect_source
 from charact.mtf.point.source_pixels import SourcePixels
-from charact.mtf.point.source_window import neighbour_mask, window_of
+from charact.mtf.point.source_window import neighbour_mask, rounding_note, source_figure_data, source_window
 from charact.mtf.point.spot_image_matrix import Aperture
-from charact.mtf.point.undersampled_spot import flag_undersampled
-from charact.mtf.region import Region
+from charact.mtf.point.thresholds import ACCURACY, LIMITS
 from charact.posterior import has_several_peaks, importance_sample, sample_posterior
 from charact.video_filter import VideoFilter
 from labdata.errors import BadInput
@@ -35,18 +42,6 @@ from labdata.measurement import Measurement, Posterior, Provenance, Result, make
 Array = NDArray[np.float64]
 
 METHOD = "point-parametric"
-MIN_PX = 9
-MIN_LIGHT_SD = 6.0
-# Least share of the light that pixels below full scale must hold.
-MIN_USABLE_FRACTION = 0.2
-DRAWS, QUICK_DRAWS = 1000, 500
-# Effective draws by importance where the posterior of the only form is wanted quickly, draws to begin with, and the
-# least share of both that a form of little evidence gets, and of what it gets in full.
-QUICK_ESS, QUICK_FIRST, MIN_QUICK_EFFORT, MIN_FULL_EFFORT = 500.0, 1000, 0.25, 0.25
-MAX_STEPS = 1500
-# Rings that a disc or glare must leave bare.
-BARE_RINGS = 2
-PINHOLE_PX = (0.0, 50.0)
 
 
 @register(
@@ -54,15 +49,15 @@ PINHOLE_PX = (0.0, 50.0)
     METHOD,
     quantities=("mtf50", "mtf10", "mtf"),
     scope=(
-        "Single point sources or pinholes of known, bounded or no size, light over 6 standard errors, one frame and "
-        "more, blurred as lenses and tubes blur: Gaussian, exp(-(f/fc)^n) with or without a Gaussian, Moffat, "
-        "diffraction with or without hole and defocus, round, elliptical or separable and up to 1.5 times as long as "
-        "wide, with halo, disc or glare that the region shows, neighbours 5 px away or more; "
+        "Single point sources or pinholes of known, bounded or zero size, light over 6 standard uncertainties, one "
+        "frame or more, blur of lenses and tubes: Gaussian, exp(-(f/fc)^n) with or without a Gaussian, Moffat, "
+        "diffraction with or without central obscuration and defocus, round, elliptical or separable with an aspect "
+        "up to 1.5, with halo, disc or scatter inside the region, neighbours at least 5 px away; "
         "MTF50 below 0.42 cycles per pixel. "
-        "Pixels at full scale count as at least that; before a described camera, whose wells may be full by then and "
-        "whose video moves what is cut off, the number is suspect. Not told: a second source within the blur, a "
-        "pinhole whose size is not given, and a curved response that the noise does not show: a gamma of g moves MTF50 "
-        "by about the root of g, and more where there is a halo."
+        "Pixels at full scale are treated as lower limits; with a sensor description, whose wells may fill first and "
+        "whose video filter spreads clipped light, the result is suspect. Not detected: a second source within the "
+        "blur, a pinhole of unstated size, and a nonlinear response that the noise does not show: a gamma of g changes "
+        "MTF50 by about the root of g, and more with a halo."
     ),
 )
 def point_parametric(
@@ -73,27 +68,27 @@ def point_parametric(
     pinhole_px: float | tuple[float, float] | None = None,
     context: Context,
 ) -> Result:
-    """Measure the horizontal and vertical MTF of a camera from its picture of one or several points.
+    """Measure the horizontal and vertical MTF of a camera from the image of one or several points.
 
     Parameters
     ----------
     stack
         Frames of the sources; they are averaged, and their differences give the noise.
     region
-        ROW, COL, HEIGHT, WIDTH that holds the source; None: the whole frame.
+        ROW, COL, HEIGHT, WIDTH that contains the source; None: the whole frame.
     regions
-        Regions of several sources of one size, fitted with one transfer; they take the place of `region`.
+        Regions of several sources of one size, fitted with one transfer; they replace `region`.
     pinhole_px
-        Diameter of the source's image, column pitches, whose transfer is divided out, or the bounds between which it
-        is unknown. None: a point.
+        Diameter of the source's image, column pitches, whose transfer is divided out, or its bounds if unknown. None: a
+        point.
     context
-        Seed, whether the whole posterior or a quick answer is wanted, and the camera.
+        Seed, speed and camera.
 
     Returns
     -------
     Result
-        `mtf50`, `mtf10` and `mtf` at pinned frequencies in both directions, and the curves "mtf" and "mtf_vertical".
-        All frequencies are cycles per column pitch.
+        `mtf50`, `mtf10` and `mtf` at fixed frequencies in both directions, and the curves "mtf" and "mtf_vertical". All
+        frequencies are cycles per column pitch.
 
     Raises
     ------
@@ -102,13 +97,13 @@ def point_parametric(
 
     Notes
     -----
-    A pixel's mean is level + slopes + light P(x, y), P the transform of pinhole x pixel x video x form. Level, slopes
-    and the shift from the best place are marginalised in closed form; pixels at full scale enter by the probability
-    of being at least there. The draws are those of every form in proportion to its evidence.
+    A pixel's mean is level + slopes + light P(x, y), P the transform of pinhole x pixel x video x blur model. Level,
+    slopes and the shift from the best position are marginalised in closed form; pixels at full scale enter by the
+    probability of at least that value. The draws are those of every blur model in proportion to its evidence.
     """
     task = _Task(context=context, region=region or (0, 0, *stack.shape[1:]), pinhole=_pinhole(pinhole_px))
     if regions is not None and not regions:
-        raise BadInput("several sources need at least one region, got none")
+        raise BadInput("several sources require at least one region, got none")
     parts = [stack.region(*one) for one in regions] if regions else [stack if region is None else stack.region(*region)]
     sites = []
     for part in parts:
@@ -118,18 +113,20 @@ def point_parametric(
         sites.append(site)
     sites, fitter, found = fit_sources(sites, task.pinhole, _extended_components(sites, parts, context))
     best = found[0].fit
-    # The noise of a single frame's light is hardly known: there the search for the source decides.
-    weak = best.light < MIN_LIGHT_SD * point_distrust.light_sd(fitter, best)
+    # The noise of a single frame's light is poorly known; there the detection decides.
+    weak = best.light < LIMITS.min_light_sd * light_sd(fitter, best)
     if (weak.any() and sites[0].window.frames > 1) or (best.light <= 0).any():
-        beside = sum(len(site.window.neighbours) for site in sites)
-        crowd = f"; {beside} neighbours stand in the way, --roi around one that stands alone" if beside else ""
-        return task.nothing(f"no target: the light must stand {MIN_LIGHT_SD:g} standard errors out{crowd}", "no-target")
+        n_neighbours = sum(len(site.window.neighbours) for site in sites)
+        crowd = f"; {n_neighbours} neighbours interfere, use --roi around an isolated one" if n_neighbours else ""
+        return task.nothing(
+            f"no target: the light must be at least {LIMITS.min_light_sd:g} standard uncertainties{crowd}", "no-target"
+        )
     return task.result(sites, fitter, found, stack.notes)
 
 
 def _pinhole(pinhole_px: float | tuple[float, float] | None) -> float | tuple[float, float]:
-    """Return diameter or bounds, checked."""
-    low, high = PINHOLE_PX
+    """Return valid diameter or bounds."""
+    low, high = LIMITS.pinhole_px
     if isinstance(pinhole_px, tuple | list):
         least, most = (float(number) for number in pinhole_px)
         if not low <= least < most < high:
@@ -141,22 +138,21 @@ def _pinhole(pinhole_px: float | tuple[float, float] | None) -> float | tuple[fl
 
 
 def _locate_source(part: FrameStack, context: Context) -> SourcePixels | tuple[str, str]:
-    """Return the source of a part of the frames, or why there is none."""
-    if min(part.shape[1:]) < MIN_PX:
-        return f"a point needs a region of at least {MIN_PX} x {MIN_PX} px", "window-too-small"
+    """Return the source of a part of the frames, or reason and flag of a refusal."""
+    if min(part.shape[1:]) < LIMITS.min_region_px:
+        return (
+            f"a point needs a region of at least {LIMITS.min_region_px} x {LIMITS.min_region_px} px",
+            "window-too-small",
+        )
     full = context.full_scale_dn or part.full_scale_dn
-    source = point_source.detect_source(part.data, context.pitch_ratio)
+    source = detect_source(part.data, context.pitch_ratio)
     if isinstance(source, str):
         bright = full is not None and np.median(part.data, axis=0).max() >= full
-        return ("the source is too bright: nothing is dark", "saturated") if bright else (source, "no-target")
-    halo = halo_diameters_px(context, transposed=False)[1] / 2.0 if context.sensor is not None else None
-    window = window_of(
-        part.data, source.row, source.col, pitch_ratio=context.pitch_ratio, full_scale_dn=full, halo_radius_px=halo,
-        filtered=context.sensor is not None, neighbours=source.neighbours,
-    )  # fmt: skip
+        return ("the source is too bright: there is no background", "saturated") if bright else (source, "no-target")
+    window = source_window(part, source, context, source.neighbours)
     height = np.maximum(window.core - np.median(window.core), 0.0)
-    if height[window.keep].sum() < MIN_USABLE_FRACTION * height.sum():
-        return "the source is too bright: pixels below full scale hold too little of its light", "saturated"
+    if height[window.keep].sum() < LIMITS.min_unclipped_light * height.sum():
+        return "the source is too bright: pixels below full scale contain too little of its light", "saturated"
     rows = 2.0 if context.interlaced else 1.0
     site = SourcePixels(
         window=window,
@@ -174,21 +170,21 @@ def _locate_source(part: FrameStack, context: Context) -> SourcePixels | tuple[s
 def _extended_components(
     sites: list[SourcePixels], parts: list[FrameStack], context: Context
 ) -> tuple[ExtendedComponent, ...]:
-    """Return what light beyond the core the regions can show."""
+    """Return the extended components that the regions can show."""
     if context.sensor is not None:
         low, high = halo_diameters_px(context, transposed=False)
         return (HaloComponent(size_px=(low, high)),) if all(site.window.holds_halo for site in sites) else ()
-    # Rings beyond the light tell it from the background.
+    # Rings beyond the light are needed to separate it from the background.
     rings = min((site.window.ring_px for site in sites), key=len)
-    if len(rings) <= BARE_RINGS:
+    if len(rings) <= ACCURACY.empty_rings:
         return ()
-    reach = float(rings[-1 - BARE_RINGS].max())
+    reach = float(rings[-1 - ACCURACY.empty_rings].max())
     return DiscComponent(size_px=(6.0, 2.0 * reach)), ScatterComponent(size_px=(2.0, reach / 3.0))
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Task:
-    """What was asked."""
+    """Arguments of a measurement."""
 
     context: Context
     region: Region
@@ -201,7 +197,7 @@ class _Task:
         return {"method": METHOD, "region": self.region, "provenance": provenance}
 
     def nothing(self, reason: str, flag: str) -> Result:
-        """Return the refusal of all that a point gives."""
+        """Return the refusal of all quantities."""
         return Result(measurements=tuple(
             make_refusal(name, "cy/px", reason, orientation_deg=angle, flags=(flag,), **self._common)
             for angle in (0.0, 90.0) for name in ("mtf50", "mtf10")
@@ -217,20 +213,22 @@ class _Task:
         """Return measurements and curves of fitted sources."""
         drawn = [self._posterior(fitter, one, number) for number, one in enumerate(found)]
         pedestals = np.array([float(np.median(site.window.core)) for site in sites])
-        response = point_distrust.camera_nonlinearity(sites, found[0].fit)
-        findings = point_distrust.source_findings(sites, fitter, found, pedestals)
+        response = camera_nonlinearity(sites, found[0].fit)
+        findings = source_findings(sites, fitter, found, pedestals)
         if response.is_nonlinear:
             findings.append(finding("gamma", response.effect))
         if self.context.sensor and any(site.cut.any() for site in sites):
-            findings.append(finding("saturated", "wells may be full before the digitiser; MTF50 may be 26 to 43 % low"))
+            findings.append(
+                finding("saturated", "wells may fill before the digitiser clips; MTF50 may be 26 to 43 % low")
+            )
         if any("not-converged" in one.flags for one in drawn):
-            findings.append(finding("not-converged", "the interval comes from the curvature at the maximum"))
+            findings.append(finding("not-converged", "interval from the curvature at the optimum"))
         common = {
             **self._common,
             "notes": (*notes, *_notes(sites, found, self.pinhole, self.context), response.note),
         }
         total = sum(one.share for one in found)
-        wanted = QUICK_DRAWS if self.context.quick else DRAWS
+        wanted = ACCURACY.quick_draws if self.context.quick else ACCURACY.draws
         counts = [max(1, round(wanted * one.share / total)) for one in found]
         measurements: list[Measurement] = []
         curves = {}
@@ -244,7 +242,12 @@ class _Task:
             ]))  # fmt: skip
             fine, pinned, reported = np.split(draws, [FINE.size, FINE.size + len(PINNED)], axis=1)
             one = {**common, "orientation_deg": angle}
-            own = [_level(quantity, at, fine, drawn[0], one) for quantity, at in LEVELS.items()]
+            own = [
+                _note_several_peaks(
+                    crossing_measurement(quantity, fine, drawn[0], one), crossing_frequency(FINE, fine, at)
+                )
+                for quantity, at in LEVELS.items()
+            ]
             own += [
                 _note_several_peaks(
                     measurement_from_draws("mtf", "1", pinned[:, index], frequency_cy_per_px=float(f), **one),
@@ -264,38 +267,40 @@ class _Task:
         )
 
     def _posterior(self, fitter: PointFitter, one: EvidenceWeightedModels2D, number: int) -> Posterior:
-        """Draw from one form's posterior, quickly by importance alone."""
+        """Sample the posterior of one blur model, by importance sampling if quick."""
         fit = one.fit
-        asked = {
+        arguments = {
             "names": tuple(fit.form.parameters),
             "units": tuple(unit for unit, _ in fit.form.parameters.values()),
             "start": fit.point,
             "covariance": fit.covariance,
             "seed": self.context.seed + number,
             "bounds": fit.form.bounds,
-            "draws": QUICK_DRAWS if self.context.quick else DRAWS,
+            "draws": ACCURACY.quick_draws if self.context.quick else ACCURACY.draws,
         }
 
         def log_probability(theta: Array) -> Array:
             return fitter.log_probability(fit.form, theta)
 
         if self.context.quick:
-            share = max(one.share, MIN_QUICK_EFFORT)
-            enough, first = QUICK_ESS * share, round(QUICK_FIRST * share)
-            return importance_sample(log_probability, **asked, enough=enough, first_draws=first)
-        return sample_posterior(log_probability, **asked, max_steps=MAX_STEPS, effort=max(one.share, MIN_FULL_EFFORT))
+            fraction = max(one.share, ACCURACY.min_quick_effort)
+            enough, first = ACCURACY.quick_ess * fraction, round(ACCURACY.quick_first_draws * fraction)
+            return importance_sample(log_probability, **arguments, enough=enough, first_draws=first)
+        return sample_posterior(
+            log_probability,
+            **arguments,
+            max_steps=ACCURACY.parametric_chain_steps,
+            effort=max(one.share, ACCURACY.min_full_effort),
+        )
 
 
 def _model_figure_data(site: SourcePixels, fitter: PointFitter, fit: BlurModelFit2D) -> dict[str, Any]:
-    """Return the evidence of the most probable form for a figure, with what rounding makes of it by the fit.
-
-    That of the first source.
-    """
+    """Return the figure data of the most probable model for the first source, with the estimated quantisation shift."""
     pixels, light, background = fitter.pixels[0], float(fit.light[0]), site.background()
     lit = light * (site.matrix() @ fitter.nodes(fit.form, fit.point[None])[0])
-    white = pixels.root @ background[site.used]
-    level = np.linalg.lstsq(white, pixels.root @ (site.values - lit)[site.used], rcond=None)[0]
-    mean, used = lit + background @ level, site.used
+    white = pixels.root @ background[site.value_mask]
+    level = np.linalg.lstsq(white, pixels.root @ (site.values - lit)[site.value_mask], rcond=None)[0]
+    mean, used = lit + background @ level, site.value_mask
     left = pixels.root.T @ (pixels.root @ (site.values - mean)[used])
     mean[used] += pixels.rounding @ left
     core, rings = np.split(mean, [site.window.core.size])
@@ -305,7 +310,7 @@ def _model_figure_data(site: SourcePixels, fitter: PointFitter, fit: BlurModelFi
         core.reshape(site.window.core.shape),
         rings,
         light_dn_px2=light,
-        light_sd_dn_px2=float(point_distrust.light_sd(fitter, fit)[0]),
+        light_sd_dn_px2=float(light_sd(fitter, fit)[0]),
         pedestal_dn=float(level[0]),
         chi_squared=fit.chi2,
         degrees_of_freedom=fit.free,
@@ -316,25 +321,13 @@ def _crossing(fine: Array, level: float) -> float:
     return float(np.nanmedian(crossing_frequency(FINE, fine, level)))
 
 
-def _level(quantity: str, level: float, fine: Array, posterior: Posterior, common: dict) -> Measurement:
-    """Return the frequency at which the MTF falls to a level; refused where it does not below 1.5 cy/px."""
-    draws = crossing_frequency(FINE, fine, level)
-    lost = float(np.mean(~np.isfinite(draws)))
-    if lost > 0.02:
-        reason = (
-            f"the MTF must fall to {level:g} below {FINE[-1]:.1f} cy/px, and {100 * lost:.0f} % of its draws do not"
-        )
-        return make_refusal(quantity, "cy/px", reason, **common)
-    kept = draws[np.isfinite(draws)]
-    return _note_several_peaks(measurement_from_draws(quantity, "cy/px", kept, posterior=posterior, **common), kept)
-
-
 def _note_several_peaks(one: Measurement, draws: Array) -> Measurement:
-    """Return a number, with a note where its draws have several peaks: the interval spans them."""
-    if not has_several_peaks(draws[:, None]):
+    """Add a note where the draws have several peaks, which the interval spans."""
+    finite = draws[np.isfinite(draws)]
+    if one.value is None or not has_several_peaks(finite[:, None]):
         return one
-    low, high = np.quantile(draws, (0.16, 0.84))
-    return one.with_(notes=(*one.notes, f"Forms that fit as well put it at {low:.3g} and at {high:.3g}."))
+    low, high = np.quantile(finite, (0.16, 0.84))
+    return one.with_(notes=(*one.notes, f"Blur models of similar evidence give {low:.3g} and {high:.3g}."))
 
 
 def _notes(
@@ -343,24 +336,24 @@ def _notes(
     pinhole: float | tuple[float, float],
     context: Context,
 ) -> tuple[str, ...]:
-    """Return what a reader may want to know and what lowers no trust."""
+    """Return notes that do not affect validity."""
     parts = ", ".join(f"{one.fit.form.name} {100 * one.share:.0f} %" for one in found)
-    out = [f"Form of the point spread by evidence: {parts}."]
+    out = [f"Blur models by evidence: {parts}."]
     cut = sum(int(np.count_nonzero(site.cut.any(axis=0))) for site in sites)
     if cut:
-        out.append(f"{cut} pixels at full scale count as at least that.")
+        out.append(f"{cut} pixels at full scale are treated as lower limits.")
         if context.sensor is not None:
-            out.append("A camera's wells may be full before its digitiser: less light keeps both below full scale.")
+            out.append("Wells may fill before the digitiser clips; use less light.")
             lost = sum(int(np.count_nonzero(~site.window.keep)) for site in sites) - cut
-            out.append(f"{lost} pixels behind full scale, which the video filter spoils, are left out.")
-    if beside := sum(len(site.window.neighbours) for site in sites):
-        out.append(f"{beside} neighbours of the source are masked; the light of near ones is fitted too.")
+            out.append(f"{lost} pixels after full scale, which the video filter affects, are excluded.")
+    if n_neighbours := sum(len(site.window.neighbours) for site in sites):
+        out.append(f"{n_neighbours} neighbours of the source are masked; the light of close ones is fitted too.")
     if pinhole == 0.0:
-        out.append("The source is taken as a point; a pinhole's own size lowers the MTF.")
+        out.append("The source is assumed to be a point; the size of a pinhole lowers the MTF.")
     if all(one.fit.form.wide is None for one in found):
-        out.append("Normalised to the light of the core; a halo would not be seen, or was not.")
+        out.append("MTF normalised to the core; any halo is not included.")
     if any(site.dark.common > 0 for site in sites):
-        out.append("Noise is correlated between pixels and treated as such.")
+        out.append("Noise is correlated between pixels; accounted for.")
     out += rounding_note(min((site.window for site in sites), key=lambda window: window.quiet_sd))
     if context.sensor is None:
         out.append("Pixels taken as square.")

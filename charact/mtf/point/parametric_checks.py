@@ -1,4 +1,4 @@
-"""The ways in which points deceive a fit of forms, each looked for in the pixels."""
+"""Checks of the parametric fit of points."""
 
 from dataclasses import replace
 
@@ -7,49 +7,46 @@ from numpy.typing import NDArray
 
 from charact.mtf.curve import FINE, crossing_frequency
 from charact.mtf.point.blur_models_2d import BUMP_WIDTH, BUMPS
-from charact.mtf.point.findings import finding, motion_findings
+from charact.mtf.point.findings import finding, motion_findings, motion_flags
 from charact.mtf.point.model_fit import BlurModelFit2D, PointFitter
 from charact.mtf.point.model_selection import DEPARTURES, EvidenceWeightedModels2D
-from charact.mtf.point.motion import motion_flags
 from charact.mtf.point.nonlinearity import SpotNonlinearity, fit_nonlinearity, power_log_likelihoods
 from charact.mtf.point.source_pixels import SourcePixels, dark_noise
 from charact.mtf.point.spot_image_matrix import cosines, pictures, radial
+from charact.mtf.point.thresholds import LIMITS
 from labdata.flags import Finding
 
 Array = NDArray[np.float64]
-
-# Chi squared that departures from a form may take, in standard deviations of what noise leaves them.
-DEPARTED_SD = 4.5
-MISFIT, SIGNIFICANT = 1.8, 5.0
-LOW_LIGHT = 10.0
-# Ratio of the half frequencies along rows and columns from which on light is that of no one source.
-ELONGATED = 1.5
 
 
 def source_findings(
     sites: list[SourcePixels], fitter: PointFitter, found: list[EvidenceWeightedModels2D], pedestals: Array
 ) -> list[Finding]:
-    """Return what the pixels show against the numbers of fitted sources."""
+    """Return the findings of fitted sources."""
     fit, out = found[0].fit, []
     if any(site.window.clipped for site in sites):
-        out.append(finding("clipped", "noise below the lowest code is cut off; MTF50 is half a standard error high"))
+        out.append(finding("clipped", "noise is clipped at black; MTF50 is half a standard uncertainty high"))
     stands = float((fit.light / light_sd(fitter, fit)).min())
-    if stands < LOW_LIGHT:
-        effect = f"the light stands {stands:.1f} standard errors out; intervals are tested from {LOW_LIGHT:g} on"
+    if stands < LIMITS.low_light_sd:
+        effect = f"light {stands:.1f} standard uncertainties; intervals are validated from {LIMITS.low_light_sd:g}"
         out.append(finding("low-signal", effect))
-    if fit.chi2 / fit.free > MISFIT + SIGNIFICANT * np.sqrt(2.0 / fit.free) or has_departures(sites, fitter, fit):
+    if fit.chi2 / fit.free > LIMITS.max_chi2 + LIMITS.max_chi2_sd * np.sqrt(2.0 / fit.free) or has_departures(
+        sites, fitter, fit
+    ):
         out.append(finding("model-misfit", _misfit_effect(fitter, fit)))
     along, down = _half_frequencies(fit)
-    if max(along / down, down / along) > ELONGATED:
-        effect = f"MTF50 along rows is {along / down:.2f} times that along columns; light beside the source does that"
+    if max(along / down, down / along) > LIMITS.max_elongation:
+        effect = (
+            f"MTF50 along rows is {along / down:.2f} times that along columns; light next to the source has this effect"
+        )
         out.append(finding("several-targets", effect))
     if any(site.window.cut or (site.screen and not site.window.holds_halo) for site in sites):
-        effect = "light beyond the region is not counted; MTF50 may be high by the fraction of the light there"
+        effect = "light beyond the region is not included; MTF50 may be high by its fraction"
         out.append(finding("window-too-small", effect))
     at = np.min(np.abs(fit.point - fit.form.bounds.T), axis=0)
     bound = [name for name, distance in zip(fit.form.parameters, at, strict=True) if distance < 1e-6]
     if {"ln_half_frequency", "stretch"} & set(bound):
-        out.append(finding("prior-bound", f"{', '.join(bound)} at its limit; MTF50 may lie anywhere beyond"))
+        out.append(finding("prior-bound", f"{', '.join(bound)} at its bound; MTF50 may lie anywhere beyond"))
     for site, pedestal in zip(sites, pedestals, strict=True):
         if site.window.sound:
             window = site.window
@@ -59,33 +56,33 @@ def source_findings(
 
 
 def _half_frequencies(fit: BlurModelFit2D) -> tuple[float, float]:
-    """Return the frequencies of one half along rows and along columns, cycles per column pitch, without aperture."""
+    """Return MTF50 along rows and along columns, cycles per column pitch, without aperture."""
     along, down = crossing_frequency(FINE, fit.form.camera(fit.point[None], FINE, np.array([1.0, -1.0]))[0], 0.5)
     return float(along), float(down)
 
 
 def _misfit_effect(fitter: PointFitter, fit: BlurModelFit2D) -> str:
-    """Return how far smooth departures that the pixels show move the half frequency."""
+    """Return the effect of a misfit: the change of MTF50 by fitted model departures."""
     form = replace(fit.form, departures=max(DEPARTURES))
     start = form.start(float(fit.point[0]))
     known = dict(zip(fit.form.parameters, fit.point, strict=True))
     free = fitter.fit(form, np.array([known.get(name, own) for name, own in zip(form.parameters, start, strict=True)]))
     moves = [abs(b / a - 1.0) for a, b in zip(_half_frequencies(fit), _half_frequencies(free), strict=True)]
     left = np.sqrt(fit.chi2 / fit.free)
-    return f"residuals are {left:.2g} times the noise; departures from the form move MTF50 by {100 * max(moves):.2g} %"
+    return f"residuals are {left:.2g} times the noise; model departures change MTF50 by {100 * max(moves):.2g} %"
 
 
 def light_sd(fitter: PointFitter, fit: BlurModelFit2D) -> Array:
-    """Return the standard error of each light at a fixed form, DN px^2."""
+    """Return the standard uncertainty of each light for a fixed model, DN px^2."""
     nodes = fitter.nodes(fit.form, fit.point[None])
     return np.array([1.0 / np.sqrt(np.sum((one.matrix @ nodes[0]) ** 2)) for one in fitter.pixels])
 
 
 def has_departures(sites: list[SourcePixels], fitter: PointFitter, fit: BlurModelFit2D) -> bool:
-    """Tell whether departures from a form take more chi squared than noise leaves them.
+    """Return whether model departures reduce chi squared beyond noise.
 
-    Departures are bumps of the transfer along frequency, a tilt of the ellipse, and lopsidedness in both directions,
-    each to first order and with all parameters free to give way.
+    Departures are bumps of the transfer along frequency, a rotation of the ellipse, and asymmetry in both directions,
+    each to first order with all parameters free.
     """
     bounds = fit.form.bounds
     moves = np.where(fit.point > bounds.mean(axis=1), -1e-5, 1e-5) * (bounds[:, 1] - bounds[:, 0])
@@ -105,11 +102,11 @@ def has_departures(sites: list[SourcePixels], fitter: PointFitter, fit: BlurMode
     gain = _chi2_explained(np.concatenate([_blocks(own), np.concatenate(more)], axis=1), np.concatenate(residual))
     gain -= _chi2_explained(_blocks(own), np.concatenate(residual))
     count = more[0].shape[1]
-    return bool(gain > count + DEPARTED_SD * np.sqrt(2.0 * count))
+    return bool(gain > count + LIMITS.max_departure_sd * np.sqrt(2.0 * count))
 
 
 def _asymmetry_columns(site: SourcePixels, one, nodes: Array) -> Array:
-    """Return what a tilted ellipse and lopsidedness add to the whitened pixels at unit light, shape (value, 3)."""
+    """Return the effect of rotation and asymmetry on the whitened pixels at unit light, shape (value, 3)."""
     frequency = radial(site.aperture.top)[1]
     transfer = nodes.reshape(cosines().size, -1)
     half = float(np.interp(-0.5, -transfer[0], frequency))
@@ -117,11 +114,11 @@ def _asymmetry_columns(site: SourcePixels, one, nodes: Array) -> Array:
     tilted = pictures(site.aperture, transfer, *site.axes)[3]
     columns = np.stack([tilted, sharp[1], sharp[2]], axis=1)
     columns = np.concatenate([columns, np.zeros((site.window.ring_dn.size, 3))])
-    return one.whitened(columns[site.used])
+    return one.whiten(columns[site.value_mask])
 
 
 def _blocks(own: list[Array]) -> Array:
-    """Return columns of all sources: lights apart, the form's parameters in common."""
+    """Return design columns of all sources: separate lights, common model parameters."""
     lights = np.zeros((sum(len(part) for part in own), len(own)))
     first = 0
     for index, part in enumerate(own):
@@ -131,14 +128,14 @@ def _blocks(own: list[Array]) -> Array:
 
 
 def _chi2_explained(columns: Array, residual: Array) -> float:
-    """Return how much of a residual's chi squared columns explain."""
+    """Return the chi squared of a residual that columns explain."""
     basis, values, _ = np.linalg.svd(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300), full_matrices=False)
     basis = basis[:, values > 1e-6 * values[0]]
     return float(np.sum((basis.T @ residual) ** 2))
 
 
 def camera_nonlinearity(sites: list[SourcePixels], fit: BlurModelFit2D) -> SpotNonlinearity:
-    """Return what the frames' noise of sources says of the camera's response."""
+    """Return the nonlinearity from the frames' noise of sources."""
     transfer = fit.form.transfer(fit.point[None], radial(sites[0].aperture.top)[1], cosines())[0]
     found = []
     for site, light in zip(sites, fit.light, strict=True):

@@ -1,4 +1,4 @@
-"""Noise around a point by few numbers: what the dark surroundings show, and pulses of light that neighbours share."""
+"""Noise around a point source: surroundings, quiet pixels and correlated pulses."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,29 +6,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.point.thresholds import BARE, BARE_SD
+from charact.mtf.point.thresholds import ACCURACY, LIMITS
 
 Array = NDArray[np.float64]
 
-# Surroundings from which noise is taken: beyond this distance, px, and where the region is small beyond this share.
-FAR_PX, FAR_FRACTION = 12.0, 0.6
-MAX_FRAMES = 16
 LAGS = tuple((row, col) for row in range(3) for col in range(-2, 3) if (row, col) > (0, 0))
 WIDTHS_PX = np.array([0.01, *np.geomspace(0.3, 3.0, 24)])
-# Correlations of neighbours that differ from zero by chance no further than this many standard errors.
-BY_CHANCE = 4.0
-# Shares of the blur that may lie behind the gain; 0: every pixel counts its own light.
-FRACTIONS_AFTER_GAIN = (0.0, 0.15, 0.3, 0.45, 0.6, 0.8, 1.0)
-# Widths of pulses over that of all of the blur, where what lies before the gain need not be of its form.
+# Pulse widths over that of the complete blur.
 WIDTHS = np.geomspace(0.2, 1.0, 24)
 GAINS = np.exp(np.linspace(np.log(1e-4), np.log(1e5), 240))
-# Values that a gain is known from, at least: Student's distribution of fewer has hardly a variance.
-MIN_VALUES = 6.0
-# Noise of a dark pixel before the data, ln of photoelectrons and its standard deviation: 0.3 to 30, from intensified
-# cameras to ordinary ones. It matters where a single frame's few lit pixels hardly show the noise of their light.
+# Prior of a dark pixel's noise, ln of photoelectrons and its standard deviation: 0.3 to 30, from intensified to
+# ordinary cameras. It matters for the few illuminated pixels of a single frame.
 DARK_LN = (float(np.log(3.0)), 1.2)
-# Places of the pulses: spacing and reach, px. Pixels whose noise is compared lie this near.
-STEP_PX, REACH_PX, NEAR_PX = 0.6, 10.2, 5.0
 RADII_PX = np.linspace(0.0, 16.0, 80)
 
 
@@ -41,8 +30,8 @@ class SurroundingsNoise:
     variance
         Of one pixel in one frame, DN^2.
     common, width_px
-        Share of it that neighbours have in common, and how wide along rows and columns, px: the correlation is
-        common exp(-x^2 / 4 w^2) in either direction.
+        Correlated fraction of it, and the correlation widths along rows and columns, px: the correlation is common
+        exp(-x^2 / 4 w^2) in either direction.
     """
 
     variance: float
@@ -51,7 +40,7 @@ class SurroundingsNoise:
 
     @property
     def grain(self) -> float:
-        """Sum of a pixel's correlations with all others and itself."""
+        """Sum of a pixel's correlations with all pixels."""
         along, down = (np.exp(-0.25 * (np.arange(-12, 13) / w) ** 2).sum() for w in self.width_px)
         return float(1.0 - self.common + self.common * along * down)
 
@@ -65,18 +54,20 @@ class SurroundingsNoise:
 
 
 def measure_surroundings_noise(
-    data: NDArray, row: int, col: int, beside: NDArray[np.bool_] | bool = False
+    data: NDArray, row: int, col: int, neighbours: NDArray[np.bool_] | bool = False
 ) -> SurroundingsNoise:
-    """Return the noise far from a source, from how frames differ, or of one frame from its own unevenness.
+    """Return the noise far from a source, from frame differences, or in one frame from its own scatter.
 
-    Pixels `beside`, shape (row, col), are those of other sources.
+    `neighbours` marks pixels of other sources, shape (row, col).
     """
     rows, cols = data.shape[1:]
     distance = np.hypot(*np.ogrid[-row : rows - row, -col : cols - col])
     far = (
-        (distance > min(FAR_PX, FAR_FRACTION * float(distance.max()))) & (distance < 4.0 * FAR_PX) & ~np.asarray(beside)
+        (distance > min(ACCURACY.noise_distance_px, ACCURACY.noise_distance_fraction * float(distance.max())))
+        & (distance < 4.0 * ACCURACY.noise_distance_px)
+        & ~np.asarray(neighbours)
     )
-    frames = data[:MAX_FRAMES].astype(float)
+    frames = data[: ACCURACY.max_noise_frames].astype(float)
     if len(frames) > 1:
         off, freedom = frames - frames.mean(axis=0), 1.0 - 1.0 / len(frames)
     else:
@@ -86,11 +77,11 @@ def measure_surroundings_noise(
         every = fitted[0] + fitted[1] * np.arange(rows)[:, None] + fitted[2] * np.arange(cols)
         off, freedom = frames - every, 1.0
     rounding = 1e-3 if data.dtype.kind in "ui" else 1e-12 * max(float(np.abs(frames).max()), 1e-6) ** 2
-    if len(frames) == 1 and np.any(beside):
-        # Light of neighbours lies above what is bare, and would pass for noise that pixels share.
-        low, high = np.quantile(off[0, far], BARE)
-        return SurroundingsNoise(variance=max(float((high - low) / BARE_SD) ** 2, rounding))
-    # A flash of one ion is no noise of the camera.
+    if len(frames) == 1 and np.any(neighbours):
+        # Light of neighbours would resemble correlated noise: use the lower quantiles.
+        low, high = np.quantile(off[0, far], ACCURACY.background_quantiles)
+        return SurroundingsNoise(variance=max(float((high - low) / ACCURACY.background_quantile_sd) ** 2, rounding))
+    # Exclude single bright events such as ion feedback.
     centre = np.clip(off, *np.quantile(off[:, far], (1e-4, 1.0 - 1e-4)))
     variance = float((centre[:, far] ** 2).mean()) / freedom
     if variance <= rounding:
@@ -99,7 +90,7 @@ def measure_surroundings_noise(
 
 
 def _fit_correlation(off: Array, far: NDArray[np.bool_], norm: float, variance: float) -> SurroundingsNoise:
-    """Return the surroundings' noise with the correlation of neighbours, if it is more than chance."""
+    """Return the surroundings' noise with the correlation of neighbours, if significant."""
     found, count = [], []
     rows, cols = far.shape
     for down, along in LAGS:
@@ -109,7 +100,7 @@ def _fit_correlation(off: Array, far: NDArray[np.bool_], norm: float, variance: 
         found.append(float(np.einsum("frc,frc->", off[:, *a], off[:, *b])) / (pairs * len(off) * norm))
         count.append(pairs * max(len(off) - 1, 1))
     correlation, error = np.array(found), 1.0 / np.sqrt(np.array(count, float))
-    if np.abs(correlation / error).max() < BY_CHANCE:
+    if np.abs(correlation / error).max() < LIMITS.max_correlation_sd:
         return SurroundingsNoise(variance=variance)
     down, along = (np.exp(-0.25 * (lag / WIDTHS_PX[:, None]) ** 2) for lag in np.array(LAGS, float).T)
     shapes = (down[:, None] * along[None]).reshape(-1, len(LAGS))
@@ -123,7 +114,7 @@ def _fit_correlation(off: Array, far: NDArray[np.bool_], norm: float, variance: 
 
 @dataclass(frozen=True, kw_only=True)
 class Pulses:
-    """Noise of the light itself.
+    """Noise of the light.
 
     Parameters
     ----------
@@ -143,7 +134,7 @@ class Pulses:
 
 
 def pulse_covariances(radial: tuple[Array, Array], mean: Array, x: Array, y: Array) -> list[Array]:
-    """Return covariances at unit gain of light whose pulses spread over neighbours, shape (pixel, pixel) each, DN.
+    """Return candidate covariances at unit gain of light with correlated pulses, shape (pixel, pixel) each, DN.
 
     Parameters
     ----------
@@ -152,17 +143,21 @@ def pulse_covariances(radial: tuple[Array, Array], mean: Array, x: Array, y: Arr
     mean
         Light in every pixel, DN.
     x, y
-        Places of columns and rows from the source, column pitches.
+        Positions of columns and rows from the source, column pitches.
 
     Notes
     -----
-    Pulses are Gaussians. They take a share of the blur's logarithm, and what lies before the gain is of the blur's own
-    form; or they have some width, and it is what they leave of the blur: of long tails nearly all.
+    Pulses are Gaussians. Either they have a fraction of the blur's logarithm and the blur before the gain has the same
+    model, or they have a fixed width and the blur before the gain is the remainder, which keeps long tails.
     """
     frequency, transfer = radial
     log = np.log(np.clip(transfer, 1e-12, 1.0))
     whole = _width(frequency, log)
-    laws = [((1.0 - share) * log, _width(frequency, share * log)) for share in FRACTIONS_AFTER_GAIN if share > 0.0]
+    laws = [
+        ((1.0 - fraction) * log, _width(frequency, fraction * log))
+        for fraction in ACCURACY.pulse_fractions
+        if fraction > 0.0
+    ]
     laws += [
         (np.minimum.accumulate(np.minimum(log + 2.0 * (np.pi * frequency * width) ** 2, 0.0)), width)
         for width in whole * WIDTHS
@@ -171,7 +166,7 @@ def pulse_covariances(radial: tuple[Array, Array], mean: Array, x: Array, y: Arr
 
 
 def _width(frequency: Array, log: Array) -> float:
-    """Return the standard deviation of a Gaussian of the same half frequency, px."""
+    """Return the standard deviation of a Gaussian of equal half frequency, px."""
     return float(np.sqrt(np.log(2.0) / 2.0) / np.pi / np.interp(np.log(2.0), -log, frequency))
 
 
@@ -181,31 +176,38 @@ def _covariance(frequency: Array, log_before: Array, width_px: float, mean: Arra
     Parameters
     ----------
     log_before
-        ln of the transfer before the gain.
+        ln transfer before the gain.
 
     Notes
     -----
-    Photoelectrons of density d(u) with pulses p make the covariance sum_u d(u) p(x - u) p(y - u), never negative. It
-    is scaled so that variance over mean is 1 on the whole.
+    Photoelectrons of density d(u) with pulses p have the covariance sum_u d(u) p(x - u) p(y - u), which is positive. It
+    is scaled to an overall variance over mean of 1.
     """
     from scipy.special import j0
 
     step = np.gradient(frequency)
     landed = (j0(2.0 * np.pi * RADII_PX[:, None] * frequency)) @ (
-        2.0 * np.pi * frequency * step * np.exp(log_before - 0.5 * (np.pi * frequency * STEP_PX) ** 2 / 3.0)
+        2.0
+        * np.pi
+        * frequency
+        * step
+        * np.exp(log_before - 0.5 * (np.pi * frequency * ACCURACY.pulse_step_px) ** 2 / 3.0)
     )
-    places = np.arange(-REACH_PX, REACH_PX + 1e-9, STEP_PX)
-    density = np.interp(np.hypot(places[:, None], places), RADII_PX, np.maximum(landed, 0.0)) * STEP_PX**2
-    along, down = (_pulse(at, places, width_px) for at in (x, y))
-    columns = (along[:, :, None] * along[:, None, :]).reshape(places.size, -1)
-    rows = (down[:, :, None] * down[:, None, :]).reshape(places.size, -1)
+    positions = np.arange(-ACCURACY.pulse_extent_px, ACCURACY.pulse_extent_px + 1e-9, ACCURACY.pulse_step_px)
+    density = (
+        np.interp(np.hypot(positions[:, None], positions), RADII_PX, np.maximum(landed, 0.0))
+        * ACCURACY.pulse_step_px**2
+    )
+    along, down = (_pulse(at, positions, width_px) for at in (x, y))
+    columns = (along[:, :, None] * along[:, None, :]).reshape(positions.size, -1)
+    rows = (down[:, :, None] * down[:, None, :]).reshape(positions.size, -1)
     both = (rows.T @ density @ columns).reshape(y.size, y.size, x.size, x.size)
     unit = both.transpose(0, 2, 1, 3).reshape(x.size * y.size, -1)
     return unit * (float(np.maximum(mean, 0.0).sum()) / max(float(np.trace(unit)), 1e-300))
 
 
 def _pulse(at: Array, places: Array, sigma: float) -> Array:
-    """Return a Gaussian pulse integrated over pixels, shape (place, pixel)."""
+    """Return a Gaussian pulse integrated over pixels, shape (position, pixel)."""
     from scipy.special import ndtr
 
     half = 0.5 * float(np.diff(at[:2])[0])
@@ -226,24 +228,23 @@ def fit_pulses(
     dark
         Covariance of the dark noise, shape (pixel, pixel).
     units
-        Covariances at unit gain among which is chosen.
+        Candidate covariances at unit gain.
     factor
-        What fields and frames share of a pulse, shape (pixel, pixel).
+        Image lag of each pair of pixels, shape (pixel, pixel).
     near
-        Pixels that are compared.
+        Pixels used.
     fitted
-        Directions in which a fit took noise out of the samples, shape (pixel, direction); None: none.
+        Directions in which a fit absorbed noise, shape (pixel, direction); None: none.
 
     Notes
     -----
-    Half of the odds before the samples are those of the first unit. The gain is the median of its posterior. One known
-    from few values, n where the variance of its ln is 2 / n, makes Student's distribution of what it weighs, whose
-    variance is n / (n - 2) times as large.
+    The first candidate has half of the prior probability. The gain is its posterior median; if n values constrain it (2
+    / n is the variance of its ln), the noise is Student's t, whose variance is n / (n - 2) times larger.
     """
     both, quiet_dn = np.ix_(near, near), float(np.sqrt(dark[near[0], near[0]]))
     root = np.linalg.inv(np.linalg.cholesky(dark[both]))
     if fitted is not None:
-        # Restricted likelihood: only what lies across the fitted directions has the noise's variance.
+        # Restricted likelihood: only directions orthogonal to the fit have the noise's variance.
         basis = np.linalg.qr(root @ fitted[near], mode="complete")[0]
         root = basis[:, fitted.shape[1] :].T @ root
     white = samples[:, near] @ root.T
@@ -260,9 +261,63 @@ def fit_pulses(
         weight /= weight.sum()
         ln = np.log(gains)
         spread = float(weight @ (ln - weight @ ln) ** 2)
-        values_told = max(2.0 / max(spread, 1e-9), MIN_VALUES)
+        n_values = max(2.0 / max(spread, 1e-9), ACCURACY.min_gain_values)
         median = float(np.exp(np.interp(0.5, np.cumsum(weight), ln)))
         odds = np.log(len(units) - 1.0) if number and len(units) > 1 else 0.0
-        found.append((float(fit.max()) - odds, median * values_told / (values_told - 2.0)))
+        found.append((float(fit.max()) - odds, median * n_values / (n_values - 2.0)))
     best = int(np.argmax([fit for fit, _ in found]))
     return Pulses(gain=found[best][1], unit=units[best])
+
+
+def dark_sd_from_histogram(codes: NDArray[np.integer]) -> float:
+    """Return the standard deviation of a pixel without light, DN; a default where quantisation hides it.
+
+    Parameters
+    ----------
+    codes
+        Values around a source, any shape.
+
+    Notes
+    -----
+    For normal noise the fractions of values below two grey values lie z(fraction) standard deviations below the mean:
+    the difference of the grey values over that of z is one standard deviation. Light pulses raise values and hardly
+    change the lower tail.
+    """
+    from scipy.special import ndtri
+
+    code, number = np.unique(codes, return_counts=True)
+    below = np.cumsum(number) - number
+    commonest, lower = int(np.argmax(number)), int(np.searchsorted(below, ACCURACY.min_values_below))
+    if lower >= commonest:
+        return ACCURACY.hidden_sd_dn
+    near, far = (float(ndtri(below[one] / codes.size)) for one in (commonest, lower))
+    return float(code[commonest] - code[lower]) / max(near - far, 1e-9)
+
+
+def is_clipped_at_black(codes: NDArray) -> bool:
+    """Return whether the noise is clipped at the lowest grey value.
+
+    Parameters
+    ----------
+    codes
+        Values around a source, any shape.
+
+    Notes
+    -----
+    The upper half of a normal distribution predicts the lower one: the fraction above a grey value gives z(fraction)
+    standard deviations. Three grey values, including the lowest, must agree on the standard deviation; the predicted
+    fraction below the lowest must not be missing. Quiet pixels, and pulses on quiet pixels, are not normal and do not
+    count.
+    """
+    from scipy.special import ndtr, ndtri
+
+    code, number = np.unique(codes, return_counts=True)
+    above = codes.size - np.cumsum(number)
+    near = int(np.argmax(above <= ACCURACY.upper_fraction * above[0]))
+    far = max(int(np.argmax(above <= ACCURACY.top_fraction * above[0])), near + 1)
+    if near == 0 or far >= code.size or above[far] < ACCURACY.min_values_above:
+        return False
+    at, z = code[[0, near, far]].astype(float), ndtri(1.0 - above[[0, near, far]] / codes.size)
+    lower, upper = np.diff(at) / np.diff(z)
+    missing = float(ndtr(z[0] - float(np.diff(code).min()) / lower))
+    return bool(missing > LIMITS.max_clipped_noise and max(lower / upper, upper / lower) < LIMITS.max_sd_ratio)

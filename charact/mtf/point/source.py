@@ -1,48 +1,27 @@
-"""Where a point source is: light that stands at one place in most frames, which a single flash does not."""
+"""Detection of point sources: light that is steady over frames, unlike single bright events."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.point.thresholds import (
-    ALIKE,
-    ALONE_PX,
-    BARE,
-    BARE_SD,
-    DENSE,
-    MAX_PEAKS,
-    MIN_NEIGHBOURS,
-    NEXT_PX,
-    SADDLE,
-)  # fmt: skip
+from charact.mtf.point.thresholds import ACCURACY, LIMITS
 
 Array = NDArray[np.float64]
-
-SMOOTHING_PX = 1.2
-# Standard deviations of the smoothed background by which a source must stand out, and standard errors over frames.
-DETECTED = 9.0
-STEADY = 4.0
-# Another source counts from this fraction of the first one on, outside its halo's inner part.
-OTHER_FRACTION = 0.08
-APART_PX = 12.0
-MIN_BACKGROUND = 60
-# Least standard deviation of a smoothed background of whole codes, DN: what rounding hides.
-ROUNDING_DN = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
 class DetectedSource:
-    """A source found.
+    """A detected source.
 
     Parameters
     ----------
     row, col
         Brightest smoothed pixel.
     significance
-        Its height above the background in standard deviations of the smoothed background.
+        Height above the background in standard deviations of the smoothed background.
     others
-        Whether other sources stand out too.
+        Whether other sources are detected too.
     neighbours
         Rows and columns of the other peaks in the region, px.
     """
@@ -59,8 +38,8 @@ def detect_source(data: NDArray, pitch_ratio: float) -> DetectedSource | str:
 
     Notes
     -----
-    The median over frames of the smoothed frames ignores flashes of single ions; its spread over the picture, taken
-    robustly, is what a source must exceed.
+    The median over frames of the smoothed frames excludes single bright events. A source must exceed its robust spatial
+    scatter.
     """
     smooth = _smooth_frames(data)
     steady = np.median(smooth, axis=0)
@@ -68,105 +47,123 @@ def detect_source(data: NDArray, pitch_ratio: float) -> DetectedSource | str:
     row, col = (int(index) for index in np.unravel_index(int(np.argmax(steady)), steady.shape))
     spread = _spread(steady[_surroundings(steady.shape, row, col, pitch_ratio)], level, data)
     height = float(steady[row, col]) - level
-    # Neighbours that cover much of the region pass for its noise: what lies below them is bare.
-    low, high = (float(one) for one in np.quantile(steady, BARE))
-    bare, over = max((high - low) / BARE_SD, _least_spread(data)), float(steady[row, col]) - high
-    if height < DENSE * DETECTED * spread and over > DETECTED * bare:
-        alike = _peaks(steady, high, max(DETECTED * bare, ALIKE * over))
-        if sum(bool(_steadiness(smooth[:, *at] - high, bare) >= STEADY) for at in alike) > MIN_NEIGHBOURS:
+    # Neighbours that cover much of the region raise its scatter; the lower quantiles show the background.
+    low, high = (float(one) for one in np.quantile(steady, ACCURACY.background_quantiles))
+    bare, over = (
+        max((high - low) / ACCURACY.background_quantile_sd, _least_spread(data)),
+        float(steady[row, col]) - high,
+    )
+    if height < LIMITS.clear_height * LIMITS.min_height_sd * spread and over > LIMITS.min_height_sd * bare:
+        alike = _peaks(steady, high, max(LIMITS.min_height_sd * bare, LIMITS.min_relative_height * over))
+        if (
+            sum(bool(_steadiness(smooth[:, *at] - high, bare) >= LIMITS.min_steadiness_sd) for at in alike)
+            > LIMITS.min_crowd
+        ):
             level, spread, height = high, bare, over
-    if height < DETECTED * spread:
-        stands = f"{round_down(height / spread):.1f} standard deviations out of {DETECTED:g} needed"
-        crowd = "; light of neighbours or uneven ground stands in the way" if over > DETECTED * bare else ""
-        return f"no target: the brightest spot stands {stands}{crowd}"
-    least = max(DETECTED * spread, OTHER_FRACTION * height)
-    (row, col), *beside = _peaks(steady, level, least)
+    if height < LIMITS.min_height_sd * spread:
+        stands = (
+            f"{round_down(height / spread):.1f} standard deviations; at least {LIMITS.min_height_sd:g} are required"
+        )
+        crowd = "; neighbours or a nonuniform background interfere" if over > LIMITS.min_height_sd * bare else ""
+        return f"no target: the brightest spot is {stands}{crowd}"
+    least = max(LIMITS.min_height_sd * spread, LIMITS.min_other_height * height)
+    (row, col), *peaks = _peaks(steady, level, least)
     significance = (float(steady[row, col]) - level) / spread
     steadiness = float(_steadiness(smooth[:, row, col] - level, spread))
-    if steadiness < STEADY:
-        stands = f"{round_down(steadiness):.1f} standard errors over the frames out of {STEADY:g} needed"
-        return f"no target: the brightest spot stands {stands}"
+    if steadiness < LIMITS.min_steadiness_sd:
+        needed = f"at least {LIMITS.min_steadiness_sd:g} are required"
+        stands = f"{round_down(steadiness):.1f} standard uncertainties over the frames; {needed}"
+        return f"no target: the brightest spot is {stands}"
     high = _surroundings(steady.shape, row, col, pitch_ratio) & (steady - level > least)
-    others = bool(high.any() and _steadiness(smooth[:, high] - level, spread).max() >= STEADY)
-    steady_ones = tuple(at for at in beside if _steadiness(smooth[:, *at] - level, spread) >= STEADY)
+    others = bool(high.any() and _steadiness(smooth[:, high] - level, spread).max() >= LIMITS.min_steadiness_sd)
+    steady_ones = tuple(at for at in peaks if _steadiness(smooth[:, *at] - level, spread) >= LIMITS.min_steadiness_sd)
     return DetectedSource(row=row, col=col, significance=significance, others=others, neighbours=steady_ones)
 
 
 def _peaks(steady: Array, level: float, least: float) -> list[tuple[int, int]]:
-    """Return the source that is meant and the peaks beside it, from high to low, that stand so far over a level.
+    """Return the intended source and the other peaks above a level, from high to low.
 
-    A peak on its flank, with no saddle between them, is part of it.
+    A peak on the flank of another, without a saddle between them, is part of it.
     """
     from scipy import ndimage
 
     highest = ndimage.maximum_filter(steady, size=5)
     rows, cols = np.nonzero((steady == highest) & (steady - level >= least))
-    order = np.argsort(-steady[rows, cols], kind="stable")[:MAX_PEAKS]
+    order = np.argsort(-steady[rows, cols], kind="stable")[: ACCURACY.max_peaks]
     peaks = list(zip(rows[order].tolist(), cols[order].tolist(), strict=True))
-    middle = 0.5 * (np.array(steady.shape) - 1.0)
-    bright = [place for place in peaks if steady[place] - level > ALIKE * (steady[peaks[0]] - level)]
-    apart = {place: min([ALONE_PX, *(float(np.hypot(*np.subtract(place, o))) for o in peaks if o != place)])
+    centre = 0.5 * (np.array(steady.shape) - 1.0)
+    bright = [
+        place for place in peaks if steady[place] - level > LIMITS.min_relative_height * (steady[peaks[0]] - level)
+    ]
+    apart = {place: min([LIMITS.isolated_px, *(float(np.hypot(*np.subtract(place, o))) for o in peaks if o != place)])
              for place in bright}  # fmt: skip
-    row, col = min(bright, key=lambda place: (-apart[place], float(np.hypot(*(np.array(place) - middle)))))
-    beside = [
+    row, col = min(bright, key=lambda place: (-apart[place], float(np.hypot(*(np.array(place) - centre)))))
+    others = [
         place for place in peaks
-        if np.hypot(place[0] - row, place[1] - col) >= NEXT_PX
-        and _saddle(steady, place, (row, col)) - level < SADDLE * min(steady[place] - level, steady[row, col] - level)
+        if np.hypot(place[0] - row, place[1] - col) >= LIMITS.min_peak_distance_px
+        and _saddle(steady, place, (row, col)) - level
+        < LIMITS.max_saddle * min(steady[place] - level, steady[row, col] - level)
     ]  # fmt: skip
-    # Of a blend the brightest part is meant.
-    own = [place for place in peaks if place not in beside and np.hypot(place[0] - row, place[1] - col) < NEXT_PX]
-    return [max(own, key=lambda place: float(steady[place])), *beside]
+    # The brightest part of a blend is the source.
+    own = [
+        place
+        for place in peaks
+        if place not in others and np.hypot(place[0] - row, place[1] - col) < LIMITS.min_peak_distance_px
+    ]
+    return [max(own, key=lambda place: float(steady[place])), *others]
 
 
 def _saddle(steady: Array, one: tuple[int, int], other: tuple[int, int]) -> float:
     """Return the lowest light on the line between two peaks."""
-    steps = np.linspace(0.0, 1.0, 2 * NEXT_PX)[:, None]
+    steps = np.linspace(0.0, 1.0, 2 * LIMITS.min_peak_distance_px)[:, None]
     rows, cols = np.rint(np.array(one) * (1.0 - steps) + np.array(other) * steps).astype(int).T
     return float(steady[rows, cols].min())
 
 
 def _steadiness(over: Array, spread: float) -> Array:
-    """Return by how many standard errors light (frame, ...) stands over the frames; of one or two nobody knows."""
+    """Return the light (frame, ...) in standard uncertainties over the frames, infinite for fewer than three."""
     if len(over) < 3:
         return np.full(over.shape[1:], np.inf)
     return over.mean(axis=0) / np.maximum(over.std(axis=0, ddof=1), spread) * np.sqrt(len(over))
 
 
 def round_down(significance: float) -> float:
-    """Return what words may say of a number that is too low, so that 8.97 of 9 is not 9.0 of 9."""
+    """Return a number rounded down to one decimal, so that 8.97 of 9 required is not printed as 9.0."""
     return float(np.floor(10.0 * significance)) / 10.0
 
 
 def source_signal(data: NDArray) -> float:
-    """Return how much light frames (frame, row, col) have of their brightest steady source, DN summed over frames."""
+    """Return the signal of the brightest steady source of frames (frame, row, col), DN summed over frames."""
     steady = np.median(_smooth_frames(data), axis=0)
     return len(data) * float(steady.max() - np.median(steady))
 
 
 def _smooth_frames(data: NDArray) -> Array:
-    """Return every frame smoothed, shape (frame, row, col), DN; single precision does and is twice as fast."""
+    """Return every frame smoothed, shape (frame, row, col), DN; single precision suffices and is twice as fast."""
     from scipy import ndimage
 
-    return np.stack([ndimage.gaussian_filter(frame.astype(np.float32), SMOOTHING_PX) for frame in data])  # pyright: ignore[reportReturnType]
+    return np.stack(
+        [ndimage.gaussian_filter(frame.astype(np.float32), ACCURACY.detection_smoothing_px) for frame in data]
+    )  # pyright: ignore[reportReturnType]
 
 
 def _spread(steady: Array, level: float, data: NDArray) -> float:
-    """Standard deviation of the smoothed background, not below what rounding to codes hides, nor its upper tail."""
-    if steady.size < MIN_BACKGROUND:
+    """Return the standard deviation of the smoothed background, at least that hidden by quantisation."""
+    if steady.size < LIMITS.min_background_pixels:
         return np.inf
     robust = 1.4826 * float(np.median(np.abs(steady - level)))
-    # Pulses make a tail that the median does not see: the highest per mille stands for it.
+    # Pulses have an upper tail that the median absolute deviation misses: use the highest per mille.
     tail = (float(np.quantile(steady, 0.999)) - level) / 3.1 if steady.size > 20000 else 0.0
     return max(robust, tail, _least_spread(data))
 
 
 def _least_spread(data: NDArray) -> float:
-    """Return the least standard deviation of a smoothed background: what rounding hides, DN."""
-    return ROUNDING_DN if data.dtype.kind in "ui" else 1e-12
+    """Return the smallest standard deviation of a smoothed background, DN."""
+    return LIMITS.min_background_sd_dn if data.dtype.kind in "ui" else 1e-12
 
 
 def _surroundings(shape: tuple[int, int], row: int, col: int, pitch_ratio: float) -> NDArray[np.bool_]:
-    """Return the pixels beyond the surroundings of a place; in a small picture those nearer its border."""
+    """Return the pixels beyond the surroundings of a position; in a small image the most distant quarter."""
     rows, cols = np.ogrid[: shape[0], : shape[1]]
     distance = np.hypot(cols - col, (rows - row) * pitch_ratio)
-    return distance > min(APART_PX, 0.75 * float(distance.max()))
+    return distance > min(LIMITS.surroundings_px, 0.75 * float(distance.max()))

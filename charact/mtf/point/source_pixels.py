@@ -1,4 +1,4 @@
-"""One point source as the fit of forms sees it: its place, the noise of its pixels, and what is linear taken out."""
+"""One point source for the parametric fit: position, noise covariance, whitening."""
 
 from dataclasses import dataclass, replace
 
@@ -7,35 +7,18 @@ from numpy.typing import NDArray
 
 from charact.mtf.image_lag import ImageLagModel
 from charact.mtf.point.blur_models_2d import BlurModel2D
-from charact.mtf.point.censored import Censored
-from charact.mtf.point.forward_fit import (
-    PATTERN,
-    PATTERN_PX,
-    PULSE_VARIANCE,
-    SPARSE,
-    UNROUNDED_SD,
-    rounding_covariance,
-)
-from charact.mtf.point.model_fit import BlurModelFit2D, WhitenedPixels
-from charact.mtf.point.parametric_noise import GAINS, NEAR_PX, Pulses, SurroundingsNoise, fit_pulses, pulse_covariances
-from charact.mtf.point.source_window import FULL_FRACTION, Window
+from charact.mtf.point.forward_fit import rounding_covariance
+from charact.mtf.point.model_fit import BlurModelFit2D, Censored, WhitenedPixels
+from charact.mtf.point.parametric_noise import GAINS, Pulses, SurroundingsNoise, fit_pulses, pulse_covariances
+from charact.mtf.point.source_window import Window
 from charact.mtf.point.spot_image_matrix import Aperture, cosines, pictures, pixel_matrix, radial, ring_matrix
-from charact.mtf.point.thresholds import FELT_PX
+from charact.mtf.point.thresholds import ACCURACY, LIMITS
 
 Array = NDArray[np.float64]
 
-# Half frequencies among which the first guess is taken, cycles per column pitch.
+# Trial half frequencies of the first estimate, cycles per column pitch.
 GUESSES = np.exp(np.linspace(np.log(0.03), np.log(0.8), 14))
 GUESSED = BlurModel2D(core="exponential")
-PLACINGS = 3
-# Fewest pixels near a source whose noise is looked at.
-MIN_NEAR = 9
-# Share of the brightest pixel by which the first guess distrusts bright ones.
-FIRST_SHARE = 0.02
-# What the tables of the model are good for, share of a value and of a tenth of the brightest.
-EXACT = 3e-4
-# A variance from 12 sectors is itself unsure: Student's distribution is wider by this.
-SECTORS_UNSURE = 11.0 / 9.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,15 +34,15 @@ class SourcePixels:
     dark
         Noise of its surroundings.
     memory
-        How pulses are shared out over fields and frames.
+        Image lag.
     full_scale_dn
-        Highest code, DN; None: unknown.
+        Full scale, DN; None: unknown.
     screen
-        Whether a screen's pattern makes pixels unequal.
+        Whether a phosphor pattern makes pixels unequal.
     place
-        Column and row of the source from the middle of the window, column pitches.
+        Column and row of the source from the centre of the window, column pitches.
     pulses
-        Noise of its light; None before it is known.
+        Noise of its light; None before it is estimated.
     """
 
     window: Window
@@ -73,18 +56,18 @@ class SourcePixels:
 
     @property
     def axes(self) -> tuple[Array, Array]:
-        """Places of columns and rows from the source, column pitches."""
+        """Positions of columns and rows from the source, column pitches."""
         return self.window.x - self.place[0], self.window.y - self.place[1]
 
     @property
     def near(self) -> NDArray[np.int64]:
-        """Core pixels near the source that may be compared."""
+        """Valid core pixels near the source."""
         x, y = self.axes
-        return np.flatnonzero((np.hypot(x, y[:, None]) < NEAR_PX).ravel() & self.window.keep.ravel())
+        return np.flatnonzero((np.hypot(x, y[:, None]) < ACCURACY.pulse_radius_px).ravel() & self.window.keep.ravel())
 
     @property
-    def used(self) -> NDArray[np.bool_]:
-        """Which of core pixels and rings are values, shape (value,)."""
+    def value_mask(self) -> NDArray[np.bool_]:
+        """Valid values among core pixels and rings, shape (value,)."""
         return np.append(self.window.keep.ravel(), np.ones(self.window.ring_dn.size, bool))
 
     @property
@@ -99,19 +82,19 @@ class SourcePixels:
 
     @property
     def cut(self) -> NDArray[np.bool_]:
-        """Which values of the frames stand at full scale, shape (frame, pixel)."""
+        """Values of the frames at full scale, shape (frame, pixel)."""
         if self.full_scale_dn is None:
             return np.zeros(self.window.deviations.shape, bool)
-        return np.asarray(self.frames >= FULL_FRACTION * self.full_scale_dn)
+        return np.asarray(self.frames >= LIMITS.full_fraction * self.full_scale_dn)
 
     def ring_variance(self) -> Array:
-        """Return the variance of the rings' means: what their sectors scatter, but not less than the dark noise."""
+        """Return the variance of the rings' means: from the scatter of their sectors, at least the dark noise."""
         ring = self.window.ring_px
         if not len(ring):
             return np.empty(0)
         area = np.pi * (ring[:, -1] ** 2 - ring[:, 0] ** 2) / float(np.diff(self.window.y[:2])[0])
         least = self.dark.variance * self.dark.grain / self.window.frames / np.maximum(area, 1.0)
-        return SECTORS_UNSURE * np.maximum(self.window.ring_variance, least)
+        return ACCURACY.sector_variance_factor * np.maximum(self.window.ring_variance, least)
 
     def matrix(self) -> Array:
         """Return the matrix from a transfer to core pixels and rings of unit light, shape (value, node)."""
@@ -120,19 +103,19 @@ class SourcePixels:
         ])  # fmt: skip
 
     def background(self) -> Array:
-        """Return shapes of level and slopes at core pixels and rings, shape (value, 3)."""
+        """Return level and slopes at core pixels and rings, shape (value, 3)."""
         x, y = (part.ravel() for part in np.broadcast_arrays(self.window.x, self.window.y[:, None]))
         core = np.stack([np.ones(x.size), x, y], axis=1)
         return np.concatenate([core, np.tile([1.0, 0.0, 0.0], (self.window.ring_dn.size, 1))])
 
 
 def position_source(site: SourcePixels) -> tuple[SourcePixels, float]:
-    """Return a source at its place, and the half frequency at which a form between lens and tube fits best."""
+    """Return a source at its position, and its approximate half frequency."""
     height = np.maximum(site.window.core.ravel() - np.median(site.window.core), 0.0)
     top = max(float(height.max()), 1e-12)
-    variance = site.dark.variance + FIRST_SHARE * height * top + (FIRST_SHARE * top) ** 2
+    variance = site.dark.variance + ACCURACY.first_relative_sd * height * top + (ACCURACY.first_relative_sd * top) ** 2
     sd = np.append(np.sqrt(variance / site.window.frames), np.sqrt(site.ring_variance()))
-    used = site.used
+    used = site.value_mask
     site = replace(site, place=site.window.centre)
     flat = site.background()[used] / sd[used, None]
     data = site.values[used] / sd[used]
@@ -142,7 +125,7 @@ def position_source(site: SourcePixels) -> tuple[SourcePixels, float]:
     basis = np.linalg.qr(flat)[0]
     free, left = shapes - (shapes @ basis) @ basis.T, data - basis @ (basis.T @ data)
     best = int(np.argmax((free @ left) * np.abs(free @ left) / np.sum(free**2, axis=1)))
-    for _ in range(PLACINGS):
+    for _ in range(ACCURACY.position_turns):
         site, move = _reposition(site, transfers[best], sd[: height.size])
         if move < 0.01:
             break
@@ -151,16 +134,16 @@ def position_source(site: SourcePixels) -> tuple[SourcePixels, float]:
 
 @dataclass(frozen=True, kw_only=True)
 class _CoreResidual:
-    """What light, place and background leave of the core's pixels for a fixed transfer.
+    """Residual of the core's pixels for a fixed transfer.
 
     Parameters
     ----------
     coefficients
-        Light, light times the place's shift along rows and columns, level and slopes.
+        Light, light times the shift along rows and columns, level and slopes.
     design
-        Their pictures, shape (pixel, coefficient).
+        Their images, shape (pixel, coefficient).
     residual
-        What they leave, shape (pixel,), DN.
+        Shape (pixel,), DN.
     """
 
     coefficients: Array
@@ -169,7 +152,7 @@ class _CoreResidual:
 
 
 def _core_residual(site: SourcePixels, transfer: Array, sd: Array) -> _CoreResidual:
-    """Return what is left of the core's pixels, weighed by their standard deviations (pixel,)."""
+    """Return the residual of the core's pixels, weighted by their standard deviations (pixel,)."""
     core = site.window.keep.ravel()
     shown = pictures(site.aperture, transfer, *site.axes)[:3].T
     design = np.concatenate([shown, site.background()[: core.size]], axis=1)
@@ -180,24 +163,26 @@ def _core_residual(site: SourcePixels, transfer: Array, sd: Array) -> _CoreResid
 
 
 def _reposition(site: SourcePixels, transfer: Array, sd: Array) -> tuple[SourcePixels, float]:
-    """Return a source at the place where a transfer fits best, to first order, and how far it moved, px."""
+    """Return a source at the position that fits a transfer best, to first order, and its shift, px."""
     found = _core_residual(site, transfer, sd).coefficients
     move = np.clip(-found[1:3] / max(float(found[0]), 1e-300), -1.0, 1.0)
-    place = (site.place[0] + float(move[0]), site.place[1] + float(move[1]))
-    return replace(site, place=place), float(np.abs(move).max())
+    position = (site.place[0] + float(move[0]), site.place[1] + float(move[1]))
+    return replace(site, place=position), float(np.abs(move).max())
 
 
 def _sd(site: SourcePixels) -> Array:
-    """Return standard deviations of the core's pixels, as far as the noise of their light is known, shape (pixel,)."""
+    """Return standard deviations of the core's pixels with the noise known so far, shape (pixel,)."""
     height = np.maximum(site.window.core.ravel() - np.median(site.window.core), 0.0)
-    light = FIRST_SHARE * height * height.max() if site.pulses is None else np.diag(site.pulses.covariance)
-    return np.sqrt(site.dark.variance + light + (EXACT * height.max()) ** 2)
+    light = (
+        ACCURACY.first_relative_sd * height * height.max() if site.pulses is None else np.diag(site.pulses.covariance)
+    )
+    return np.sqrt(site.dark.variance + light + (ACCURACY.model_relative_sd * height.max()) ** 2)
 
 
 def noise_likelihood(site: SourcePixels, fit: BlurModelFit2D) -> float:
-    """Return ln of the likelihood of what a form leaves of one frame, by the likeliest noise of independent pixels.
+    """Return ln likelihood of one frame's residuals under the likeliest noise of independent pixels.
 
-    Forms can be compared by it before the noise is known: one that does not fit takes its misfit for noise.
+    It compares models before the noise is known: a model that does not fit takes its misfit for noise.
     """
     transfer = fit.form.transfer(fit.point[None], *_nodes(site))[0]
     left, near = _core_residual(site, transfer, _sd(site)), site.near
@@ -208,16 +193,17 @@ def noise_likelihood(site: SourcePixels, fit: BlurModelFit2D) -> float:
 
 
 def add_noise(site: SourcePixels, fit: BlurModelFit2D, light: float, *, lower: float = 1.0) -> SourcePixels:
-    """Return a source at its place by a fitted form, with the noise of its light.
+    """Return a source at the position of a fitted model, with the noise of its light.
 
-    That is what the frames' differences show, or of a single frame what the form leaves, or a `lower` part of it.
+    The noise is estimated from frame differences, or in a single frame from the residuals, reduced by the factor
+    `lower`.
     """
     transfer = fit.form.transfer(fit.point[None], *_nodes(site))[0]
     site, _ = _reposition(site, transfer, _sd(site))
     x, y = site.axes
     mean = light * pictures(site.aperture, transfer, x, y)[0]
     near = site.near
-    if near.size < MIN_NEAR:
+    if near.size < ACCURACY.min_near_pixels:
         return site
     blur = fit.form.camera(fit.point[None], *_nodes(site))[0].mean(axis=0)
     units = pulse_covariances((_nodes(site)[0], blur), mean, x, y)
@@ -232,12 +218,12 @@ def add_noise(site: SourcePixels, fit: BlurModelFit2D, light: float, *, lower: f
 
 
 def _rounding_variance(site: SourcePixels) -> float:
-    """Return the variance that rounding to codes adds to pixels as quiet as those without light, DN^2."""
+    """Return the variance that quantisation adds to the quietest pixels, DN^2."""
     return float(np.exp(-4.0 * np.pi**2 * min(site.window.quiet_sd, 9.0) ** 2)) / 12.0
 
 
 def _slopes(site: SourcePixels, fit: BlurModelFit2D) -> Array:
-    """Return how the core's pixels at unit light change with a form's parameters, shape (pixel, parameter)."""
+    """Return the derivatives of the core's pixels at unit light by a model's parameters, shape (pixel, parameter)."""
     bounds = fit.form.bounds
     moves = np.where(fit.point > bounds.mean(axis=1), -1e-4, 1e-4) * (bounds[:, 1] - bounds[:, 0])
     nodes = fit.form.transfer(np.concatenate([fit.point[None], fit.point + np.diag(moves)]), *_nodes(site))
@@ -259,46 +245,48 @@ def covariance(site: SourcePixels, mean: Array, light: float) -> Array:
     window, count, size = site.window, site.window.frames, site.window.core.size
     out = np.zeros((mean.size, mean.size))
     if site.pulses is None:
-        core = np.diag(FIRST_SHARE * np.maximum(mean[:size], 0.0) * max(float(mean[:size].max()), 0.0))
+        core = np.diag(ACCURACY.first_relative_sd * np.maximum(mean[:size], 0.0) * max(float(mean[:size].max()), 0.0))
     else:
         same = window.parity[:, None] == window.parity[None, :]
         core = site.pulses.covariance * np.where(same, site.memory.mean_same, site.memory.mean_other)
     out[:size, :size] = (core + dark_noise(site)) / count
     if site.screen:
-        pattern = np.exp(-0.5 * window.distances**2 / PATTERN_PX**2)
-        out[:size, :size] += PATTERN**2 * np.outer(mean[:size], mean[:size]) * pattern
+        pattern = np.exp(-0.5 * window.distances**2 / ACCURACY.phosphor_pattern_px**2)
+        out[:size, :size] += ACCURACY.phosphor_pattern**2 * np.outer(mean[:size], mean[:size]) * pattern
     out[size:, size:] = window.ring_covariance(site.ring_variance())
-    out += np.diag((EXACT * (mean + 0.1 * float(mean.max()))) ** 2)
+    out += np.diag((ACCURACY.model_relative_sd * (mean + 0.1 * float(mean.max()))) ** 2)
     return out + rounding(site, mean)
 
 
 def rounding(site: SourcePixels, mean: Array) -> Array:
-    """Return the covariance of what rounding to codes adds to core pixels and rings, shape (value, value), DN^2."""
+    """Return the covariance of core pixels and rings by quantisation, shape (value, value), DN^2."""
     window, size = site.window, site.window.core.size
-    if window.quiet_sd >= UNROUNDED_SD:
+    if window.quiet_sd >= LIMITS.max_rounded_sd:
         return np.zeros((mean.size, mean.size))
     pulse = np.zeros(size)
     if site.pulses is not None:
         pulse = np.diag(site.pulses.covariance) * site.memory.frame_same
     gain = 0.0 if site.pulses is None else site.pulses.gain
     scatter = np.append(pulse, np.full(mean.size - size, np.inf))
-    common = rounding_covariance(mean, scatter, window.quiet_sd, PULSE_VARIANCE / gain if gain > 0 else SPARSE)
-    # A height is known to a fraction of a code where it is small alone: beyond, each pixel is rounded by itself.
+    common = rounding_covariance(
+        mean, scatter, window.quiet_sd, ACCURACY.pulse_height_square / gain if gain > 0 else ACCURACY.pulses_per_dn
+    )
+    # A height is known to a fraction of a step only where it is small: otherwise quantisation errors are independent.
     lit = np.append(np.clip(2.0 * np.abs(mean[:size]), 0.0, 1.0), np.zeros(mean.size - size))
     return common + np.diag(lit * _rounding_variance(site) * np.exp(-4.0 * np.pi**2 * np.minimum(scatter, 9.0)))
 
 
 def whiten_source(site: SourcePixels, transfer: Array, light: float) -> WhitenedPixels:
-    """Return the whitened pixels of a source, its place and background marginalised.
+    """Return the whitened pixels of a source, its position and background marginalised.
 
     Parameters
     ----------
     transfer
-        About the transfer, shape (direction, frequency): it weighs pixels and tells how a shift changes them.
+        Approximate transfer, shape (direction, frequency), for weights and the effect of a shift.
     light
-        About the light, DN px^2.
+        Approximate light, DN px^2.
     """
-    used, size = site.used, site.window.core.size
+    used, size = site.value_mask, site.window.core.size
     matrix, level = site.matrix(), site.background()
     mean = light * (matrix @ transfer.ravel())
     slopes = np.zeros((used.size, 2))
@@ -325,32 +313,32 @@ def whiten_source(site: SourcePixels, transfer: Array, light: float) -> Whitened
 
 
 def _neighbours(site: SourcePixels, transfer: Array) -> Array:
-    """Return pictures of the sources beside this one and their changes with their places, shape (value, 3 each)."""
+    """Return images of neighbouring sources and their derivatives by position, shape (value, 3 each)."""
     window, columns = site.window, []
     for at, ring_px in zip(window.neighbours, window.neighbour_ring_px, strict=True):
-        if np.hypot(*at) > FELT_PX:
+        if np.hypot(*at) > LIMITS.max_neighbour_px:
             continue
         core = pictures(site.aperture, transfer, window.x - at[0], window.y - at[1])[:3]
         rings = ring_matrix(site.aperture, ring_px) @ transfer.ravel()
         columns += [np.append(core[0], rings), *(np.append(one, np.zeros(rings.size)) for one in core[1:])]
-    return np.stack(columns, axis=1) if columns else np.empty((site.used.size, 0))
+    return np.stack(columns, axis=1) if columns else np.empty((site.value_mask.size, 0))
 
 
 def _pixels_at_full_scale(
     site: SourcePixels, hidden: NDArray[np.bool_], matrix: Array, nuisance: Array, back: Array, raw: Array, data: Array,
     whole: Array,
 ) -> Censored:  # fmt: skip
-    """Return the pixels that were cut, background and place being what the others make them."""
+    """Return the clipped pixels, with the background and position of the others."""
     size = hidden.size
-    beside = nuisance[:size][hidden]
-    level = beside @ (back @ data)
+    linear = nuisance[:size][hidden]
+    level = linear @ (back @ data)
     cut = site.cut[:, hidden]
     left = np.sum(~cut, axis=0)
     mean = np.sum(np.where(cut, 0.0, site.frames[:, hidden]), axis=0) / np.maximum(left, 1)
     assert site.full_scale_dn is not None
     return Censored(
-        matrix=matrix[:size][hidden] - beside @ (back @ raw),
-        limit=FULL_FRACTION * site.full_scale_dn - level,
+        matrix=matrix[:size][hidden] - linear @ (back @ raw),
+        limit=LIMITS.full_fraction * site.full_scale_dn - level,
         sd=np.sqrt(np.diag(whole)[:size][hidden] * site.window.frames),
         cut=cut.sum(axis=0).astype(float),
         left=left.astype(float),

@@ -1,29 +1,21 @@
-"""The pixels of a point source that carry its MTF: its core pixel by pixel and what surrounds it in rings."""
+"""Pixels of a point source: core pixel by pixel, surroundings in rings, figure data."""
 
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.point.dark_noise_from_histogram import dark_sd_from_histogram, is_clipped_at_black
-from charact.mtf.point.thresholds import NEIGHBOUR_PX
+from charact.method import Context
+from charact.mtf.known_transfer import halo_diameters_px
+from charact.mtf.point.parametric_noise import dark_sd_from_histogram, is_clipped_at_black
+from charact.mtf.point.source import DetectedSource
+from charact.mtf.point.thresholds import ACCURACY, LIMITS
+from labdata.frames import FrameStack
 
 Array = NDArray[np.float64]
-
-HALF_ROWS, HALF_COLS = 6, 7
-RING_BORDERS_PX = (7.0, 9.0, 12.0, 15.0, 18.0, 21.0, 24.0, 27.0, 31.0, 36.0)
-# Length of the sectors whose scatter tells a ring's noise, px, and the furthest that noise may reach across a border.
-SECTOR_PX, MAX_EXTENT_PX = 6.0, 1.0
-MIN_RING_PIXELS = 24
-PIXELS_PER_RING = 48
-# Share of full scale from which single frames are clipped or their chip's wells full.
-FULL_FRACTION = 0.97
-# Columns behind a full well that a causal filter spoils.
-AFTERMATH_PX = 8
-# Variance from which on rounding to whole codes adds its own and changes nothing else, DN^2.
-UNROUNDED_DN2 = 0.25
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,31 +29,32 @@ class Window:
     deviations
         Frames of the core less their mean, shape (frame, row x col), DN.
     keep
-        Core pixels that neither full scale nor a neighbour spoils, shape (row, col).
+        Valid core pixels: not affected by full scale or a neighbour, shape (row, col).
     sound
-        Whether full scale spoils none of the core's pixels.
+        Whether full scale affects no core pixel.
     x, y
-        Places of columns and rows from the middle of the core, column pitches.
+        Positions of columns and rows from the centre of the core, column pitches.
     parity
         Field of every core pixel, shape (row x col,).
     ring_px
-        Distances of some pixels of each ring, shape (ring, pixel), column pitches.
+        Distances of sample pixels of each ring, shape (ring, pixel), column pitches.
     ring_dn, ring_variance, ring_correlation
-        Mean of each ring, its variance, shape (ring,), and the correlation of one with another, shape (ring, ring).
+        Mean of each ring, its variance, shape (ring,), and the correlation between rings, shape (ring, ring).
     floor
-        Variance of a pixel in the outermost ring over frames, DN^2.
+        Temporal variance of a pixel in the outermost ring, DN^2.
     quiet_sd
-        Noise of a pixel without light, DN: where it is small, rounding hides faint light; infinite: nothing is rounded.
+        Noise of a pixel without light, DN, infinite without quantisation. Small noise lets quantisation hide faint
+        light.
     frames
         Number of frames.
     holds_halo, cut
-        Whether the region holds the whole halo, and whether it cuts into the core.
+        Whether the region contains the complete halo, and whether it cuts into the core.
     clipped
-        Whether the noise of pixels without light was cut off at black.
+        Whether the noise of pixels without light is clipped at black.
     neighbours
-        Columns and rows of other sources from the middle of the core, shape (neighbour, 2), column pitches.
+        Columns and rows of other sources from the centre of the core, shape (neighbour, 2), column pitches.
     neighbour_ring_px
-        Distances of pixels of each ring from each of them, shape (neighbour, ring, pixel), column pitches.
+        Distances of sample pixels of each ring from each neighbour, shape (neighbour, ring, pixel), column pitches.
     """
 
     core: Array
@@ -85,7 +78,7 @@ class Window:
     neighbour_ring_px: Array
 
     def ring_covariance(self, variance: Array) -> Array:
-        """Return the covariance of the rings' means of given variances, shape (ring, ring), DN^2."""
+        """Return the covariance of the rings' means for given variances, shape (ring, ring), DN^2."""
         sd = np.sqrt(variance)
         return self.ring_correlation * np.outer(sd, sd)
 
@@ -100,24 +93,24 @@ class Window:
         return self.deviations.reshape(-1, *self.core.shape) + (self.core - pedestal)
 
     def exceeds_rounding(self, variance: Array) -> NDArray[np.bool_]:
-        """Tell where noise of a variance, DN^2, is so large that rounding leaves it as it is."""
-        return (variance > UNROUNDED_DN2) | np.isinf(self.quiet_sd)
+        """Return where noise of a variance, DN^2, is so large that quantisation only adds to it."""
+        return (variance > LIMITS.min_variance_dn2) | np.isinf(self.quiet_sd)
 
     @property
     def contrasts(self) -> Array:
-        """Contrasts of frames, each an independent sample of one frame's noise, shape (frame - 1, pixel), DN."""
+        """Contrasts of frames: independent samples of one frame's noise, shape (frame - 1, pixel), DN."""
         mixed = np.linalg.qr(np.eye(self.frames)[:, : self.frames - 1] - 1.0 / self.frames)[0]
         return np.asarray(mixed.T @ self.deviations, np.float64)
 
     @property
     def offsets_from_centre(self) -> tuple[Array, Array]:
-        """Places of columns and rows from the centre of light, column pitches."""
+        """Positions of columns and rows from the centre of light, column pitches."""
         x, y = self.centre
         return self.x - x, self.y - y
 
     @property
     def border_dn(self) -> float:
-        """Median of the core's outermost pixels, DN: what is left where the source's light is small."""
+        """Median of the core's outermost pixels, DN."""
         core = self.core
         return float(np.median(np.concatenate([core[0], core[-1], core[:, 0], core[:, -1]])))
 
@@ -138,22 +131,22 @@ class Window:
 def window_of(data: NDArray, row: int, col: int, *, pitch_ratio: float, full_scale_dn: float | None,
               halo_radius_px: float | None, filtered: bool,
               neighbours: tuple[tuple[int, int], ...] = ()) -> Window:  # fmt: skip
-    """Cut the pixels around a place.
+    """Return the pixels around a position.
 
     Parameters
     ----------
     data
         Frames of the region, shape (frame, row, col).
     halo_radius_px
-        Largest radius of the halo, column pitches; None where none is known.
+        Largest radius of the halo, column pitches; None: unknown.
     filtered
-        Whether a causal filter runs along rows behind the chip.
+        Whether a causal video filter follows the sensor.
     neighbours
         Rows and columns of other sources, px.
     """
     frames, rows, cols = data.shape
-    top, bottom = max(0, row - HALF_ROWS), min(rows, row + HALF_ROWS + 1)
-    left, right = max(0, col - HALF_COLS), min(cols, col + HALF_COLS + 1)
+    top, bottom = max(0, row - ACCURACY.half_rows), min(rows, row + ACCURACY.half_rows + 1)
+    left, right = max(0, col - ACCURACY.half_cols), min(cols, col + ACCURACY.half_cols + 1)
     mean = data.mean(axis=0, dtype=np.float64)
     core = data[:, top:bottom, left:right].astype(float)
     x = np.arange(left, right) - float(col)
@@ -166,7 +159,7 @@ def window_of(data: NDArray, row: int, col: int, *, pitch_ratio: float, full_sca
     outside &= own
     reach = min(row * pitch_ratio, (rows - 1 - row) * pitch_ratio, col, cols - 1 - col)
     rings = _rings(mean, radius, outside, row, col, reach, pitch_ratio)
-    places = np.array([(c - col, (r - row) * pitch_ratio) for r, c in neighbours], float).reshape(-1, 2)
+    positions = np.array([(c - col, (r - row) * pitch_ratio) for r, c in neighbours], float).reshape(-1, 2)
     far = outside & (radius > (27.0 if reach > 31 else 0.7 * reach)) & (radius < 48.0)
     values = data[:, far] if far.any() else data.reshape(frames, -1)
     floor = float(values.var(axis=0, ddof=1).mean()) if frames > 1 else float(values.var())
@@ -188,34 +181,47 @@ def window_of(data: NDArray, row: int, col: int, *, pitch_ratio: float, full_sca
         quiet_sd=min(dark_sd_from_histogram(values), float(np.sqrt(floor))) if rounded else np.inf,
         frames=frames,
         holds_halo=halo_radius_px is not None and reach >= halo_radius_px + 5.0,
-        cut=core.shape[1:] != (2 * HALF_ROWS + 1, 2 * HALF_COLS + 1),
+        cut=core.shape[1:] != (2 * ACCURACY.half_rows + 1, 2 * ACCURACY.half_cols + 1),
         clipped=is_clipped_at_black(values),
-        neighbours=places,
+        neighbours=positions,
         neighbour_ring_px=np.array(
-            [[_ring_quantiles(np.hypot(*(ring - at[:, None]))) for ring in rings[4]] for at in places]
-        ).reshape(len(places), len(rings[4]), PIXELS_PER_RING),
+            [[_ring_quantiles(np.hypot(*(ring - at[:, None]))) for ring in rings[4]] for at in positions]
+        ).reshape(len(positions), len(rings[4]), ACCURACY.pixels_per_ring),
     )
+
+
+def source_window(
+    stack: FrameStack, source: DetectedSource, context: Context, neighbours: tuple[tuple[int, int], ...] = ()
+) -> Window:
+    """Return the pixels around a detected source."""
+    described = context.sensor is not None
+    return window_of(
+        stack.data, source.row, source.col, pitch_ratio=context.pitch_ratio,
+        full_scale_dn=context.full_scale_dn or stack.full_scale_dn,
+        halo_radius_px=halo_diameters_px(context, transposed=False)[1] / 2.0 if described else None,
+        filtered=described, neighbours=neighbours,
+    )  # fmt: skip
 
 
 def neighbour_mask(
     shape: tuple[int, ...], neighbours: tuple[tuple[int, int], ...], pitch_ratio: float
 ) -> NDArray[np.bool_]:
-    """Tell which pixels lie so near a neighbouring source that they are its own, shape (row, col)."""
+    """Return the pixels that belong to neighbouring sources, shape (row, col)."""
     rows, cols = np.ogrid[: shape[0], : shape[1]]
     near = np.zeros(shape, bool)
     for row, col in neighbours:
-        near |= np.hypot(cols - col, (rows - row) * pitch_ratio) < NEIGHBOUR_PX
+        near |= np.hypot(cols - col, (rows - row) * pitch_ratio) < LIMITS.neighbour_px
     return near
 
 
 def _valid_pixels(core: Array, full_scale_dn: float | None, filtered: bool) -> NDArray[np.bool_]:
-    """Tell which core pixels never meet full scale, nor stand where a filter smears what was cut."""
+    """Return the core pixels that neither reach full scale nor follow such a pixel in a filtered row."""
     if full_scale_dn is None:
         return np.ones(core.shape[1:], bool)
-    full = np.asarray(core.max(axis=0) >= FULL_FRACTION * full_scale_dn)
+    full = np.asarray(core.max(axis=0) >= LIMITS.full_fraction * full_scale_dn)
     spoilt = full.copy()
     if filtered:
-        for step in range(1, AFTERMATH_PX + 1):
+        for step in range(1, ACCURACY.filter_tail_px + 1):
             spoilt[:, step:] |= full[:, :-step]
         spoilt[:, :-1] |= full[:, 1:]
     return ~spoilt
@@ -225,33 +231,33 @@ def _rings(mean: Array, radius: Array, outside: NDArray[np.bool_], row: int, col
            pitch_ratio: float) -> tuple[Array, Array, Array, Array, list[Array]]:  # fmt: skip
     """Return distances, means, variances and correlations of rings, and columns and rows of their pixels."""
     angle = np.arctan2(*np.broadcast_arrays((np.arange(mean.shape[0]) - row)[:, None], np.arange(mean.shape[1]) - col))
-    distances, values, sectors, pixels, lengths, places = [], [], [], [], [], []
-    for low, high in pairwise(RING_BORDERS_PX):
+    distances, values, sectors, pixels, lengths, positions = [], [], [], [], [], []
+    for low, high in pairwise(ACCURACY.ring_borders_px):
         if high > reach:
             break
         inside = outside & (radius >= low) & (radius < high)
-        if inside.sum() < MIN_RING_PIXELS:
+        if inside.sum() < ACCURACY.min_ring_pixels:
             continue
         distances.append(_ring_quantiles(radius[inside]))
         values.append(float(mean[inside].mean()))
-        sectors.append(_sectors(mean[inside], angle[inside], round(np.pi * (low + high) / SECTOR_PX)))
+        sectors.append(_sectors(mean[inside], angle[inside], round(np.pi * (low + high) / ACCURACY.sector_px)))
         pixels.append(float(inside.sum()))
         lengths.append((low, high))
         y, x = np.nonzero(inside)
-        places.append(np.stack([x - col, (y - row) * pitch_ratio]))
+        positions.append(np.stack([x - col, (y - row) * pitch_ratio]))
     if not distances:
-        return np.empty((0, PIXELS_PER_RING)), np.empty(0), np.empty(0), np.empty((0, 0)), []
+        return np.empty((0, ACCURACY.pixels_per_ring)), np.empty(0), np.empty(0), np.empty((0, 0)), []
     variance, correlation = _ring_noise(sectors, np.array(pixels), np.array(lengths))
-    return np.array(distances), np.array(values), variance, correlation, places
+    return np.array(distances), np.array(values), variance, correlation, positions
 
 
 def _ring_quantiles(distances: Array) -> Array:
-    """Return evenly spread quantiles of distances, shape (pixel,)."""
-    return np.quantile(distances, (np.arange(PIXELS_PER_RING) + 0.5) / PIXELS_PER_RING)
+    """Return equidistant quantiles of distances, shape (pixel,)."""
+    return np.quantile(distances, (np.arange(ACCURACY.pixels_per_ring) + 0.5) / ACCURACY.pixels_per_ring)
 
 
 def _sectors(values: Array, angle: Array, count: int) -> Array:
-    """Return the sectors' means less their mean, in order of their angle, shape (sector,)."""
+    """Return the sectors' means less their mean, ordered by angle, shape (sector,)."""
     sector = ((angle / (2 * np.pi) + 0.5) * count).astype(int) % count
     number = np.bincount(sector, minlength=count)
     parts = np.bincount(sector, values, minlength=count)[number > 0] / number[number > 0]
@@ -264,29 +270,75 @@ def _ring_noise(sectors: list[Array], pixels: Array, borders: Array) -> tuple[Ar
     Parameters
     ----------
     sectors
-        Sectors of every ring less their mean, DN.
+        Sector means of every ring less their mean, DN.
     pixels, borders
         Pixels of every ring, shape (ring,), and its inner and outer radius, px, shape (ring, 2).
 
     Notes
     -----
-    A pulse on a border counts on both of its sides, so the sums beside a border covary by its length times a reach l.
-    Neighbouring sectors of length s are then correlated by l/s, which gives l; the variance of all of a ring is
-    1 + 2 l/s of that of its sectors, and rings of widths v and w are correlated by l/sqrt(v w). Variance by pixel
-    changes little from ring to ring, and neighbours share theirs: of few sectors it would be too small by chance.
+    A pulse on a border contributes to both sides, so that adjacent sums covary by the border's length times a
+    correlation length l. Adjacent sectors of length s are correlated by l/s, which gives l. The variance of a ring is 1
+    + 2 l/s times that of its sectors, and rings of widths v and w are correlated by l/sqrt(v w). The variance per pixel
+    is averaged over adjacent rings: that of few sectors may be too small by chance.
     """
     count = np.array([len(own) for own in sectors], float)
     square = np.array([own @ own for own in sectors]) + 1e-300
     seen = float(np.average([own @ np.roll(own, 1) for own in sectors] / square, weights=count))
-    # Their own mean taken off makes sectors less alike.
+    # Subtracting their mean reduces the correlation of sectors.
     size = float(count.mean())
     alike = (1.0 + seen * (size - 1.0)) / (size - 2.0 + 2.0 * seen)
-    reach = float(np.clip(alike * SECTOR_PX, 0.0, MAX_EXTENT_PX))
-    wider = 1.0 + 2.0 * reach / SECTOR_PX
+    reach = float(np.clip(alike * ACCURACY.sector_px, 0.0, ACCURACY.max_correlation_px))
+    wider = 1.0 + 2.0 * reach / ACCURACY.sector_px
     by_pixel = pixels * wider * square / (count - wider) / count
     weight = np.eye(count.size) + np.eye(count.size, k=1) + np.eye(count.size, k=-1)
     variance = (weight @ (count * by_pixel)) / (weight @ count) / pixels + 1e-6
     width = np.diff(borders, axis=1)[:, 0]
     touch = np.isclose(borders[1:, 0], borders[:-1, 1])
-    beside = np.where(touch, reach / np.sqrt(width[1:] * width[:-1]), 0.0)
-    return variance, np.eye(count.size) + np.diag(beside, 1) + np.diag(beside, -1)
+    adjacent = np.where(touch, reach / np.sqrt(width[1:] * width[:-1]), 0.0)
+    return variance, np.eye(count.size) + np.diag(adjacent, 1) + np.diag(adjacent, -1)
+
+
+def rounding_note(window: Window) -> list[str]:
+    """Return a note where quantisation may shift faint light."""
+    most = float(np.exp(-2.0 * np.pi**2 * window.quiet_sd**2) / np.pi)
+    if most < LIMITS.min_rounding_shift_dn:
+        return []
+    return [
+        f"Quantisation may shift faint light and its level by up to {most:.2f} DN; the fit includes this, and the "
+        "plotted model the estimated shift."
+    ]
+
+
+def source_figure_data(
+    window: Window, place: tuple[float, float], core_dn: Array, rings_dn: Array, **fitted: float
+) -> dict[str, Any]:
+    """Return mean frame, model and the lines through the source's centre, as figure data.
+
+    Parameters
+    ----------
+    place
+        Column and row of the source from the centre of the window, column pitches.
+    core_dn, rings_dn
+        Model of the core, shape (row, col), and of the rings, shape (ring,), DN.
+    fitted
+        Numbers of the fit that are printed: light, level, chi squared.
+    """
+    x_px, y_px = place
+    row, col = int(np.argmin(np.abs(window.y - y_px))), int(np.argmin(np.abs(window.x - x_px)))
+    return {
+        "figure": "point-profile",
+        "column_px": (window.x - x_px).tolist(),
+        "row_px": (window.y - y_px).tolist(),
+        "value_dn": window.core.tolist(),
+        "model_dn": core_dn.tolist(),
+        "used": window.keep.tolist(),
+        "along_row_dn": window.core[row].tolist(),
+        "along_row_model_dn": core_dn[row].tolist(),
+        "along_column_dn": window.core[:, col].tolist(),
+        "along_column_model_dn": core_dn[:, col].tolist(),
+        "ring_px": window.ring_px.mean(axis=1).tolist(),
+        "ring_dn": window.ring_dn.tolist(),
+        "ring_sd_dn": np.sqrt(window.ring_variance).tolist(),
+        "ring_model_dn": rings_dn.tolist(),
+        **fitted,
+    }

@@ -1,7 +1,7 @@
-"""From a transfer at a few directions to the pixels of a point's picture and the rings around it: one matrix.
+"""Matrix from a transfer at a few directions to the pixels and rings of a point's image.
 
-pixel(x, y) = integral T(f) V(fx) exp(2 pi i f.x) over both frequencies, in polar coordinates by Gauss's rule, so that
-no copy of the source stands anywhere. The known aperture and video filter are part of the matrix.
+pixel(x, y) = integral T(f) V(fx) exp(2 pi i f.x) over both frequencies, in polar coordinates by Gaussian quadrature, so
+that there are no periodic copies. The known aperture and video filter are part of the matrix.
 """
 
 from dataclasses import dataclass
@@ -15,27 +15,27 @@ from charact.video_filter import VideoFilter
 
 Array = NDArray[np.float64]
 
-# Radial panels, cycles per column pitch: close where halos wave, wide where only cores are left.
+# Radial panels, cycles per column pitch: dense where the halo's transfer oscillates.
 PANELS = (0.0, 0.004, 0.012, *np.arange(0.025, 0.3, 0.025), *np.arange(0.3, 0.6, 0.05), 0.6, 0.7, 0.8, 0.9, 1.0)
 BEYOND = 0.25
 NODES = 4
 DIRECTIONS = 5
-# Finer nodes of a panel on which rings are integrated, and distances that stand for a ring.
+# Nodes of a panel for the rings, and distances per ring.
 FINE, PER_RING = 12, 12
-# Directions of the integral at no frequency, and more for each cycle per pixel.
+# Directions of the integral at zero frequency, and their increase per cycle per pixel.
 TURNS, TURNS_PER_CYCLE = 12, 36
 
 
 @dataclass(frozen=True, kw_only=True)
 class Aperture:
-    """What is known of the camera before the fit.
+    """Known part of the camera's transfer.
 
     Parameters
     ----------
     width_px, height_px
         Extent of a pixel as read, column pitches.
     video
-        Filter along rows, or None.
+        Video filter along rows, or None.
     top
         Highest frequency with contrast, cycles per column pitch.
     """
@@ -127,7 +127,7 @@ def pixel_matrix(aperture: Aperture, x: Array, y: Array) -> Array:
 
 
 def pictures(aperture: Aperture, transfer: Array, x: Array, y: Array) -> Array:
-    """Return picture, its slopes along x and y, and their product's, shape (4, row x col), 1/px^2 and so on.
+    """Return image, its slopes along x and y, and their product's, shape (4, row x col), 1/px^2 and so on.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The plain method for points: the Fourier transform of the spot, its background subtracted, over its light."""
+"""Transform method for points: Fourier transform of the spot above its background, over its light."""
 
 from typing import Any
 
@@ -8,41 +8,24 @@ from numpy.typing import NDArray
 import charact
 from charact.method import Context, register
 from charact.mtf.curve import crossing_frequency
-from charact.mtf.point import source as point_source
-from charact.mtf.point.dark_noise_from_histogram import is_clipped_at_black
-from charact.mtf.point.findings import finding, motion_findings
-from charact.mtf.point.motion import motion_flags
-from charact.mtf.region import Region
+from charact.mtf.mean_frame import Region
+from charact.mtf.point.findings import finding, motion_findings, motion_flags
+from charact.mtf.point.parametric_noise import is_clipped_at_black
+from charact.mtf.point.source import DetectedSource, detect_source
+from charact.mtf.point.thresholds import ACCURACY, LIMITS
 from labdata.frames import FrameStack
 from labdata.measurement import Curve, Measurement, Provenance, Result, make_refusal, measurement_from_sd
 
 Array = NDArray[np.float64]
 
 METHOD = "point-spread"
-HALF_PX, BACKGROUND_PX = 8.0, 14.0
 FREQUENCY = np.linspace(0.0, 0.5, 251)
-# Root mean square radius from which on the disc cuts off part of the spot, px.
-WIDE_PX = 3.2
-MIN_FRAMES = 3
-# Frames of a screen that glows on share light: standard errors over them are wider by about this.
-GLOW = 1.6
-MIN_LIGHT_SD = 6.0
-# Light between here and the border of the disc, over all light, from which its tail is too wide for the disc.
-BORDER_PX, TAIL = 6.5, 0.005
-# Ring beyond the background's, px: where that stands above it by so many standard errors, a halo lies there.
-BARE_PX, BARE_ERRORS = 22.0, 3.0
-# Light missing beyond the disc over that at its border, for tails of tubes, and what it does to a crossing.
-BEYOND, CROSSING = 6.0, 0.7
-# Odd part of the transform at these frequencies, over the light, from which the spot is none of one source.
-ASYMMETRY_CY_PER_PX, MAX_ASYMMETRY, MAX_ASYMMETRY_SD = (0.06, 0.1), 0.02, 5.0
 EFFECTS = {
-    "several-targets": "light of another source in the region counts as this one's",
-    "window-too-small": f"light beyond {HALF_PX:g} px is not counted, and MTF50 is high by its fraction",
-    "model-misfit": f"the spot is lopsided by more than {100 * MAX_ASYMMETRY:g} % of its light; MTF50 may be off by as much",
-    "clipped": "noise below the lowest code is cut off, which raises the level of the background",
+    "several-targets": "light of another source in the region is included",
+    "window-too-small": f"light beyond {ACCURACY.spot_radius_px:g} px is not included; MTF50 is high by its fraction",
+    "model-misfit": f"asymmetry exceeds {100 * LIMITS.max_asymmetry:g} % of the light: MTF50 error up to that",
+    "clipped": "noise is clipped at black, which raises the background",
 }
-# A pinhole that passes less than this leaves nothing to divide by.
-MIN_PINHOLE_MTF = 0.3
 
 
 @register(
@@ -50,9 +33,9 @@ MIN_PINHOLE_MTF = 0.3
     METHOD,
     quantities=("mtf50", "mtf10"),
     scope=(
-        "Single unsaturated point sources with little light beyond 8 px, 3 frames and more, and a straight response: "
-        "a gamma between 0.6 and 2.2 changes it unseen. Blind to halos fainter than its noise and "
-        "to a second source within the blur, and biased upwards where the MTF beyond half a cycle per pixel folds back."
+        "Single unsaturated point sources with little light beyond 8 px, at least 3 frames, linear response: a gamma "
+        "between 0.6 and 2.2 is not detected, nor are halos below the noise and a second source within the blur. "
+        "Biased upwards where the MTF beyond half a cycle per pixel is aliased."
     ),
 )
 def point_spread(
@@ -63,11 +46,11 @@ def point_spread(
     Parameters
     ----------
     stack
-        Frames of one point source; leaving each out in turn gives the errors.
+        Frames of one point source; a jackknife over frames gives the uncertainties.
     region
-        ROW, COL, HEIGHT, WIDTH that holds the source; None: the whole frame.
+        ROW, COL, HEIGHT, WIDTH that contains the source; None: the whole frame.
     pinhole_px
-        Diameter of the source's image, column pitches; its transfer is divided out. None: a point.
+        Diameter of the source's image, column pitches, whose transfer is divided out. None: a point.
     context
         Pitches and full scale.
 
@@ -76,100 +59,105 @@ def point_spread(
     MTF(f) = |sum v exp(-2 pi i f x)| / sum v over a disc of 8 px, v above the mean of the ring from 8 to 14 px.
     """
     used = stack if region is None else stack.region(*region)
-    settings = {"half_px": HALF_PX, "pinhole_px": pinhole_px}
+    settings = {"half_px": ACCURACY.spot_radius_px, "pinhole_px": pinhole_px}
     common: dict[str, Any] = {
         "method": METHOD,
         "region": region or (0, 0, *used.shape[1:]),
         "provenance": Provenance(version=charact.__version__, seed=context.seed, settings=settings),
     }
-    if min(used.shape[1:]) < 2 * BACKGROUND_PX:
-        return _nothing(f"a spot needs a region of at least {2 * BACKGROUND_PX:.0f} px", "window-too-small", common)
-    source = point_source.detect_source(used.data, context.pitch_ratio)
+    if min(used.shape[1:]) < 2 * ACCURACY.background_radius_px:
+        return _nothing(
+            f"a spot needs a region of at least {2 * ACCURACY.background_radius_px:.0f} px", "window-too-small", common
+        )
+    source = detect_source(used.data, context.pitch_ratio)
     if isinstance(source, str):
         return _nothing(source, "no-target", common)
-    if len(used) < MIN_FRAMES:
-        return _nothing(f"a spot needs at least {MIN_FRAMES} frames, got {len(used)}", "too-few-frames", common)
+    if len(used) < LIMITS.min_transform_frames:
+        return _nothing(
+            f"a spot needs at least {LIMITS.min_transform_frames} frames, got {len(used)}", "too-few-frames", common
+        )
     spots, flags, missing = _spots(used, source, context)
     if "saturated" in flags:
-        return _nothing("the spot must stay below full scale: what is cut off has no transform", "saturated", common)
+        return _nothing("the spot must stay below full scale: clipped light has no transform", "saturated", common)
     light = spots.sum(axis=(1, 2))
-    if light.mean() < MIN_LIGHT_SD * GLOW * light.std(ddof=1) / np.sqrt(len(light)):
-        return _nothing("no target: the spot's light does not stand out of its changes", "no-target", common)
-    places = _places(used.shape[1:], source, context)
+    if light.mean() < LIMITS.min_light_sd * ACCURACY.lag_factor * light.std(ddof=1) / np.sqrt(len(light)):
+        return _nothing("no target: the spot's light is not significant over the frames", "no-target", common)
+    positions = _places(used.shape[1:], source, context)
     still = [finding(flag, EFFECTS[flag]) for flag in flags if flag in EFFECTS]
     findings = [*still, *motion_findings(tuple(flag for flag in flags if flag not in EFFECTS))]
     found, curves = [], {}
-    for name, angle, place in (("mtf", 0.0, places[1]), ("mtf_vertical", 90.0, places[0])):
-        one, curve = _direction(spots, place, pinhole_px or 0.0, missing, {**common, "orientation_deg": angle})
+    for name, angle, position in (("mtf", 0.0, positions[1]), ("mtf_vertical", 90.0, positions[0])):
+        one, curve = _direction(spots, position, pinhole_px or 0.0, missing, {**common, "orientation_deg": angle})
         found += [number.with_(findings=findings) for number in one]
         curves[name] = curve
     return Result(measurements=tuple(found), curves=curves)
 
 
-def _places(shape: tuple[int, int], source: point_source.DetectedSource, context: Context) -> tuple[Array, Array]:
+def _places(shape: tuple[int, int], source: DetectedSource, context: Context) -> tuple[Array, Array]:
     """Return rows and columns as distances from the source, column pitches, shape (row, 1) and (1, col)."""
     rows, cols = np.arange(shape[0]) - source.row, np.arange(shape[1]) - source.col
     return np.asarray(rows[:, None] * context.pitch_ratio, np.float64), cols[None, :].astype(float)
 
 
-def _spots(
-    used: FrameStack, source: point_source.DetectedSource, context: Context
-) -> tuple[Array, tuple[str, ...], float]:
-    """Return spots of the frames above their rings (frame, row, col), what is wrong, and what light may be missing."""
+def _spots(used: FrameStack, source: DetectedSource, context: Context) -> tuple[Array, tuple[str, ...], float]:
+    """Return spots above their rings (frame, row, col), flags, and the fraction of light that may be missing."""
     y, x = _places(used.shape[1:], source, context)
     radius = np.hypot(x, y)
-    inside = radius < HALF_PX
-    ring = (radius >= HALF_PX) & (radius < BACKGROUND_PX)
+    inside = radius < ACCURACY.spot_radius_px
+    ring = (radius >= ACCURACY.spot_radius_px) & (radius < ACCURACY.background_radius_px)
     background = used.data[:, ring].mean(axis=1)
     spots = np.where(inside, used.data - background[:, None, None], 0.0)
     full = context.full_scale_dn or used.full_scale_dn
     saturated = full is not None and used.data[:, inside].max() >= 0.97 * full
-    cut = min(-y[0, 0], y[-1, 0], -x[0, 0], x[0, -1]) < BACKGROUND_PX
+    cut = min(-y[0, 0], y[-1, 0], -x[0, 0], x[0, -1]) < ACCURACY.background_radius_px
     mean = spots.mean(axis=0)
-    wide = float((mean * radius**2).sum()) > WIDE_PX**2 * float(mean.sum())
-    # The halo of an intensifier reaches beyond the disc: its light is then missing from the normalisation.
+    wide = float((mean * radius**2).sum()) > LIMITS.max_rms_radius_px**2 * float(mean.sum())
+    # The halo of an intensifier extends beyond the disc: its light is missing from the normalisation.
     beyond = bool(cut) or wide or context.sensor is not None
     tail, tail_sd = _tail(spots, radius)
-    beyond |= tail > max(TAIL, 3.0 * tail_sd) or _has_halo(used.data, radius, ring)
+    beyond |= tail > max(LIMITS.max_border_light, 3.0 * tail_sd) or _has_halo(used.data, radius, ring)
     raised = (("saturated", saturated), ("several-targets", source.others), ("window-too-small", beyond),
-              ("model-misfit", _is_asymmetric(spots, x, y)), ("clipped", is_clipped_at_black(used.data[:, ring])))  # fmt: skip
+              ("model-misfit", _is_asymmetric(spots, x, y)),
+              ("clipped", is_clipped_at_black(used.data[:, ring])))  # fmt: skip
     moved = motion_flags(spots, *_offsets_from_centre(mean, x.ravel(), y.ravel()), np.arange(used.shape[1]) % 2 == 1)
-    missing = BEYOND * float(np.hypot(max(tail, 0.0), tail_sd))
+    missing = ACCURACY.light_beyond * float(np.hypot(max(tail, 0.0), tail_sd))
     return np.asarray(spots, np.float64), (*(name for name, seen in raised if seen), *moved), missing
 
 
 def _has_halo(data: NDArray, radius: Array, ring: NDArray[np.bool_]) -> bool:
-    """Tell whether the ring that counts as background is brighter than what lies beyond: part of a halo."""
-    bare = (radius >= BACKGROUND_PX) & (radius < BARE_PX)
+    """Return whether the background ring is brighter than its surroundings: part of a halo."""
+    bare = (radius >= ACCURACY.background_radius_px) & (radius < ACCURACY.halo_radius_px)
     over = data[:, ring].mean(axis=1) - data[:, bare].mean(axis=1)
-    return bool(over.mean() > BARE_ERRORS * GLOW * over.std(ddof=1) / np.sqrt(len(over)))
+    return bool(over.mean() > LIMITS.min_halo_excess_sd * ACCURACY.lag_factor * over.std(ddof=1) / np.sqrt(len(over)))
 
 
 def _offsets_from_centre(mean: Array, x: Array, y: Array) -> tuple[Array, Array]:
-    """Return places of columns and rows from the centre of light."""
+    """Return positions of columns and rows from the centre of light."""
     light = float(mean.sum())
     return x - float((mean * x).sum()) / light, y - float((mean * y[:, None]).sum()) / light
 
 
 def _tail(spots: Array, radius: Array) -> tuple[float, float]:
-    """Return the share of light at the disc's border and its standard error: several times as much lies beyond."""
-    share = spots[:, (radius >= BORDER_PX) & (radius < HALF_PX)].sum(axis=1)
+    """Return the fraction of light at the disc's border and its standard uncertainty."""
+    fraction = spots[:, (radius >= ACCURACY.border_radius_px) & (radius < ACCURACY.spot_radius_px)].sum(axis=1)
     light = float(spots.sum(axis=(1, 2)).mean())
-    return float(share.mean()) / light, GLOW * float(share.std(ddof=1)) / np.sqrt(len(share)) / light
+    return float(fraction.mean()) / light, ACCURACY.lag_factor * float(fraction.std(ddof=1)) / np.sqrt(
+        len(fraction)
+    ) / light
 
 
 def _is_asymmetric(spots: Array, x: Array, y: Array) -> bool:
-    """Tell whether the transform has a phase that no shift explains: two sources, or one that moved by jumps."""
+    """Return whether the transform has a phase that no shift explains: two sources, or stepwise motion."""
     mean = spots.mean(axis=0)
     across, down = _offsets_from_centre(mean, x.ravel(), y.ravel())
     for turn in np.deg2rad([0.0, 45.0, 90.0, 135.0]):
-        place = across[None, :] * np.cos(turn) + down[:, None] * np.sin(turn)
-        for frequency in ASYMMETRY_CY_PER_PX:
-            # A shift turns the phase at the double frequency twice as far; the rest is no shift.
-            wave = np.sin(4.0 * np.pi * frequency * place) - 2.0 * np.sin(2.0 * np.pi * frequency * place)
+        position = across[None, :] * np.cos(turn) + down[:, None] * np.sin(turn)
+        for frequency in ACCURACY.asymmetry_cy_per_px:
+            # A shift doubles the phase at twice the frequency; the remainder is asymmetry.
+            wave = np.sin(4.0 * np.pi * frequency * position) - 2.0 * np.sin(2.0 * np.pi * frequency * position)
             odd = np.tensordot(spots, wave, axes=2)
-            error = GLOW * float(odd.std(ddof=1)) / np.sqrt(len(odd))
-            if abs(odd.mean()) > max(MAX_ASYMMETRY_SD * error, MAX_ASYMMETRY * float(mean.sum())):
+            error = ACCURACY.lag_factor * float(odd.std(ddof=1)) / np.sqrt(len(odd))
+            if abs(odd.mean()) > max(LIMITS.max_asymmetry_sd * error, LIMITS.max_asymmetry * float(mean.sum())):
                 return True
     return False
 
@@ -177,7 +165,7 @@ def _is_asymmetric(spots: Array, x: Array, y: Array) -> bool:
 def _direction(
     spots: Array, place: Array, pinhole_px: float, missing: float, common: dict
 ) -> tuple[list[Measurement], Curve]:
-    """Return levels and curve along one direction, errors by leaving frames out in turn."""
+    """Return levels and curve along one direction, with jackknife uncertainties."""
     from charact.mtf.point.forward_model import pinhole
 
     waves = np.exp(-2j * np.pi * FREQUENCY[:, None] * place.ravel())
@@ -187,7 +175,7 @@ def _direction(
     curves = np.abs(np.concatenate([mean[None], left_out]) @ waves.T)
     passed = pinhole(FREQUENCY, pinhole_px)
     curves = curves / curves[:, :1] / passed
-    scale = GLOW * np.sqrt((len(lines) - 1) ** 2 / len(lines))
+    scale = ACCURACY.lag_factor * np.sqrt((len(lines) - 1) ** 2 / len(lines))
     sd = np.hypot(scale * curves[1:].std(axis=0, ddof=1), missing * curves[0])
     measurements = []
     for quantity, level in (("mtf50", 0.5), ("mtf10", 0.1)):
@@ -196,13 +184,12 @@ def _direction(
             reason = f"the MTF must fall to {level:g} below {FREQUENCY[-1]:g} cy/px"
             measurements.append(make_refusal(quantity, "cy/px", reason, **common))
             continue
-        if np.interp(crossing, FREQUENCY, passed).min() < MIN_PINHOLE_MTF:
-            reason = (
-                f"a pinhole of {pinhole_px:g} px must pass {MIN_PINHOLE_MTF:g} of the contrast at the frequency found"
-            )
+        if np.interp(crossing, FREQUENCY, passed).min() < LIMITS.min_pinhole_mtf:
+            transmitted = f"{LIMITS.min_pinhole_mtf:g} of the contrast"
+            reason = f"a pinhole of {pinhole_px:g} px must transmit {transmitted} at this frequency"
             measurements.append(make_refusal(quantity, "cy/px", reason, **common))
             continue
-        error = float(np.hypot(scale * crossing[1:].std(ddof=1), CROSSING * missing * crossing[0]))
+        error = float(np.hypot(scale * crossing[1:].std(ddof=1), ACCURACY.crossing_factor * missing * crossing[0]))
         measurements.append(measurement_from_sd(quantity, "cy/px", float(crossing[0]), error, **common))
     half68, half95 = 0.994458 * sd, 1.959964 * sd
     curve = Curve(
@@ -215,7 +202,7 @@ def _direction(
 
 
 def _nothing(reason: str, flag: str, common: dict) -> Result:
-    """Return the refusal of all that a point gives."""
+    """Return the refusal of all quantities."""
     return Result(
         measurements=tuple(
             make_refusal(name, "cy/px", reason, flags=(flag,), orientation_deg=angle, **common)

@@ -1,29 +1,163 @@
-"""Thresholds of the search for points, of their neighbours and of the search for a form, each with its source."""
+"""Thresholds and numerical settings of point sources, one a line with its source."""
 
-# px; peaks nearer than this are parts of one spot: the smoothing of the search leaves no saddle between them.
-NEXT_PX = 5
-# Part of the lower peak's height; light between two sources falls below it, on the flank of one spot it does not.
-SADDLE = 0.5
-# Part of the brightest source's height; a region is drawn around one that is not much fainter than its neighbours.
-ALIKE = 0.25
-# px; a source alone this far keeps its own pixels: those of two sources, `NEIGHBOUR_PX` about each, do not touch.
-ALONE_PX = 6.0
-# px; pixels this near a neighbour are its own: three sigma of a spot of 1 px.
-NEIGHBOUR_PX = 3.0
-# px; light of neighbours is modelled up to the corner of the core (9 px) and their own reach (7 px).
-FELT_PX = 16.0
-# Quantiles of a smoothed picture of which half or more is bare, and their distance in standard deviations (normal law).
-BARE, BARE_SD = (0.05, 0.25), 0.97
-# A source this many times as high as is needed stands out whatever its neighbours do; below, this many neighbours as
-# bright as `ALIKE` make a dense field.
-DENSE, MIN_NEIGHBOURS = 3.0, 3
-# Peaks of a region that are looked at, for speed.
-MAX_PEAKS = 100
-# Cores that are tried with light beyond them, the likeliest ones, for speed.
-MAX_CORES = 4
-# Part of the noise that a form leaves of one frame by which the next turn weighs: forms that fit better are found where
-# misfit does not pass for noise (strangers' draws: a defocus of 0.46 waves taken for a tube).
-LOWER = (0.1, 1.0)
-# Half frequency in focus over that of the blur, and square of the defocus, waves^2, of a second start: half a wave
-# about halves MTF50 (`charact.mtf.blur_models.diffraction`).
-FAR_FROM_FOCUS = (2.0, 0.25)
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class PointLimits:
+    """Thresholds that decide about flags, refusals and candidates of point sources."""
+
+    min_peak_distance_px: int = 5  # Closer peaks belong to one spot: the smoothing leaves no saddle, px
+    max_saddle: float = 0.5  # Light between two sources over the lower peak's height
+    min_relative_height: float = 0.25  # Height of the intended source over the brightest one
+    isolated_px: float = 6.0  # Distance at which the pixels of two sources do not touch, px
+    neighbour_px: float = 3.0  # Radius of a neighbour's own pixels: three sigma of a spot of 1 px
+    # Distance to which neighbours are modelled: core corner (9 px) plus their extent (7 px).
+    max_neighbour_px: float = 16.0
+    clear_height: float = 3.0  # A source this many times the required height is independent of its neighbours
+    min_crowd: int = 3  # Neighbours that make a dense field
+    max_chi2: float = 1.8  # Reduced chi squared
+    max_chi2_sd: float = 5.0  # Its noise, standard deviations
+    low_light_sd: float = 10.0  # Light down to which intervals are validated, standard uncertainties
+    max_prior_sd: float = 3.0  # Distance of the cut-off from the description, standard deviations
+    min_halo_sd: float = 3.0  # Significance of a halo, standard uncertainties
+    max_negative_power: float = 0.35  # Extra negative power of the noise that only a nonlinear response explains
+    min_region_px: int = 9  # Side of a region, px
+    min_light_sd: float = 6.0  # Light of a source, standard uncertainties
+    min_valid_light: float = 0.3  # Fraction of the light in valid pixels
+    full_fraction: float = 0.97  # Fraction of full scale at which frames clip or the wells of a sensor fill
+    min_variance_dn2: float = 0.25  # Variance to which quantisation only adds its own, DN^2
+    min_rounding_shift_dn: float = 0.02  # Quantisation shift of faint light that is reported, DN
+    max_departure_sd: float = 4.5  # Chi squared of model departures, standard deviations of its noise
+    max_elongation: float = 1.5  # Ratio of the half frequencies along rows and columns of a single source
+    max_rounded_sd: float = 1.0  # Noise from which quantisation has no effect, DN
+    motion_sd: float = 5.0  # Significance of motion, standard uncertainties
+    max_field_offset_px: float = 0.15  # Displacement between fields, px
+    max_drift_px: float = 0.3  # Displacement through the stack, px
+    max_motion_loss: float = 0.01  # Relative loss of MTF50 by motion
+    motion_p_value: float = 5e-4  # p-value of motion
+    # MTF50 with pixel, cycles per sample, of a Gaussian of 0.3 px; sharper spots are undersampled.
+    max_mtf50: float = 0.42
+    min_unclipped_light: float = 0.2  # Fraction of the light in pixels below full scale
+    pinhole_px: tuple[float, float] = (0.0, 50.0)  # Range of pinhole diameters, column pitches
+    max_correlation_sd: float = 4.0  # Correlation of neighbours by chance, standard uncertainties
+    # Fraction of the noise below the lowest grey value: MTF50 is then half a standard uncertainty high.
+    max_clipped_noise: float = 0.04
+    max_sd_ratio: float = 1.25  # Ratio of the standard deviations between them; that of pulses grows upwards
+    nonlinear_sd: float = 4.0  # Significance of a nonlinear response; few pulses scatter more than a Gaussian
+    min_nonlinear_power: float = 0.1  # Power of the light in the noise
+    min_height_sd: float = 9.0  # Height of a source, standard deviations of the smoothed background
+    min_steadiness_sd: float = 4.0  # Light over the frames, standard uncertainties
+    min_other_height: float = 0.08  # Height of another source over the first, outside the inner halo
+    surroundings_px: float = 12.0  # Radius of a source's surroundings, px
+    min_background_pixels: int = 60  # Background pixels
+    min_background_sd_dn: float = 0.05  # Standard deviation of a smoothed background that quantisation hides, DN
+    max_rms_radius_px: float = 3.2  # Rms radius of a spot that the disc holds, px
+    min_transform_frames: int = 3  # Frames of the transform method
+    max_border_light: float = 0.005  # Fraction of the light at the border
+    min_halo_excess_sd: float = 3.0  # Excess of the background ring that indicates a halo, standard uncertainties
+    max_asymmetry: float = 0.02  # Odd part of the transform over the light
+    max_asymmetry_sd: float = 5.0  # The same, standard uncertainties
+    min_pinhole_mtf: float = 0.3  # Transfer of a pinhole that can be divided out
+
+
+@dataclass(frozen=True)
+class PointAccuracy:
+    """Sampling, iteration limits, tolerances and resolution of point sources."""
+
+    # Quantiles of an image of which at least half is background.
+    background_quantiles: tuple[float, float] = (0.05, 0.25)
+    background_quantile_sd: float = 0.97  # Their distance in standard deviations (normal distribution)
+    max_peaks: int = 100  # Peaks of a region examined, for speed
+    max_cores: int = 4  # Cores tried with extended components, for speed
+    # Factors of a single frame's residual noise in successive turns; misfit does not count as noise at first.
+    noise_factors: tuple[float, float] = (0.1, 1.0)
+    # Second start: half frequency in focus over the blurred one, defocus squared, waves^2; half a wave halves MTF50.
+    defocus_start: tuple[float, float] = (2.0, 0.25)
+    light_iterations: int = 25  # Newton iterations for the light of clipped sources
+    model_iterations: int = 40  # Gauss-Newton iterations
+    difference: float = 1e-5  # Finite difference, fraction of the bounds' width
+    # Trial halo diameters of a camera without a description, px.
+    trial_halos_px: tuple[float, ...] = (8.0, 11.0, 15.0, 20.0, 27.0, 36.0)
+    halo_rim_px: float = 2.0  # Softness of their rims, px
+    min_noise_frames: int = 4  # Frames whose noise shows a nonlinear response
+    quick_ess: float = 500.0  # Effective sample size of a quick answer
+    quick_first_draws: int = 1000  # First draws of a quick answer
+    forward_chain_steps: int = 1200  # Longest Markov chain
+    min_model_weight: float = 0.02  # A model of less weight contributes no draws
+    candidate_ln_evidence: float = 8.0  # Models within this of the best ln evidence are refined
+    # Cores within this are always tried with extended components, which noise may hide.
+    extended_ln_evidence: float = 3.0
+    min_extended_chi2_gain: float = 4.0  # Others only where chi squared gains this much
+    extended_sizes: int = 6  # Starting sizes of an extended component
+    half_rows: int = 6  # Half height of the core, px
+    half_cols: int = 7  # Half width of the core, px
+    # Borders of the rings, px.
+    ring_borders_px: tuple[float, ...] = (7.0, 9.0, 12.0, 15.0, 18.0, 21.0, 24.0, 27.0, 31.0, 36.0)
+    sector_px: float = 6.0  # Length of a ring's sectors, px
+    max_correlation_px: float = 1.0  # Longest correlation of noise across a ring's border, px
+    min_ring_pixels: int = 24  # Pixels of a ring
+    pixels_per_ring: int = 48  # Distances that represent a ring
+    filter_tail_px: int = 8  # Columns after a full well that a causal filter affects
+    phosphor_pattern: float = 0.015  # Relative fixed pattern of a phosphor screen
+    phosphor_pattern_px: float = 1.5  # Its correlation length, px
+    pulse_height_square: float = 3.0  # Mean square over squared mean of pulse heights
+    pulses_per_dn: float = 1.0  # Pulses per DN before they are estimated
+    noise_turns: int = 3  # Turns of noise and transfer
+    # Frequencies of transfers per batch; more exceed the processor's cache and take twice as long.
+    batch_size: int = 100_000
+    near_landing_px: tuple[float, float] = (0.5, 3.0)  # Step and extent of landing positions near the core, px
+    far_landing_px: tuple[float, float] = (1.5, 15.0)  # The same far from it, px
+    noise_radius_px: float = 5.5  # Pixels whose frames are compared, px from the source
+    image_period_px: float = 40.0  # Distance of periodic copies, beyond core and halo, px
+    ring_frequency_step: float = 1.0 / 160.0  # Frequency step of the rings' transform, cy/px
+    ring_max_frequency: float = 0.5  # Its highest frequency, cy/px
+    ring_smoothing_px: float = 1.0  # Smoothing that ends the rings' integral, px; rings are wider
+    frequency_aspect: float = 0.85  # Highest frequency along columns over that along rows
+    negligible_amplitude: float = 1e-6  # Amplitude of the image that omitted frequencies may hold
+    frequency_margin_sd: float = 5.0  # Distance from the optimum to which that holds, standard deviations
+    motion_radius_px: float = 5.0  # Pixels in which motion is followed, px from the centre
+    motion_min_height: float = 0.1  # Their height over the peak
+    min_motion_frames: int = 4  # Frames that motion needs
+    total_light_radius_px: float = 10.0  # Radius that holds all light, also of a moving source, px
+    draws: int = 1000  # Draws of the parametric method
+    quick_draws: int = 500  # The same for a quick answer
+    min_quick_effort: float = 0.25  # Smallest fraction of them for a model of little weight
+    min_full_effort: float = 0.25  # The same of a full chain
+    parametric_chain_steps: int = 1500  # Longest Markov chain
+    empty_rings: int = 2  # Rings that an extended component must leave empty
+    position_turns: int = 3  # Turns of the position
+    min_near_pixels: int = 9  # Pixels near a source whose noise is used
+    first_relative_sd: float = 0.02  # Relative noise assumed for the first estimate, of the brightest pixel
+    model_relative_sd: float = 3e-4  # Relative error of the model's tables
+    sector_variance_factor: float = 11.0 / 9.0  # Student's t variance of an estimate from 12 sectors
+    noise_distance_px: float = 12.0  # Distance of the surroundings from a source, px
+    noise_distance_fraction: float = 0.6  # The same in a small region, fraction of its extent
+    max_noise_frames: int = 16  # Frames whose noise is used
+    # Fractions of the blur after the gain; 0: independent pixels.
+    pulse_fractions: tuple[float, ...] = (0.0, 0.15, 0.3, 0.45, 0.6, 0.8, 1.0)
+    min_gain_values: float = 6.0  # Values that constrain a gain; Student's t of fewer has hardly a variance
+    pulse_step_px: float = 0.6  # Step of pulse positions, px
+    pulse_extent_px: float = 10.2  # Their extent, px
+    pulse_radius_px: float = 5.0  # Pixels whose noise is compared, px from the source
+    min_values_below: int = 16  # Values below the lower of two grey values
+    hidden_sd_dn: float = 0.2  # Noise that quantisation hides, DN
+    upper_fraction: float = 0.5  # Fraction of the values above the first of two higher grey values
+    top_fraction: float = 0.05  # The same of the second
+    min_values_above: int = 20  # Values above the second
+    min_light_fraction: float = 0.02  # Light over the brightest pixel that is informative
+    min_lit_pixels: int = 6  # Number of such pixels
+    noise_iterations: int = 8  # Iterations for the size of the pulses
+    detection_smoothing_px: float = 1.2  # Smoothing before detection, px
+    spot_radius_px: float = 8.0  # Radius of the transformed disc, px
+    background_radius_px: float = 14.0  # Outer radius of the background ring, px
+    lag_factor: float = 1.6  # Standard uncertainty factor of frames correlated by phosphor decay
+    border_radius_px: float = 6.5  # Inner radius of the disc's border, px
+    halo_radius_px: float = 22.0  # Outer radius of the ring compared with the background ring, px
+    light_beyond: float = 6.0  # Light beyond the disc over that at its border, for tails of tubes
+    crossing_factor: float = 0.7  # Its effect on a crossing frequency
+    asymmetry_cy_per_px: tuple[float, float] = (0.06, 0.1)  # Frequencies of the asymmetry test, cy/px
+
+
+LIMITS = PointLimits()
+ACCURACY = PointAccuracy()

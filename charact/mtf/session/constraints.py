@@ -1,7 +1,7 @@
-"""What each target of a session told of the one MTF: independent combinations of its curve's values, with their errors.
+"""Constraints that the targets of a session place on one MTF.
 
-A curve drawn from a posterior of two or three parameters holds two or three numbers, however many frequencies it is
-given at. Its principal components are those numbers: uncorrelated by construction, each with its own error.
+A curve drawn from a posterior of two or three parameters contains two or three independent numbers, whatever the
+number of frequencies. They are its principal components, with their standard uncertainties.
 """
 
 from collections.abc import Iterator, Mapping
@@ -11,17 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
+from charact.mtf.session.thresholds import THRESHOLDS
 from labdata.measurement import Curve, Measurement, Result
 
 Array = NDArray[np.float64]
 
 # Frequencies that are looked at, cycles per pixel of the curve, and the least MTF that is.
 FREQUENCIES = np.arange(0.04, 0.481, 0.04)
-MIN_MTF = 0.04
-# Components with an error below this share of the largest one's come of the curvature of a form, not of the data.
-MIN_FRACTION = 0.1
-# The methods' own forms of the spread differ by this much where the light is plenty.
-FORM_SD = 0.002
 # Half of a 68 % interval in standard deviations.
 HALF68_SD = 0.994458
 POST_GAIN = {"mtf_post_gain": 0.0, "mtf_post_gain_vertical": 90.0}
@@ -59,7 +55,7 @@ class MtfConstraint:
     within: bool = False
 
     def residual(self, mtf: Array) -> Array:
-        """Return (told - model)/sd for MTFs at its frequencies, shape (n, f) -> (n, combination)."""
+        """Return (value - model)/sd for MTFs at its frequencies, shape (n, f) -> (n, combination)."""
         return (self.value - mtf @ self.weights.T) / self.sd
 
 
@@ -76,7 +72,7 @@ class ConstraintSource:
 def constraints_from(
     result: Result, kinds: Mapping[str, str], context: Context
 ) -> tuple[list[MtfConstraint], list[MtfConstraint]]:
-    """Return what sound targets told of the MTF, and what the noise of flats told of its part behind the gain.
+    """Return the constraints of valid targets on the MTF, and the bounds by the post-gain MTF of flats.
 
     Parameters
     ----------
@@ -128,7 +124,7 @@ def _curve_constraint(source: ConstraintSource, context: Context) -> MtfConstrai
     for curve, angle_deg in source.curves:
         assert curve.draws is not None
         values = _interpolate_draws(FREQUENCIES, curve.frequency_cy_per_px, curve.draws)
-        used = values.mean(axis=0) > MIN_MTF
+        used = values.mean(axis=0) > THRESHOLDS.min_mtf
         parts.append(values[:, used])
         frequencies.append(FREQUENCIES[used] / pitches(source.kind, angle_deg, context))
         angles.append(np.full(int(used.sum()), np.deg2rad(angle_deg)))
@@ -136,7 +132,7 @@ def _curve_constraint(source: ConstraintSource, context: Context) -> MtfConstrai
     if draws.shape[1] < 1 or not np.isfinite(draws).all():
         return None
     variance, axes = np.linalg.eigh(np.atleast_2d(np.cov(draws.T)))
-    kept = variance > MIN_FRACTION**2 * variance[-1]
+    kept = variance > THRESHOLDS.min_component**2 * variance[-1]
     weights = axes[:, kept].T
     return MtfConstraint(
         target=source.target,
@@ -145,7 +141,7 @@ def _curve_constraint(source: ConstraintSource, context: Context) -> MtfConstrai
         angle_rad=np.concatenate(angles),
         weights=weights,
         value=weights @ draws.mean(axis=0),
-        sd=np.sqrt(variance[kept] + FORM_SD**2),
+        sd=np.sqrt(variance[kept] + THRESHOLDS.model_sd**2),
         within=_excludes_halo(source, context),
     )
 
@@ -173,7 +169,7 @@ def _single_value_constraint(source: ConstraintSource, context: Context) -> MtfC
         angle_rad=np.array([np.deg2rad(angle_deg)]),
         weights=np.ones((1, 1)),
         value=values[best : best + 1],
-        sd=np.array([np.hypot(sd, FORM_SD)]),
+        sd=np.array([np.hypot(sd, THRESHOLDS.model_sd)]),
         within=_excludes_halo(source, context),
     )
 
@@ -208,7 +204,7 @@ def _bar_constraint(m: Measurement) -> MtfConstraint:
         angle_rad=np.array([np.deg2rad(m.orientation_deg or 0.0)]),
         weights=np.ones((1, 1)),
         value=np.array([m.value]),
-        sd=np.array([np.hypot((high - low) / (2.0 * HALF68_SD), FORM_SD)]),
+        sd=np.array([np.hypot((high - low) / (2.0 * HALF68_SD), THRESHOLDS.model_sd)]),
     )
 
 
@@ -231,5 +227,5 @@ def _post_gain_bound(curve: Curve, angle_deg: float, context: Context) -> MtfCon
         angle_rad=np.array([np.deg2rad(angle_deg)]),
         weights=np.ones((1, 1)),
         value=curve.value[best : best + 1],
-        sd=np.array([np.hypot((high - low) / (2.0 * HALF68_SD), FORM_SD)]),
+        sd=np.array([np.hypot((high - low) / (2.0 * HALF68_SD), THRESHOLDS.model_sd)]),
     )

@@ -7,13 +7,13 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.mtf.blur_models.one_dimensional import BlurModel, Core, ExtendedComponent
+from charact.mtf.session.thresholds import THRESHOLDS
 from charact.video_filter import VideoFilter, powers
 
 Array = NDArray[np.float64]
 
 # ln of the vertical half frequency over the horizontal one, both in column pitches: its bounds, and its prior's width.
 STRETCH = (-1.0, 1.0)
-STRETCH_SD = 0.2
 # Variance of a Gaussian blur besides the core's, px^2: a lens before a tube, a screen and a taper behind it.
 BLUR_PX2 = (0.0, 3.0)
 
@@ -102,7 +102,7 @@ class JointBlurModel:
 
     @property
     def start(self) -> Array:
-        """A point from which to climb, half frequency aside."""
+        """A starting point of the optimisation, half frequency aside."""
         stretch = [0.0] if self.elliptical else []
         blur = [0.3] if self.blurred else []
         wide = [0.7 * low + 0.3 * high for _, (low, high) in self.wide.parameters.values()] if self.wide else []
@@ -150,8 +150,8 @@ class JointBlurModel:
         density = self.family.log_prior(theta[:, :size])
         if self.elliptical:
             free[self._stretch_index] = False
-            density -= 0.5 * (theta[:, self._stretch_index] / STRETCH_SD) ** 2
-            density -= np.log(STRETCH_SD * np.sqrt(2.0 * np.pi))
+            density -= 0.5 * (theta[:, self._stretch_index] / THRESHOLDS.stretch_sd) ** 2
+            density -= np.log(THRESHOLDS.stretch_sd * np.sqrt(2.0 * np.pi))
         if self.known.video and self.known.parameters:
             free[-1] = False
             density += self.known.video.log_prior(theta[:, -1])
@@ -165,7 +165,7 @@ class JointBlurModel:
         precision = 12.0 / (bounds[:, 1] - bounds[:, 0]) ** 2
         precision[: self.family.core_parameters] += self.family.prior_precision()[1]
         if self.elliptical:
-            precision[self._stretch_index] += STRETCH_SD**-2
+            precision[self._stretch_index] += THRESHOLDS.stretch_sd**-2
         if self.known.video and self.known.parameters:
             precision[-1] += self.known.video.ln_bandwidth_sd**-2
         return precision

@@ -12,20 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.mtf.session.stage_transfers import PARAMETERS, STAGES, Direction, StageModel
+from charact.mtf.session.thresholds import ACCURACY, THRESHOLDS
 from charact.posterior import find_maximum, laplace, sample
 from labdata.errors import BadInput
 from labdata.measurement import Posterior
 from labdata.sensor import Sensor
 
 Array = NDArray[np.float64]
-
-# A stage is identified where the curves leave less than this part of its prior's standard deviation; only a product is
-# where its own is less than this part of what its members' would make.
-IDENTIFIED = 0.6
-PRODUCT = 0.4
-PRIOR_DRAWS = 2000
-# Residuals as large have a lower chance than this where the stages do not describe the curves.
-MISFIT = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,7 +107,7 @@ class MtfBudget:
     identified
         Stages that the curves tell beyond what the description said.
     products
-        Groups of the others of which only the product is told.
+        Groups of the others of which only the product is identified.
     known
         Stages that have nothing to fit: the pixel, and a video that a digital camera has not.
     statement
@@ -185,9 +178,9 @@ def fit_mtf_budget(
     """
     if not curves:
         raise BadInput("a stage budget must have at least one measured curve, got none")
-    told = [one if isinstance(one, CurvesWithCovariance) else CurvesWithCovariance.of_one(one) for one in curves]
+    measured = [one if isinstance(one, CurvesWithCovariance) else CurvesWithCovariance.of_one(one) for one in curves]
     camera = StageModel.of(sensor, interlaced=interlaced, halo=halo)
-    whitened = [(one, _whitener(one.covariance)) for one in told]
+    whitened = [(one, _whitener(one.covariance)) for one in measured]
     bounds = camera.bounds
 
     def chi2(theta: Array) -> Array:
@@ -212,10 +205,10 @@ def fit_mtf_budget(
 
     rank = sum(root.shape[1] for _, root in whitened)
     chance = float(chi_squared.sf(float(chi2(point[None])[0]), rank))
-    prior = np.random.default_rng([seed, 1]).normal(camera.mean, camera.sd, (PRIOR_DRAWS, len(camera.mean)))
+    prior = np.random.default_rng([seed, 1]).normal(camera.mean, camera.sd, (ACCURACY.prior_draws, len(camera.mean)))
     prior = np.clip(prior, bounds[:, 0] + 1e-6, bounds[:, 1])
     identified, products, known = _identify_stages(
-        camera, posterior.draws, prior, [c for one in told for c in one.curves]
+        camera, posterior.draws, prior, [c for one in measured for c in one.curves]
     )
     return MtfBudget(
         posterior=posterior, identified=identified, products=products, known=known, chance=chance, camera=camera,
@@ -239,12 +232,12 @@ def _whitener(covariance: Array) -> Array:
 def _identify_stages(
     camera: StageModel, draws: Array, prior: Array, curves: Sequence[MeasuredCurve]
 ) -> tuple[tuple[str, ...], tuple[tuple[str, ...], ...], tuple[str, ...]]:
-    """Return the stages identified, the groups told as products, and those with nothing to fit."""
+    """Return the identified stages, the groups identified as products, and stages without parameters."""
     here, before = (_ln_stages_at_mtf50(camera, theta, curves) for theta in (draws, prior))
     sd, prior_sd = here.std(axis=1), before.std(axis=1)
     there = [i for i in range(len(STAGES)) if STAGES[i] in camera.stages]
     known = [i for i in there if prior_sd[i] < 1e-9]
-    alone = [i for i in there if i not in known and sd[i] < IDENTIFIED * prior_sd[i]]
+    alone = [i for i in there if i not in known and sd[i] < THRESHOLDS.identified * prior_sd[i]]
     left = [i for i in there if i not in known and i not in alone]
     products = []
     for size in range(2, len(left) + 1):
@@ -253,7 +246,7 @@ def _identify_stages(
             if any(set(found) & set(members) for found in products):
                 continue
             together = here[members].sum(axis=0).std()
-            if together < PRODUCT * np.sqrt(np.sum(sd[members] ** 2)):
+            if together < THRESHOLDS.product * np.sqrt(np.sum(sd[members] ** 2)):
                 products.append(members)
     return (
         tuple(STAGES[i] for i in alone),
@@ -284,6 +277,6 @@ def _sentences(
         out.append(f"no better known than from the description: {', '.join(rest)}")
     if known:
         out.append(f"taken as known: {', '.join(known)}")
-    if chance < MISFIT:
+    if chance < THRESHOLDS.budget_p_value:
         out.append(f"the stages do not describe the curves (chance {chance:.2g})")
     return tuple(out)

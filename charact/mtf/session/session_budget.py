@@ -1,7 +1,7 @@
-"""The stage budget of a session: its own curves along rows and columns weighed, for the report and in sentences.
+"""MTF budget of a session from its curves along rows and columns, for the report and as notes.
 
-The curves of the joint fit are best; where a session has one target only, a point's own curves along both directions
-do. The noise of flats adds what comes after the gain.
+The curves are those of the joint fit, or of a point source if the session has one target. The noise of flats adds the
+post-gain MTF.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.mtf.curve import REPORTED, quantiles
-from charact.mtf.session.constraints import FREQUENCIES, MIN_MTF, ConstraintSource, sources
-from charact.mtf.session.mtf_budget import MISFIT, CurvesWithCovariance, MeasuredCurve, MtfBudget, fit_mtf_budget
+from charact.mtf.session.constraints import FREQUENCIES, ConstraintSource, sources
+from charact.mtf.session.mtf_budget import CurvesWithCovariance, MeasuredCurve, MtfBudget, fit_mtf_budget
 from charact.mtf.session.stage_transfers import AFTER_GAIN, Direction
+from charact.mtf.session.thresholds import THRESHOLDS
 from labdata.measurement import Curve, Measurement, Result
 
 Array = NDArray[np.float64]
@@ -24,8 +25,6 @@ EVIDENCE = "stage budget"
 # Frequencies at which the stages are shown, cycles per column pitch in both directions.
 SHOWN = np.maximum(REPORTED, 1e-6)
 DIRECTIONS: tuple[Direction, ...] = ("horizontal", "vertical")
-# Forms of a joint MTF and a product of stages differ by this much, alike over this many cycles per pixel.
-FORM_SD, ALIKE_CY_PER_PX = 0.004, 0.08
 AFTER = ("mtf_post_gain", "mtf_post_gain_vertical")
 
 
@@ -76,11 +75,11 @@ def add_mtf_budget(result: Result, kinds: Mapping[str, str], *, context: Context
     if context.sensor is None or whole is None:
         return result
     after = _after_gain(result)
-    told = [_with_covariance(whole.curves, context)]
+    measured = [_with_covariance(whole.curves, context)]
     if after is not None:
-        told.append(_with_covariance(after, context, after_gain=True))
+        measured.append(_with_covariance(after, context, after_gain=True))
     budget = fit_mtf_budget(
-        told, context.sensor, interlaced=context.interlaced, seed=context.seed, quick=context.quick, halo=whole.halo
+        measured, context.sensor, interlaced=context.interlaced, seed=context.seed, quick=context.quick, halo=whole.halo
     )
     sentences = (*_stage_losses(budget, whole, context), *budget.statement)
     return _add_notes(result, whole.supporting_measurements[0], sentences) + Result(
@@ -133,7 +132,7 @@ def _with_covariance(
         # Curves of the whole camera count column pitches in both directions, those after the gain each its own.
         own = FREQUENCIES * per_pitch if after_gain else FREQUENCIES
         used = (own <= curve.frequency_cy_per_px[-1]) & (
-            np.interp(own, curve.frequency_cy_per_px, curve.value) > MIN_MTF
+            np.interp(own, curve.frequency_cy_per_px, curve.value) > THRESHOLDS.min_mtf
         )
         drawn.append(_at(own[used], curve))
         parts.append(MeasuredCurve.of_draws(direction, FREQUENCIES[used] * per_pitch, drawn[-1], after_gain=after_gain))
@@ -141,7 +140,7 @@ def _with_covariance(
     first = len(parts[0].value)
     for part, own in zip(parts, (slice(None, first), slice(first, None)), strict=True):
         apart = np.abs(part.frequency_cy_per_px[:, None] - part.frequency_cy_per_px)
-        covariance[own, own] += FORM_SD**2 * np.exp(-apart / ALIKE_CY_PER_PX)
+        covariance[own, own] += THRESHOLDS.cascade_sd**2 * np.exp(-apart / THRESHOLDS.cascade_correlation_cy_per_px)
     return CurvesWithCovariance(curves=tuple(parts), covariance=covariance)
 
 
@@ -163,8 +162,8 @@ def _stage_losses(budget: MtfBudget, whole: SystemCurves, context: Context) -> l
         half = float(np.interp(0.5, curve.value[::-1], curve.frequency_cy_per_px[::-1]))
         own = np.array([half * _per_pitch(direction, context)])
         left = {stage: float(np.median(budget.mtf(stage, own, direction))) for stage in budget.stages}
-        told = ", ".join(f"{stage} {value:.2f}" for stage, value in left.items() if value < 0.9995)
-        out.append(f"along {lines} at {half:.3f} cycles per column pitch the stages leave {told}")
+        measured = ", ".join(f"{stage} {value:.2f}" for stage, value in left.items() if value < 0.9995)
+        out.append(f"along {lines} at {half:.3f} cycles per column pitch the stages leave {measured}")
     return out
 
 
@@ -182,7 +181,7 @@ def _figure_data(
     context: Context,
 ) -> dict[str, Any]:
     draws = budget.posterior.draws
-    misfit = budget.chance < MISFIT
+    misfit = budget.chance < THRESHOLDS.budget_p_value
     return {
         "figure": "stage-budget",
         "status": "suspect" if misfit or budget.posterior.flags else "ok",
@@ -207,7 +206,7 @@ def _figure_data(
 def _panel(
     budget: MtfBudget, direction: Direction, curve: Curve, after: Curve | None, context: Context
 ) -> dict[str, Any]:
-    """One direction: stages and their product with 95 % intervals, and the measured curves beside them."""
+    """One direction: stages, their product and the measured curves, with 95 % intervals."""
     assert context.sensor is not None
     own = SHOWN * _per_pitch(direction, context)
     mm = float(context.sensor.ccd.pitch_x_um) * 1e-3 * float(context.sensor.taper.demagnification)

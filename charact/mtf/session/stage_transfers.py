@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from charact import video_filter
 from charact.mtf.blur_models import transfer as forms
-from labdata.parameter import Parameter
+from charact.mtf.session.thresholds import THRESHOLDS
+from labdata.camera_description import Parameter
 from labdata.sensor import Sensor
 
 Array = NDArray[np.float64]
@@ -34,12 +35,8 @@ PARAMETERS: dict[str, tuple[str, tuple[float, float]]] = {
     "video.bandwidth_mhz": ("MHz", (2.0, 20.0)),
 }
 HALO = tuple(name for name in PARAMETERS if name.startswith("photocathode."))
-# Share of a parameter's value taken as prior standard deviation where the description states no range.
-UNSTATED = 0.3
 # Bandwidths at which the video's transfer is tabulated, MHz.
 BANDWIDTHS_MHZ = np.geomspace(2.0, 20.0, 120)
-# Light of the middle of the cathode's band.
-MIDDLE_WAVELENGTH_MM = 0.7e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,7 +125,7 @@ class StageModel:
 
     def _diffraction(self, cathode: Array) -> Array:
         """MTF of a round pupil at frequencies at the cathode, lp/mm."""
-        x = np.minimum(cathode * MIDDLE_WAVELENGTH_MM * float(self.sensor.optics.f_number), 0.999)
+        x = np.minimum(cathode * THRESHOLDS.wavelength_mm * float(self.sensor.optics.f_number), 0.999)
         return 2.0 / np.pi * (np.arccos(x) - x * np.sqrt(1.0 - x**2))
 
     def _log_halo(self, get: dict[str, Array], cathode: Array) -> Array | float:
@@ -161,5 +158,5 @@ def _video_table(frequency: tuple[float, ...], clock_mhz: float, order: int) -> 
 def prior_sd_of(parameter: Parameter) -> float:
     """Prior standard deviation: a quarter of the 95 % range."""
     if parameter.low is None or parameter.high is None or parameter.high == parameter.low:
-        return UNSTATED * max(abs(float(parameter)), 1e-3)
+        return THRESHOLDS.unstated_sd * max(abs(float(parameter)), 1e-3)
     return (parameter.high - parameter.low) / 3.92

@@ -6,31 +6,84 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.bars.thresholds import SMOOTHED_PERIODS
-from charact.mtf.region import Region
-from charact.mtf.target_detection.bar_profile import BEYOND, matches_bars
+from charact.mtf.bars.thresholds import ACCURACY
+from charact.mtf.mean_frame import Region
 from charact.mtf.target_detection.smoothed_mean_frame import local_maximum, mean_frame_of
+from charact.mtf.target_detection.thresholds import ACCURACY, THRESHOLDS
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
+
+# Periods looked at outside the bars; mean over modulation of bars with dark gaps; the ground outside them over their
+# height; the first bar against the last.
+BEYOND = 0.8
+
+
+def matches_bars(place: NDArray, rows: NDArray, frequency: float, bars: int) -> tuple[float, float, float] | None:
+    """Return how much blurred bright bars explain, their middle and their frequency, None if they are none.
+
+    Notes
+    -----
+    A group is a box over N periods on a ground with a cosine in it, dark at both its ends: the model is a constant, a
+    slope, that box and that cosine. Bars of another number, an edge or a stripe leave too much unexplained.
+    """
+    value = rows.mean(axis=0)
+    noise = float(np.mean(np.var(rows, axis=0, ddof=1))) / len(rows) * value.size
+    tried = np.array(np.meshgrid(np.linspace(0.92, 1.08, 17) * frequency, np.linspace(-0.6, 0.6, 21))).reshape(2, -1)
+    design = _design((place - (tried[1] / frequency)[:, None]) * tried[0][:, None], bars)
+    ground = np.stack([np.ones_like(place), place * frequency], axis=1)
+    design = np.concatenate([np.broadcast_to(ground, (*design.shape[:2], 2)), design], axis=2)
+    normal = np.einsum("nik,nil->nkl", design, design) + 1e-9 * np.eye(4)
+    right = np.einsum("nik,i->nk", design, value - value.mean())
+    coefficient = np.linalg.solve(normal, right[..., None])[..., 0]
+    variance = float(np.sum((value - value.mean()) ** 2))
+    left = variance - np.einsum("nk,nk->n", coefficient, right)
+    best = int(np.argmin(left))
+    box, wave = coefficient[best, 2:]
+    unexplained = float(left[best]) - min(2.0 * noise, THRESHOLDS.max_bar_noise * variance)
+    if (
+        not wave > THRESHOLDS.modulation_sd * np.sqrt(2.0 * noise) / value.size
+        or box < THRESHOLDS.min_box_over_wave * wave
+    ):
+        return None
+    if unexplained > (1.0 - THRESHOLDS.min_explained) * variance:
+        return None
+    centre, own = float(tried[1, best] / frequency), float(tried[0, best])
+    level = value - coefficient[best, 1] * place * frequency
+    explained = 1.0 - float(left[best]) / variance
+    return (explained, centre, own) if _has_isolated_ends((place - centre) * own, level, bars) else None
+
+
+def _has_isolated_ends(phase: NDArray, level: NDArray, bars: int) -> bool:
+    """Return whether a profile over phases in periods holds so many bars: one more, or less, shows next to the last."""
+    outside, ends = [], []
+    for sign in (-1, 1):
+        beyond = (sign * phase > 0.5 * bars + 0.15) & (sign * phase < 0.5 * bars + BEYOND)
+        last = np.abs(phase - sign * 0.5 * (bars - 1)) < 0.25
+        if np.count_nonzero(beyond) < 1 or np.count_nonzero(last) < 1:
+            return False
+        outside.append(float(level[beyond].mean()))
+        ends.append(float(level[last].mean()))
+    height = 0.5 * (ends[0] + ends[1]) - min(outside)
+    between = float(level[np.abs(phase) < 0.5 * bars].mean())
+    dark = max(outside) < min(outside) + THRESHOLDS.max_background * height and max(outside) < between - 0.25 * height
+    return dark and abs(ends[1] - ends[0]) < THRESHOLDS.max_inequality * height
+
+
+def _design(phase: NDArray, bars: int) -> NDArray:
+    """Return the box over so many periods and the cosine in it at phases in periods, shape (..., 2)."""
+    edge = np.clip((0.5 * bars - np.abs(phase)) * 4.0, -1.0, 1.0)
+    box = 0.5 * (1.0 + np.sin(0.5 * np.pi * edge))
+    return np.stack([box, -box * np.cos(2.0 * np.pi * (phase + 0.5 * bars))], axis=-1)
+
 
 Array = NDArray[np.float32]
 
 # Frequencies looked at, cycles per pixel: geometric steps that half a group's bandwidth covers.
 LOWEST, HIGHEST, STEP = 0.012, 0.46, 1.12
 # A bar's length over its width, at least: USAF bars have 5, STANAG bars 7; the filter takes in this share of five.
-ASPECT, CENTRAL = 5.0, 0.8
-# A picture is binned as long as a period keeps so many pixels.
-PIXELS_A_PERIOD = 8.0
-# A response over its own robust spread.
-MIN_AMPLITUDE = 7.0
-RAYLEIGH_MEDIAN = 1.1774
-# Modulation over the picture's range below which bars are none, and how many answers are looked at closely.
-MIN_CONTRAST, MAX_DETECTIONS = 0.01, 600
-# Length of the bars over their width from which they are bars.
-MIN_ASPECT = 3.5
-# Fewer bars than these repeat too little to be told from other things.
+ASPECT = 5.0
+# Fewer bars are not distinguishable from other structure.
 MIN_BARS = 3
-MARGIN_PERIODS, MIN_MARGIN_PX = 1.5, 14.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +130,7 @@ def find_bar_groups(pictures: NDArray | FrameStack, bars: int | None = None) -> 
     Raises
     ------
     BadInput
-        If fewer than 3 bars are asked for: two bars repeat too little to be told from other things.
+        If fewer than 3 bars are asked for: two bars are not distinguishable from other structure.
 
     Notes
     -----
@@ -124,7 +177,9 @@ class _Group:
 
 def _find_upright(picture: Array, bars: int | None, *, transposed: bool) -> list[_Group]:
     """Return the groups whose bars lie along columns: the strongest answers first, each looked at more closely."""
-    answers = sorted(_detections(picture, bars or MIN_BARS), key=lambda answer: -answer.amplitude)[:MAX_DETECTIONS]
+    answers = sorted(_detections(picture, bars or MIN_BARS), key=lambda answer: -answer.amplitude)[
+        : ACCURACY.max_detections
+    ]
     found: list[_Group] = []
     for answer in answers:
         if not any(_inside(answer, _box(group)) for group in found):
@@ -152,17 +207,17 @@ def _inside(answer: _Detection, box: tuple[float, float, float, float]) -> bool:
 def _detections(picture: Array, bars: int) -> Iterator[_Detection]:
     """Answers of filters of all frequencies."""
     low, high = np.quantile(picture[::2, ::2], (0.001, 0.999))
-    floor = MIN_CONTRAST * float(high - low)
+    floor = THRESHOLDS.min_bar_contrast * float(high - low)
     count = int(np.log(HIGHEST / LOWEST) / np.log(STEP)) + 1
     for frequency in HIGHEST / STEP ** np.arange(count):
-        factor = max(1, int(1.0 / (frequency * PIXELS_A_PERIOD)))
+        factor = max(1, int(1.0 / (frequency * ACCURACY.pixels_per_period)))
         small = _block_means(picture, factor)
         period = 1.0 / (frequency * factor)
         if small.shape[1] < (bars + 1) * period or small.shape[0] < 0.5 * ASPECT * period:
             continue
         response = _filter_amplitude(small, bars, period)
-        spread = float(np.median(response)) / RAYLEIGH_MEDIAN
-        for row, col in _peaks(response, max(MIN_AMPLITUDE * spread, floor), bars, period):
+        spread = float(np.median(response)) / ACCURACY.rayleigh_median
+        for row, col in _peaks(response, max(THRESHOLDS.bar_filter_sd * spread, floor), bars, period):
             amplitude = float(response[row, col])
             yield _Detection(
                 row=(row + 0.5) * factor - 0.5, col=(col + 0.5) * factor - 0.5, frequency=float(frequency),
@@ -190,7 +245,7 @@ def _filter_amplitude(picture: Array, bars: int, period_px: float) -> Array:
     wave = inside * np.exp(2j * np.pi * place / period_px)
     wave -= inside * wave.sum() / inside.sum()
     wave /= 0.5 * np.sum(inside)
-    along = np.full(max(1, round(0.5 * ASPECT * CENTRAL * period_px)), 1.0, np.float32)
+    along = np.full(max(1, round(0.5 * ASPECT * ACCURACY.central_fraction * period_px)), 1.0, np.float32)
     along /= along.size
     parts = (
         cv2.sepFilter2D(picture, cv2.CV_32F, part.astype(np.float32), along, borderType=cv2.BORDER_REFLECT_101)
@@ -222,7 +277,7 @@ def _verify(picture: Array, answer: _Detection, bars: int | None) -> _Group | No
         return None
     (_, centre, frequency), number, answer = max(looked, key=lambda one: one[0][0])
     top, bottom = _bar_extent(picture, answer.row, answer.col + centre, frequency, number)
-    if (bottom - top) * frequency < MIN_ASPECT / 2:
+    if (bottom - top) * frequency < THRESHOLDS.min_bar_aspect / 2:
         return None
     return _Group(
         row=0.5 * (top + bottom), col=answer.col + centre, frequency=frequency, bars=number, length_px=bottom - top,
@@ -234,12 +289,12 @@ def _candidate_counts(picture: Array, answer: _Detection) -> list[tuple[int, flo
     """Return how many bars may lie about a place, and their middle: over as many periods the wave keeps its height."""
     from scipy.ndimage import gaussian_filter1d
 
-    half = max(1, round(0.25 * CENTRAL * ASPECT / answer.frequency))
+    half = max(1, round(0.25 * ACCURACY.central_fraction * ASPECT / answer.frequency))
     middle = round(answer.row)
     rows = picture[max(middle - half, 0) : middle + half + 1]
     value = rows.mean(axis=0, dtype=np.float64)
     wave = (value - value.mean()) * np.exp(-2j * np.pi * answer.frequency * np.arange(value.size))
-    height = np.abs(gaussian_filter1d(wave, SMOOTHED_PERIODS / answer.frequency, mode="nearest"))
+    height = np.abs(gaussian_filter1d(wave, ACCURACY.smoothing_periods / answer.frequency, mode="nearest"))
     here = min(max(round(answer.col), 0), value.size - 1)
     low = height < 0.5 * height[here]
     before, after = np.flatnonzero(low[:here]), np.flatnonzero(low[here:])
@@ -250,14 +305,14 @@ def _candidate_counts(picture: Array, answer: _Detection) -> list[tuple[int, flo
 
 
 def _strip(picture: Array, answer: _Detection, bars: int) -> tuple[NDArray, NDArray] | None:
-    """Return distances from the middle and the rows there, the ground beside the bars included; None off the frame."""
-    half = max(1, round(0.25 * CENTRAL * ASPECT / answer.frequency))
+    """Return distances from the middle and the rows there, with the background next to the bars; None if outside."""
+    half = max(1, round(0.25 * ACCURACY.central_fraction * ASPECT / answer.frequency))
     top, bottom = round(answer.row) - half, round(answer.row) + half + 1
     reach = (0.5 * bars + BEYOND) / answer.frequency
     left, right = int(np.floor(answer.col - reach)), int(np.ceil(answer.col + reach)) + 1
     if top < 0 or bottom > picture.shape[0] or left < 0 or right > picture.shape[1]:
         return None
-    factor = max(1, int(1.0 / (answer.frequency * 2.0 * PIXELS_A_PERIOD)))
+    factor = max(1, int(1.0 / (answer.frequency * 2.0 * ACCURACY.pixels_per_period)))
     rows = picture[top:bottom, left : left + (right - left) // factor * factor]
     binned = rows.reshape(len(rows), -1, factor).mean(axis=2, dtype=np.float64)
     return left + (np.arange(binned.shape[1]) + 0.5) * factor - 0.5 - answer.col, binned
@@ -308,7 +363,7 @@ def _overlap(one: tuple[float, ...], other: tuple[float, ...]) -> bool:
 def _region(group: _Group, others: list[tuple[float, float, float, float]], shape: tuple[int, ...]) -> Region:
     """Return the group with a margin, cut half way to its neighbours."""
     box = _box(group)
-    margin = max(MIN_MARGIN_PX, MARGIN_PERIODS / group.frequency) + 4.0
+    margin = max(ACCURACY.min_bar_margin_px, ACCURACY.bar_margin_periods / group.frequency) + 4.0
     gaps = [max(o[0] - box[2], box[0] - o[2], o[1] - box[3], box[1] - o[3]) for o in others]
     margin = min(margin, max(0.5 * min(gaps, default=np.inf), 2.0))
     top, left = max(int(np.floor(box[0] - margin)), 0), max(int(np.floor(box[1] - margin)), 0)

@@ -6,23 +6,134 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.region import Region
-from charact.mtf.target_detection.clear_rectangle import ClearRectangle, clear_rectangle
-from charact.mtf.target_detection.gradient import Gradient, gradient
+from charact.mtf.mean_frame import Region
 from charact.mtf.target_detection.segments import Segment, segments_of
-from charact.mtf.target_detection.smoothed_mean_frame import mean_frame_of
+from charact.mtf.target_detection.smoothed_mean_frame import Gradient, gradient, mean_frame_of
+from charact.mtf.target_detection.thresholds import ACCURACY, THRESHOLDS
 from labdata.frames import FrameStack
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClearRectangle:
+    """A rectangle that holds one edge.
+
+    Parameters
+    ----------
+    region
+        ROW, COL, HEIGHT, WIDTH, px.
+    rows
+        Extent along the edge's nearer axis, px.
+    reach_px
+        Shorter of its plateaus, px.
+    """
+
+    region: Region
+    rows: int
+    reach_px: float
+
+    @property
+    def worth(self) -> float:
+        """What the rectangle is worth to a measurement: rows, less where plateaus are short."""
+        return self.rows * self.reach_px / (self.reach_px + ACCURACY.plateau_scale_px)
+
+
+def clear_rectangle(segment: Segment, fields: list[Gradient]) -> ClearRectangle | None:
+    """Return the most useful clear rectangle around a segment; None if none holds an edge and its plateaus."""
+    upright = abs(np.cos(segment.normal_rad)) >= abs(np.sin(segment.normal_rad))
+    box = _surroundings(segment, fields[0].modulus.shape)
+    foreign = _foreign(segment, fields, box)
+    row, col = segment.row - box[0], segment.col - box[1]
+    if not upright:
+        foreign, row, col = foreign.T, col, row
+    slope = -np.tan(segment.normal_rad) if upright else -1.0 / np.tan(segment.normal_rad)
+    found = _best_rectangle(foreign, row, col, float(slope), segment, upright)
+    if found is None:
+        return None
+    (top, left, height, width), reach = found
+    region = (top, left, height, width) if upright else (left, top, width, height)
+    return ClearRectangle(
+        region=(box[0] + region[0], box[1] + region[1], region[2], region[3]), rows=height, reach_px=reach
+    )
+
+
+def _surroundings(segment: Segment, shape: tuple[int, ...]) -> tuple[int, int, int, int]:
+    """Return first and one past the last row and col that matter: (top, left, bottom, right)."""
+    ends = segment.ends()
+    low = np.floor(ends.min(axis=0) - ACCURACY.max_plateau_px - 2.0).astype(int)
+    high = np.ceil(ends.max(axis=0) + ACCURACY.max_plateau_px + 3.0).astype(int)
+    return max(int(low[0]), 0), max(int(low[1]), 0), min(int(high[0]), shape[0]), min(int(high[1]), shape[1])
+
+
+def _foreign(segment: Segment, fields: list[Gradient], box: tuple[int, int, int, int]) -> NDArray[np.bool_]:
+    """Return which pixels show something else, widened by the blur it stands in."""
+    import cv2
+
+    cut = (slice(box[0], box[2]), slice(box[1], box[3]))
+    row, col = np.arange(box[0], box[2])[:, None], np.arange(box[1], box[3])[None, :]
+    across = np.abs(segment.across(row, col))
+    cosine, sine = np.cos(segment.normal_rad), np.sin(segment.normal_rad)
+    foreign = np.zeros(across.shape, bool)
+    for field in fields:
+        aligned = cosine * field.right[cut] + sine * field.down[cut]
+        alike = aligned > np.cos(np.deg2rad(THRESHOLDS.own_direction_deg)) * field.modulus[cut]
+        width = float(np.hypot(segment.blur_px, field.scale_px))
+        slope = segment.slope_dn * segment.width_px / width
+        own = alike & ((across < 3.0 * width + 1.0) | (field.modulus[cut] < THRESHOLDS.own_tail * slope))
+        foreign |= (field.significance[cut] > THRESHOLDS.foreign_sd) & ~own
+    widened = 2 * round(1.0 + segment.blur_px) + 1
+    return cv2.dilate(foreign.astype(np.uint8), np.ones((widened, widened), np.uint8)) > 0
+
+
+def _best_rectangle(
+    foreign: NDArray[np.bool_], row: float, col: float, slope: float, segment: Segment, upright: bool
+) -> tuple[Region, float] | None:
+    """Return the most useful clear rectangle of an upright edge through (row, col), and its shorter reach."""
+    rows, cols = foreign.shape
+    total = np.zeros((rows + 1, cols + 1), np.int32)
+    total[1:, 1:] = foreign.cumsum(0).cumsum(1)
+    half = 0.5 * segment.length_px * abs(np.cos(segment.normal_rad) if upright else np.sin(segment.normal_rad))
+    spare = segment.blur_px + segment.scale_px
+    first = 0 if row - half < 3.0 + spare else int(np.ceil(row - half + spare))
+    last = rows if row + half > rows - 4.0 - spare else int(np.floor(row + half - spare))
+    least = max(THRESHOLDS.min_plateau_px, THRESHOLDS.min_plateau_blurs * segment.blur_px)
+    best: tuple[float, Region, float] | None = None
+    for top in np.unique(np.linspace(first, max(first, last - THRESHOLDS.min_edge_rows), ACCURACY.cuts).astype(int)):
+        for bottom in np.unique(
+            np.linspace(
+                top + THRESHOLDS.min_edge_rows, max(top + THRESHOLDS.min_edge_rows, last), ACCURACY.cuts
+            ).astype(int)
+        ):
+            if bottom > last:
+                continue
+            ends = col + slope * (np.array([top, bottom - 1]) - row)
+            empty = total[bottom] - total[top]
+            left = _reach(empty[::-1], cols - 1 - float(ends.min()))
+            right = _reach(empty, float(ends.max()))
+            reach = min(left, right)
+            if reach < least:
+                continue
+            worth = (bottom - top) * reach / (reach + ACCURACY.plateau_scale_px)
+            if best is None or worth > best[0]:
+                low = int(np.ceil(ends.min() - min(left, ACCURACY.max_plateau_px)))
+                high = int(np.floor(ends.max() + min(right, ACCURACY.max_plateau_px))) + 1
+                low, high = max(low, 0), min(high, cols)
+                if empty[high] - empty[low] == 0:
+                    best = (worth, (int(top), low, int(bottom - top), high - low), float(reach))
+    return None if best is None else best[1:]
+
+
+def _reach(empty: NDArray, start: float) -> float:
+    """Return how far beyond a column the running count of foreign pixels stays the same, px."""
+    begin = int(np.floor(start))
+    if begin < 0 or begin >= len(empty) - 1:
+        return 0.0
+    changed = np.flatnonzero(empty[begin:] != empty[begin])
+    last = begin + int(changed[0]) - 2 if changed.size else len(empty) - 2
+    return max(last - start, 0.0)
+
 
 # Smoothing at which edges are looked for, px: fine ones where the noise allows, coarse ones out of strong noise.
 SCALES_PX = (1.4, 2.8, 5.6)
-# What else is in the way is looked for up to this one, or the one at which the edge itself shows.
-FOREIGN_SCALE_PX = 2.8
-# A coarser scale is taken where the finer one shows less than this share of the length in one piece.
-IN_ONE_PIECE = 0.85
-# Significance along cells of so many px at which a finer scale would have found a straight edge itself.
-SHOWN, SHOWN_PX = 8.0, 3.0
-# Bars: edges of alternating sense, this much nearer than long and evenly spaced.
-BAR_ASPECT, BAR_EVENNESS = 0.35, 0.35
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +185,7 @@ def find_edges(pictures: NDArray | FrameStack) -> tuple[DetectedEdge, ...]:
     found: list[tuple[Segment, ClearRectangle]] = []
     for segment in segments:
         if not _is_bar(segment, segments):
-            finest = max(FOREIGN_SCALE_PX, segment.scale_px)
+            finest = max(ACCURACY.foreign_scale_px, segment.scale_px)
             clear = clear_rectangle(segment, [field for field in fields if field.scale_px <= finest])
             if clear is not None:
                 found.append((segment, clear))
@@ -101,7 +212,7 @@ def _of_all_scales(fields: list[Gradient]) -> list[Segment]:
             ) and not any(_covers(segment, other) for other in kept):
                 continue
             finer = [other for other in kept if _covers(segment, other)]
-            if max((other.length_px for other in finer), default=0.0) < IN_ONE_PIECE * segment.length_px:
+            if max((other.length_px for other in finer), default=0.0) < THRESHOLDS.one_piece * segment.length_px:
                 kept = [other for other in kept if not any(other is one for one in finer)]
                 kept.append(segment)
     return kept
@@ -116,17 +227,17 @@ def _shows(finer: Gradient, segment: Segment) -> bool:
     col = np.arange(low[1], low[1] + significance.shape[1])[None, :]
     along = segment.along(row, col)
     near = (np.abs(segment.across(row, col)) < 2.0 * segment.scale_px) & (np.abs(along) < 0.5 * segment.length_px)
-    cell = ((along[near] + 0.5 * segment.length_px) / SHOWN_PX).astype(int)
-    shown = np.zeros(int(segment.length_px / SHOWN_PX) + 1, bool)
-    shown[cell[significance[near] > SHOWN]] = True
+    cell = ((along[near] + 0.5 * segment.length_px) / ACCURACY.finer_scale_cell_px).astype(int)
+    shown = np.zeros(int(segment.length_px / ACCURACY.finer_scale_cell_px) + 1, bool)
+    shown[cell[significance[near] > THRESHOLDS.finer_scale_sd]] = True
     return float(shown.mean()) > 0.9
 
 
 def _covers(coarse: Segment, fine: Segment) -> bool:
     """Return whether a segment of a finer scale lies on a coarse one."""
     near = abs(float(coarse.across(np.array(fine.row), np.array(fine.col)))) < 2.0 * coarse.scale_px
-    beside = abs(float(coarse.along(np.array(fine.row), np.array(fine.col)))) < 0.5 * coarse.length_px
-    return near and beside and np.cos(coarse.normal_rad - fine.normal_rad) > np.cos(np.deg2rad(15.0))
+    alongside = abs(float(coarse.along(np.array(fine.row), np.array(fine.col)))) < 0.5 * coarse.length_px
+    return near and alongside and np.cos(coarse.normal_rad - fine.normal_rad) > np.cos(np.deg2rad(15.0))
 
 
 def _is_bar(segment: Segment, segments: Iterable[Segment]) -> bool:
@@ -138,7 +249,7 @@ def _is_bar(segment: Segment, segments: Iterable[Segment]) -> bool:
             continue
         along = abs(float(segment.along(np.array(other.row), np.array(other.col))))
         across = float(segment.across(np.array(other.row), np.array(other.col)))
-        if along > 0.4 * segment.length_px or not 1.0 < abs(across) < 2.2 * BAR_ASPECT * segment.length_px:
+        if along > 0.4 * segment.length_px or not 1.0 < abs(across) < 2.2 * THRESHOLDS.bar_aspect * segment.length_px:
             continue
         if np.cos(segment.normal_rad - other.normal_rad) < 0:
             sides[float(np.sign(across))].append(abs(across))
@@ -146,11 +257,11 @@ def _is_bar(segment: Segment, segments: Iterable[Segment]) -> bool:
             same.append(abs(across))
     near = [min(distances, default=np.inf) for distances in sides.values()]
     spacing = min(near)
-    if spacing > BAR_ASPECT * segment.length_px:
+    if spacing > THRESHOLDS.bar_aspect * segment.length_px:
         return False
-    return any(abs(distance / spacing - 1.0) < BAR_EVENNESS for distance in near if distance > spacing) or any(
-        abs(distance / (2.0 * spacing) - 1.0) < BAR_EVENNESS for distance in same
-    )
+    return any(
+        abs(distance / spacing - 1.0) < THRESHOLDS.bar_evenness for distance in near if distance > spacing
+    ) or any(abs(distance / (2.0 * spacing) - 1.0) < THRESHOLDS.bar_evenness for distance in same)
 
 
 def _same_edge(segment: Segment, clear: ClearRectangle, other: Segment, others: ClearRectangle) -> bool:

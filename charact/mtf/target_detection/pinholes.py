@@ -1,26 +1,94 @@
-"""The point sources of a frame, told from single hot pixels."""
+"""Detection of point sources in a frame, separated from hot pixels and flashes."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.point.source import DETECTED
-from charact.mtf.region import Region
-from charact.mtf.target_detection.smoothed_mean_frame import local_maximum, mean_frame_of
-from charact.mtf.target_detection.steady_spot import SMOOTHING_PX, SteadySpots, steady_light
+from charact.mtf.mean_frame import Region
+from charact.mtf.point.thresholds import LIMITS
+from charact.mtf.target_detection.smoothed_mean_frame import gaussian_blur, local_maximum, mean_frame_of
+from charact.mtf.target_detection.thresholds import ACCURACY, THRESHOLDS
 from labdata.frames import FrameStack
 
 Array = NDArray[np.float32]
 
-# A source stands out as far as its measurement asks, and by this share of the brightest one.
-MIN_FRACTION = 0.02
-# Next-neighbour light over the peak's: no lens and square pixel give less than this; of a known blur half is taken.
-MIN_NEIGHBOURS = 0.08
-# The longer diameter of a spot over the shorter one from which it is a line.
-LONGEST = 2.5
+# Smoothing for the search, and the wider one that stands for the ground, px.
+SMOOTHING_PX = 1.2
+
+
+@dataclass(frozen=True, kw_only=True)
+class SteadySpots:
+    """Smoothed light over its ground.
+
+    Parameters
+    ----------
+    groups
+        Frames, or means of as many as make few enough groups, shape (group, row, col), DN.
+    height
+        Their median over the median of the picture, shape (row, col), DN; of too few frames their mean.
+    spread
+        Standard deviation of the background, DN.
+    """
+
+    groups: Array
+    height: Array
+    spread: float
+
+    def stays(self, row: int, col: int) -> bool:
+        """Tell whether light at a place stands out of its own changes from frame to frame."""
+        if len(self.groups) < THRESHOLDS.min_steady_frames:
+            return True
+        over = self.groups[:, row, col]
+        error = max(float(over.std(ddof=1)), self.spread) / np.sqrt(len(over))
+        return bool(over.mean() >= LIMITS.min_steadiness_sd * error)
+
+    def far_spread(self, places: list[tuple[int, int]], apart_px: int) -> float:
+        """Return the standard deviation that the background's far tail says, places and their surroundings left out."""
+        bare = np.ones(self.height.shape, bool)
+        for row, col in places:
+            bare[max(row - apart_px, 0) : row + apart_px + 1, max(col - apart_px, 0) : col + apart_px + 1] = False
+        rest = self.height[bare]
+        far = (
+            float(np.quantile(rest, ACCURACY.far_quantile)) / ACCURACY.far_sd
+            if rest.size > ACCURACY.far_pixels
+            else 0.0
+        )
+        return max(self.spread, far)
+
+
+def steady_light(pictures: NDArray | FrameStack, replaced: tuple[NDArray[np.bool_], Array]) -> SteadySpots:
+    """Return the steady light of a picture (row, col), stack or frames (frame, row, col).
+
+    Parameters
+    ----------
+    replaced
+        Which pixels say nothing, shape (row, col), and what stands for them, DN.
+    """
+    data = pictures.data if isinstance(pictures, FrameStack) else np.asarray(pictures)
+    data = data[None] if data.ndim == 2 else data
+    count = min(len(data), ACCURACY.max_groups) if len(data) >= THRESHOLDS.min_steady_frames else 1
+    groups = np.stack([_subtract_background(part.mean(axis=0, dtype=np.float32), replaced)
+                       for part in np.array_split(data, count)])  # fmt: skip
+    height = np.median(groups, axis=0)
+    middle = float(np.median(height))
+    height = height - middle
+    robust = 1.4826 * float(np.median(np.abs(height)))
+    tail = float(np.quantile(height[::2, ::2], ACCURACY.tail_quantile)) / ACCURACY.tail_sd
+    rounding = ROUNDING_DN if data.dtype.kind in "ui" else 0.0
+    spread = max(robust, tail, rounding, 1e-6 * float(np.ptp(height)))
+    return SteadySpots(groups=groups - middle, height=height, spread=spread)
+
+
+def _subtract_background(picture: Array, replaced: tuple[NDArray[np.bool_], Array]) -> Array:
+    whole = np.where(*replaced, picture)
+    return gaussian_blur(whole, SMOOTHING_PX) - gaussian_blur(whole, ACCURACY.background_px)
+
+
+Array = NDArray[np.float32]
+
 # Regions reach so far where nothing is in the way, and at least so far.
-REACH_PX, MIN_REACH_PX = 48, 12
+MIN_REACH_PX = 12
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,11 +163,11 @@ def find_pinholes(
 
 def _sources(light: SteadySpots) -> tuple[list[tuple[int, int]], float]:
     """Return where sources stand, brightest first, and the standard deviation that they stand out of, DN."""
-    brightest = MIN_FRACTION * float(light.height.max())
+    brightest = THRESHOLDS.min_source * float(light.height.max())
     likely = _peaks(light.height, max(DETECTED * light.spread, brightest))
     likely = [place for place in likely if light.stays(*place)]
     spread = light.far_spread(likely, MIN_REACH_PX)
-    return [place for place in likely if light.height[place] >= DETECTED * spread], spread
+    return [place for place in likely if light.height[place] >= LIMITS.min_height_sd * spread], spread
 
 
 def _peaks(smooth: Array, least: float) -> list[tuple[int, int]]:
@@ -125,7 +193,7 @@ def _hot_pixels(picture: Array, least_neighbours: float) -> tuple[NDArray[np.boo
     around = np.asarray(cv2.filter2D(picture, -1, cross, borderType=cv2.BORDER_REFLECT_101), np.float32)
     over = picture - ground
     noise = 1.4826 * float(np.median(np.abs(over)))
-    hot = (over > DETECTED * noise) & (around - ground < least_neighbours * over + noise)
+    hot = (over > LIMITS.min_height_sd * noise) & (around - ground < least_neighbours * over + noise)
     return hot, around
 
 
@@ -145,7 +213,7 @@ def _spot(picture: Array, place: tuple[int, int], full_scale_dn: float | None) -
     apart = np.stack([rows - centre[0], cols - centre[1]])
     moments = np.einsum("iyx,jyx,yx->ij", apart, apart, core) / total + np.eye(2) / 12.0
     narrow, wide = np.sqrt(np.linalg.eigvalsh(moments))
-    if wide > LONGEST * narrow or wide > 0.5 * reach:
+    if wide > THRESHOLDS.max_axis_ratio * narrow or wide > 0.5 * reach:
         return None
     saturated = full_scale_dn is not None and bool(part.max() >= 0.999 * full_scale_dn)
     return float(row - reach + centre[0]), float(col - reach + centre[1]), saturated
@@ -154,7 +222,7 @@ def _spot(picture: Array, place: tuple[int, int], full_scale_dn: float | None) -
 def _least_neighbours(blur_px: float | None) -> float:
     """Return the least share of the peak that neighbours of a spot of a blur may hold."""
     if blur_px is None:
-        return MIN_NEIGHBOURS
+        return THRESHOLDS.min_neighbours
     from scipy.special import ndtr
 
     inner = ndtr(0.5 / blur_px)
@@ -164,7 +232,7 @@ def _least_neighbours(blur_px: float | None) -> float:
 def _region(row: float, col: float, spots: list[tuple[float, float]], shape: tuple[int, ...]) -> Region | None:
     """Return a square around a source up to half way to its nearest neighbour, None if that is too near."""
     gaps = [max(abs(row - r), abs(col - c)) for r, c in spots if (r, c) != (row, col)]
-    half = int(min([REACH_PX, *(0.5 * gap for gap in gaps)]))
+    half = int(min([ACCURACY.point_region_px, *(0.5 * gap for gap in gaps)]))
     if half < MIN_REACH_PX:
         return None
     top, left = max(round(row) - half, 0), max(round(col) - half, 0)

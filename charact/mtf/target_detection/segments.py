@@ -5,16 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.mtf.target_detection.gradient import Gradient
+from charact.mtf.target_detection.smoothed_mean_frame import Gradient
+from charact.mtf.target_detection.thresholds import ACCURACY, THRESHOLDS
 
-# Standard deviations of the noise from which a pixel may belong to an edge, and one of it at least must reach.
-MEMBER, SEED = 4.0, 6.5
-# Gradients of one segment lie within this of its direction; directions tried overlap by half.
-TOLERANCE_DEG, DIRECTIONS = 28.0, 16
 MIN_LENGTH_PX = 16.0
-# Bow over length, and bow in px, of what is no straight edge, and the bow up to which a straight one is used.
-MAX_BOW, MIN_BOW_PX, USED_BOW_PX = 0.02, 0.6, 0.4
-GAP_PX, SAME_LINE_PX, SAME_LINE_DEG = 12.0, 1.5, 4.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,21 +82,21 @@ def _candidates(field: Gradient) -> list[tuple[NDArray, NDArray]]:
     """Return rows and cols of connected pixels of one direction that hold a seed and are long enough."""
     import cv2
 
-    member = field.significance > MEMBER
-    if not (field.significance > SEED).any():
+    member = field.significance > THRESHOLDS.member_sd
+    if not (field.significance > THRESHOLDS.seed_sd).any():
         return []
     rows, cols = np.nonzero(member)
     angle = np.arctan2(field.down[rows, cols], field.right[rows, cols])
     found = []
-    for direction in np.arange(DIRECTIONS) * 2.0 * np.pi / DIRECTIONS:
-        aligned = np.cos(angle - direction) > np.cos(np.deg2rad(TOLERANCE_DEG))
+    for direction in np.arange(ACCURACY.n_directions) * 2.0 * np.pi / ACCURACY.n_directions:
+        aligned = np.cos(angle - direction) > np.cos(np.deg2rad(ACCURACY.direction_tolerance_deg))
         mask = np.zeros(member.shape, np.uint8)
         mask[rows[aligned], cols[aligned]] = 1
         count, *found_in, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
         label, stats = (np.asarray(part, np.int64) for part in found_in)
         diagonal = np.hypot(stats[:, cv2.CC_STAT_WIDTH], stats[:, cv2.CC_STAT_HEIGHT])
         seeded = np.zeros(count, bool)
-        seeded[label[field.significance > SEED]] = True
+        seeded[label[field.significance > THRESHOLDS.seed_sd]] = True
         for number in np.flatnonzero(seeded & (diagonal >= MIN_LENGTH_PX)):
             if number:
                 left, top, width, height = stats[number, :4]
@@ -112,7 +106,7 @@ def _candidates(field: Gradient) -> list[tuple[NDArray, NDArray]]:
 
 
 def _fit_segment(field: Gradient, row: NDArray, col: NDArray) -> Segment | None:
-    """Return the line through pixels weighed by their gradient; None if they are too short, too few or bent."""
+    """Return the line through pixels weighted by their gradient; None if too short, too few or curved."""
     if row.size < MIN_LENGTH_PX:
         return None
     modulus = field.modulus[row, col].astype(float)
@@ -131,9 +125,9 @@ def _fit_segment(field: Gradient, row: NDArray, col: NDArray) -> Segment | None:
     if length < MIN_LENGTH_PX:
         return None
     bow = _bow_px(along, across, modulus)
-    if bow > max(MAX_BOW * length, MIN_BOW_PX):
+    if bow > max(THRESHOLDS.max_bow * length, THRESHOLDS.min_bow_px):
         return None
-    used = length if bow < USED_BOW_PX else length * float(np.sqrt(USED_BOW_PX / bow))
+    used = length if bow < THRESHOLDS.used_bow_px else length * float(np.sqrt(THRESHOLDS.used_bow_px / bow))
     shift = 0.5 * (low + high)
     placed = replace(
         segment,
@@ -200,13 +194,13 @@ def _join(segments: list[Segment]) -> list[Segment]:
 
 
 def _same_line(one: Segment, other: Segment) -> bool:
-    if np.cos(one.normal_rad - other.normal_rad) < np.cos(np.deg2rad(SAME_LINE_DEG)):
+    if np.cos(one.normal_rad - other.normal_rad) < np.cos(np.deg2rad(ACCURACY.same_line_deg)):
         return False
     row, col = other.ends().T
     along = one.along(row, col)
     gap = max(abs(float(along.mean())) - 0.5 * (one.length_px + float(np.ptp(along))), 0.0)
-    allowed = SAME_LINE_PX + 0.02 * gap
-    return gap < GAP_PX and bool(np.all(np.abs(one.across(row, col)) < allowed + 0.05 * other.length_px))
+    allowed = ACCURACY.same_line_px + 0.02 * gap
+    return gap < ACCURACY.gap_px and bool(np.all(np.abs(one.across(row, col)) < allowed + 0.05 * other.length_px))
 
 
 def _union(one: Segment, other: Segment) -> Segment:

@@ -248,7 +248,7 @@ def _step(slope: Array, at: Array, damping: float, point: Array, walls: Array) -
 def laplace_draws(problem: PulseLikelihood, peak: PulseOptimum, *, seed: int) -> Posterior:
     """Return draws of the Laplace approximation, in logarithms for positive parameters.
 
-    For the coverage of its intervals see `charact.study.flats.dark_events_coverage`.
+    For the coverage of its intervals see `benchmarks.studies.dark_events_coverage`.
     """
     units = tuple(UNITS[name] for name in problem.names)
     found = laplace(None, names=problem.names, units=units, start=peak.point,  # type: ignore[arg-type]

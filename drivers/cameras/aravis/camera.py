@@ -1,4 +1,4 @@
-"""A GigE Vision or USB3 Vision camera through Aravis: settings read back, and frames that are whole or counted lost."""
+"""GigE Vision or USB3 Vision camera through Aravis, every setting read back."""
 
 import ctypes
 import math
@@ -19,14 +19,14 @@ class AravisCamera:
     Parameters
     ----------
     name
-        Its Aravis identifier, such as "Aravis-Fake-GV01", or its IP address; None: the only camera there is.
+        Aravis identifier, such as "Aravis-Fake-GV01", or IP address; None: the only camera.
     resend
-        Whether packets that did not come are requested again (GigE Vision).
+        Whether missing packets are requested again (GigE Vision).
     silence_s
-        Longest time without a frame before the camera is taken for dead, s; the exposure and four frame periods come
-        on top.
+        Longest time without a frame before the camera counts as dead, s; exposure and four frame periods are
+        added.
     control_s
-        Longest wait for a camera that another program holds, s. One whose client died frees itself after its
+        Longest wait for a camera in use by another program, s. A camera whose client died is released after its
         heartbeat time.
     say
         Called with a sentence if opening takes long.
@@ -34,7 +34,7 @@ class AravisCamera:
     Raises
     ------
     CameraError
-        On entering: if the camera is not there, or is held by another program.
+        On entering: if the camera is missing, or in use by another program.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class AravisCamera:
 
     @property
     def connection(self) -> Connection:
-        """The open camera."""
+        """Connection to the open camera."""
         if self._open is None:
             raise CameraError(f"camera {self.identifier} must be opened with a with block before it is used")
         return self._open
@@ -75,12 +75,12 @@ class AravisCamera:
             connection.close()
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
-        """Set what is not None and return every setting as read back.
+        """Apply the settings that are not None and return the read-back of all.
 
         Raises
         ------
         BadInput
-            If a value lies outside what the camera allows.
+            If a value lies outside the range of the camera.
         CameraError
             If the camera refuses, or reads back another value than requested.
         """
@@ -96,7 +96,7 @@ class AravisCamera:
     def capture(
         self, *, frames: int, discard: int = 0, while_waiting: Callable[[], None] = lambda: None
     ) -> AravisCapture:
-        """Return a capture of `frames` whole frames after `discard` whole ones that are thrown away."""
+        """Return a capture of `frames` complete frames after `discard` discarded ones."""
         self.connection.require_alive()
         settings = self.connection.while_alive(AravisSettings(self.connection).read, while_waiting)
         period_s = 1.0 / settings.frame_rate_hz if settings.frame_rate_hz else 0.0
@@ -112,13 +112,13 @@ class AravisCamera:
 
 
 class AravisSettings:
-    """The settings of one open camera, each set and read back."""
+    """Settings of an open camera, each set and read back."""
 
     def __init__(self, connection: Connection) -> None:
         self._library, self._camera, self._identifier = connection.library, connection.camera, connection.identifier
 
     def apply(self, settings: CameraSettings) -> None:
-        """Set what is not None; a value that the camera does not allow is a BadInput."""
+        """Apply the settings that are not None; a value that the camera does not allow is a BadInput."""
         if settings.pixel_format is not None:
             self._set_pixel_format(settings.pixel_format)
         self._set_region(settings)
@@ -151,7 +151,7 @@ class AravisSettings:
         self._library.call("arv_camera_set_pixel_format_from_string", self._camera, name.encode())
 
     def _set_region(self, settings: CameraSettings) -> None:
-        """Set place and size of the picture; what is None stays."""
+        """Set position and size of the image; None leaves a value unchanged."""
         asked = (settings.first_column, settings.first_row, settings.columns, settings.rows)
         if all(part is None for part in asked):
             return
@@ -172,7 +172,7 @@ class AravisSettings:
             )
 
     def _set_trigger(self, source: str) -> None:
-        """Let frames follow one another freely ("off"), or have each triggered by a source."""
+        """Set free-running frames ("off"), or a trigger source."""
         if source == "off":
             self._library.call("arv_camera_clear_triggers", self._camera)
         else:
@@ -197,7 +197,7 @@ class AravisSettings:
             raise BadInput(f"{word} of camera {self._identifier} must lie in {low:g}..{high:g} {unit}, got {value:g}")
         self._library.call(f"arv_camera_set_{feature}", self._camera, value)
         is_value = self._library.call(f"arv_camera_get_{feature}", self._camera)
-        # Exposures step by a microsecond, raw gains by one.
+        # Exposures have steps of 1 us, raw gains of 1.
         if not math.isclose(is_value, value, rel_tol=0.01, abs_tol=1.0):
             raise CameraError(
                 f"camera {self._identifier} must take the {word} asked, {value:g} {unit}, but reads back {is_value:g}"
@@ -216,7 +216,7 @@ class AravisSettings:
         return column, row, columns, rows
 
     def _trigger(self) -> str | None:
-        """Return what triggers each frame; "off" where they follow one another freely, None if unknown."""
+        """Return the trigger source; "off" for free-running frames, None if unknown."""
         if not self._library.call("arv_camera_is_feature_available", self._camera, b"TriggerMode"):
             return None
         if self._library.call("arv_camera_get_string", self._camera, b"TriggerMode") != b"On":

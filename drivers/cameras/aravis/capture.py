@@ -47,14 +47,14 @@ def _mono12_packed(byte: _Bytes) -> tuple[_Bytes, ...]:
 
 @dataclass(frozen=True, kw_only=True)
 class Packing:
-    """How pixels share bytes.
+    """Packing of pixels into bytes.
 
     Parameters
     ----------
     pixels, bytes
-        Pixels of one group, and the bytes that they share.
+        Pixels of one group, and its bytes.
     split
-        Takes the bytes of all groups, shape (byte, group), and returns the pixels, one array each.
+        Converts the bytes of all groups, shape (byte, group), to the pixels, one array each.
     """
 
     pixels: int
@@ -62,7 +62,7 @@ class Packing:
     split: Callable[[_Bytes], tuple[_Bytes, ...]]
 
     def size_bytes(self, pixels: int) -> int:
-        """Bytes that so many pixels take."""
+        """Return the bytes of a number of pixels."""
         return -(-pixels * self.bytes // self.pixels)
 
     def unpack(self, packed: NDArray[np.uint8], pixels: int) -> NDArray[np.uint16]:
@@ -85,17 +85,17 @@ PACKINGS = {
 
 UNPACKED = {"Mono8": "u1", "Mono10": "<u2", "Mono12": "<u2", "Mono14": "<u2", "Mono16": "<u2"}
 PIXELS = (*UNPACKED, *PACKINGS)
-SOCKET_BUFFER_BYTES = 8 << 20  # with the default one, every frame loses its tail
+SOCKET_BUFFER_BYTES = 8 << 20  # with the default buffer, every frame loses its last packets
 LEAST_BUFFERS = 16
 MOST_BUFFER_BYTES = 256 << 20
-# A sender or receiver that a busy machine holds up for a tenth of a second (the default) would lose its frame.
+# On a busy machine a delay of 0.1 s (the default) would lose a frame.
 LATE_PACKET_S = 0.4
-LATE_READER_S = 2.0  # so long a busy machine may keep a reader from its frames
+LATE_READER_S = 2.0  # longest delay of the reader on a busy machine
 BLOCK_NUMBERS = 65535  # of GigE Vision's 16 bits, 1..65535
 
 
 class AravisCapture(FrameCapture):
-    """A capture that runs within its `with` block; iterate it for whole frames.
+    """A capture that runs in its `with` block; iterate it for complete frames.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ class AravisCapture(FrameCapture):
     patience_s
         Longest wait for a frame, s.
     resend
-        Whether packets that did not come are requested again (GigE Vision).
+        Whether missing packets are requested again (GigE Vision).
     frames, discard, while_waiting
         As in `FrameCapture`.
     """
@@ -135,9 +135,9 @@ class AravisCapture(FrameCapture):
         self._stream: int | None = None
         self._numbers = RunningNumbers(BLOCK_NUMBERS)
         self.lost_packets = 0
-        """Packets that did not come in time, once the capture has ended (GigE Vision)."""
+        """Number of missing packets, after the end of the capture (GigE Vision)."""
         self.resent_packets = 0
-        """Packets that came because they were requested again."""
+        """Number of packets received after a repeated request."""
 
     def _start(self) -> None:
         self._connection.while_alive(self._start_stream, self._while_waiting)
@@ -149,7 +149,7 @@ class AravisCapture(FrameCapture):
             self._connection.while_alive(self._stop_stream, self._while_waiting)
 
     def _start_stream(self) -> None:
-        # A stream of its own, on a port of its own: no frame sent before can arrive in it.
+        # A new stream on a new port cannot receive earlier frames.
         self._stream = stream = self._library.call("arv_camera_create_stream", self._connection.camera, None, None)
         if self._connection.address is not None:
             self._library.fix_socket_buffer(stream, SOCKET_BUFFER_BYTES)
@@ -172,7 +172,7 @@ class AravisCapture(FrameCapture):
                 self._library.release(stream)
 
     def _next_frame(self) -> Frame | IncompleteFrame:
-        """Copy the next frame out of its buffer and give the buffer back."""
+        """Copy the next frame out of its buffer and return the buffer to the stream."""
         buffer = self._next_buffer()
         plain = self._library.plain
         try:
@@ -193,12 +193,12 @@ class AravisCapture(FrameCapture):
         return f"{size} pixels instead of {self._shape}" if size != self._shape else ""
 
     def _buffers(self, payload: int) -> int:
-        """Return how many buffers the stream needs: each frame that waits for a packet or for its reader keeps one."""
+        """Return the number of buffers of the stream: one per frame that waits for packets or for the reader."""
         waiting = math.ceil((self._frame_rate_hz or 0.0) * (LATE_PACKET_S + LATE_READER_S))
         return max(LEAST_BUFFERS, min(LEAST_BUFFERS + waiting, MOST_BUFFER_BYTES // max(1, payload)))
 
     def _next_buffer(self) -> int:
-        """Wait for a buffer; a dead camera is noticed by its closed port, else because no frame comes."""
+        """Wait for a buffer; a dead camera is detected by its closed port, or by the missing frame."""
         began_s = time.monotonic()
         while True:
             buffer = self._library.plain("arv_stream_timeout_pop_buffer", self._stream, int(POLL_S * 1e6))

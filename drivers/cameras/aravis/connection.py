@@ -1,7 +1,7 @@
-"""One open camera: its handle, and whether it still answers.
+"""Connection to one Aravis camera, and the test whether it still answers.
 
-The Aravis library repeats an unanswered command for seconds, and the gate must not stay open for as long. Acts that
-speak to the camera therefore run in a thread, and the control port of a GigE Vision camera is queried meanwhile.
+The Aravis library repeats an unanswered command for seconds, too long for an open gate. Calls that
+access the camera therefore run in a thread, and the control port of a GigE Vision camera is queried meanwhile.
 """
 
 import queue
@@ -21,17 +21,17 @@ T = TypeVar("T")
 
 CONTROL_PORT = 3956
 CONTROL_S = 0.08  # longest wait for an answer on the control port
-UNANSWERED = 6  # questions in a row before a camera is taken for dead
+UNANSWERED = 6  # consecutive unanswered queries before a camera counts as dead
 SUSPICION_S = 0.2
 """Time without a frame or an answer after which the control port of a camera is queried, s."""
-HEARTBEAT_S = 3.0  # a camera stays locked this long after its client died
+HEARTBEAT_S = 3.0  # time that a camera stays locked after its client died
 # GVCP discovery command: key, acknowledge required, command 0x0002, no payload, request number.
 _DISCOVERY = struct.pack(">BBHHH", 0x42, 0x01, 0x0002, 0, 0x7FFF)
 
 
 @dataclass(frozen=True, kw_only=True)
 class CameraFound:
-    """A camera that answered."""
+    """A camera found on an interface."""
 
     identifier: str
     address: str
@@ -40,7 +40,7 @@ class CameraFound:
 
 
 def list_cameras() -> tuple[CameraFound, ...]:
-    """Ask every interface which cameras are there."""
+    """Return the cameras found on all interfaces."""
     library = aravis()
     library.plain("arv_update_device_list")
     names = ("arv_get_device_id", "arv_get_device_address", "arv_get_device_model", "arv_get_device_serial_nbr")
@@ -67,14 +67,14 @@ class Connection:
     name
         Aravis identifier or IP address.
     control_s
-        Longest wait for a camera that another program holds, s.
+        Longest wait for a camera in use by another program, s.
     say
         Called with a sentence if opening takes long.
 
     Raises
     ------
     CameraError
-        If the camera is not there, or another program holds it.
+        If the camera is missing, or in use by another program.
     """
 
     def __init__(self, name: str, *, control_s: float, say: Callable[[str], None]) -> None:
@@ -91,18 +91,18 @@ class Connection:
         if self.library.plain("arv_camera_is_gv_device", camera):
             self.address = self.library.address(self.library.plain("arv_camera_get_device", camera))
             self.library.plain("arv_camera_gv_set_stream_options", camera, PACKET_SOCKET_DISABLED)
-        # A client that was killed left its camera sending, to an address where nobody receives.
+        # The camera of a killed client may still be sending.
         self.library.call("arv_camera_stop_acquisition", camera)
 
     def close(self) -> None:
-        """Give the camera up; in the background if that would wait for a camera that does not answer."""
+        """Release the camera; in the background if it does not answer."""
         if self.is_dead or (self._act is not None and self._act.is_alive()):
             self.begin(lambda: self.library.release(self.camera))
         else:
             self.library.release(self.camera)
 
     def require_alive(self) -> None:
-        """Raise a `CameraError` if the control port is closed, or has not answered several times in a row."""
+        """Raise `CameraError` if the control port is closed, or repeatedly does not answer."""
         if self.is_dead:
             raise self.mark_dead("has gone")
         if self.address is None:
@@ -115,12 +115,12 @@ class Connection:
             raise self.mark_dead(f"no longer answers: it left {self._unanswered} questions in a row without reply")
 
     def mark_dead(self, how: str) -> CameraError:
-        """Mark the camera as dead, so that nothing waits for it any more, and return the error to raise."""
+        """Mark the camera as dead, which ends all waits for it, and return the error to raise."""
         self.is_dead = True
         return CameraError(f"camera {self.identifier} {how}")
 
     def begin(self, act: Callable[[], None]) -> threading.Thread:
-        """Run an act in a thread as soon as the act before it has ended."""
+        """Run an action in a thread after the end of the previous one."""
         before = self._act
 
         def in_turn() -> None:
@@ -133,9 +133,9 @@ class Connection:
         return self._act
 
     def while_alive(self, act: Callable[[], T], while_waiting: Callable[[], None] = lambda: None) -> T:
-        """Return what an act that speaks to the camera returns, or raise what it raises.
+        """Run an action that accesses the camera; return its result or raise its error.
 
-        If the camera is found dead meanwhile, or `while_waiting` raises, that is raised at once and the act ends in
+        If the camera is found dead meanwhile, or `while_waiting` raises, that is raised at once and the action ends in
         the background.
         """
         done: queue.SimpleQueue[tuple[T | None, BaseException | None]] = queue.SimpleQueue()
@@ -143,7 +143,7 @@ class Connection:
         def attempt() -> None:
             try:
                 done.put((act(), None))
-            except BaseException as error:  # whoever waits raises it
+            except BaseException as error:  # raised by the waiting thread
                 done.put((None, error))
 
         thread, asked_s = self.begin(attempt), time.monotonic()
@@ -165,7 +165,7 @@ class Connection:
     def _take_control(self, control_s: float, say: Callable[[str], None]) -> int:
         until_s = time.monotonic() + control_s
         while True:
-            camera = self._opened()
+            camera = self._open_camera()
             if not self.library.plain("arv_camera_is_gv_device", camera) or self.library.plain(
                 "arv_gv_device_is_controller", self.library.plain("arv_camera_get_device", camera)
             ):
@@ -175,7 +175,7 @@ class Connection:
                 raise CameraError(f"camera {self.identifier} is held by another program, waited {control_s:g} s for it")
             say(f"camera {self.identifier} is locked by another client; waiting for its heartbeat to run out")
 
-    def _opened(self) -> int:
+    def _open_camera(self) -> int:
         try:
             return self.library.call("arv_camera_new", self.identifier.encode())
         except CameraError as error:
@@ -191,12 +191,12 @@ def ask_control_port(address: str, *, timeout_s: float = CONTROL_S) -> bool | No
     address
         IPv4 address of the camera.
     timeout_s
-        Longest wait for the acknowledge, s.
+        Longest wait for the acknowledgement, s.
 
     Returns
     -------
     bool or None
-        Whether it came in time; None if no camera listens there any more (known at once on loopback, when the
+        Whether it came in time; None if no camera listens there (known at once on loopback, when the
         camera's process is gone).
     """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as control:

@@ -1,4 +1,4 @@
-"""The functions of the Aravis C library that the camera driver calls, declared for ctypes."""
+"""ctypes declarations of the Aravis C functions that the driver calls."""
 
 import ctypes
 import ctypes.util
@@ -81,7 +81,7 @@ for _feature in ("exposure_time", "gain", "frame_rate"):
 
 
 class Aravis:
-    """The loaded library: `call` for functions that report a GError, `plain` for those that do not."""
+    """The loaded library: `call` for functions that report a GError, `plain` for others."""
 
     def __init__(self, library: ctypes.CDLL) -> None:
         self._gobject, self._glib, self._gio = map(_companion, ("gobject-2.0", "glib-2.0", "gio-2.0"))
@@ -94,7 +94,7 @@ class Aravis:
             function.argtypes, function.restype = (c_void_p,), c_void_p
 
     def plain(self, name: str, *arguments: Any) -> Any:
-        """Call a function that cannot fail."""
+        """Call a function without GError."""
         return self._functions[name](*arguments)
 
     def call(self, name: str, *arguments: Any) -> Any:
@@ -108,7 +108,7 @@ class Aravis:
         return result
 
     def pair(self, name: str, camera: int, kind: Any = c_double) -> tuple[Any, Any]:
-        """Call a getter that fills two numbers, such as bounds."""
+        """Call a getter of two numbers, such as bounds."""
         low, high = kind(), kind()
         self.call(name, camera, byref(low), byref(high))
         return low.value, high.value
@@ -125,15 +125,15 @@ class Aravis:
         )
 
     def wait_for_packets(self, stream: int, longest_s: float) -> None:
-        """Keep an unfinished frame of a GigE Vision stream open this long after its last packet."""
+        """Set how long an incomplete frame of a GigE Vision stream waits after its last packet, s."""
         self._gobject.g_object_set(c_void_p(stream), b"frame-retention", c_uint(round(longest_s * 1e6)), c_void_p(None))
 
     def ask_for_lost_packets(self, stream: int, wanted: bool) -> None:
-        """Have a GigE Vision stream ask again for packets that did not come, or never."""
+        """Set whether a GigE Vision stream requests missing packets again."""
         self._gobject.g_object_set(c_void_p(stream), b"packet-resend", c_int(1 if wanted else 0), c_void_p(None))
 
     def packets(self, stream: int) -> tuple[int, int]:
-        """Return how many packets of a GigE Vision stream were sent again, and how many never came."""
+        """Return the numbers of resent and of missing packets of a GigE Vision stream."""
         resent, missing = c_uint64(), c_uint64()
         self.plain("arv_gv_stream_get_statistics", stream, byref(resent), byref(missing))
         return resent.value, missing.value
@@ -148,13 +148,13 @@ class Aravis:
             self._glib.g_free(text)
 
     def release(self, thing: int) -> None:
-        """Give up one reference to an object."""
+        """Release one reference to an object."""
         self._gobject.g_object_unref(thing)
 
 
 @cache
 def aravis() -> Aravis:
-    """Load the library; where it is absent a `CameraError` says how to install it."""
+    """Load the library; CameraError with the installation command if it is missing."""
     found = ctypes.util.find_library("aravis-0.8")
     for name in (*NAMES, *([found] if found else [])):
         try:

@@ -1,4 +1,4 @@
-"""A camera or capture card of Linux (V4L2): settings read back, and frames that are whole or counted lost."""
+"""Linux camera or capture card (V4L2), every setting read back."""
 
 import math
 from collections.abc import Callable
@@ -17,39 +17,39 @@ from labdata.capture import CameraSettings
 from labdata.errors import BadInput
 
 BEGINS = 3.0
-"""Additional time without a frame allowed before the first one, as a multiple of that between frames."""
+"""Additional wait for the first frame, as a multiple of `silence_s`."""
 
 LONGEST_WAIT_S = 600.0
-"""Longest wait for a frame beyond `silence_s`, whatever period and exposure a driver reports, s."""
+"""Longest wait for a frame beyond `silence_s`, for any reported period and exposure, s."""
 
 FULL_RANGE = 1
 _FINEST_PERIOD = 100_000
 
 
 class V4l2Camera:
-    """A camera reached through the kernel's video interface; use it in a `with` block.
+    """A camera of the kernel's video interface; use it in a `with` block.
 
-    Frame numbers and time stamps (s, of the kernel's monotonic clock) are the driver's. A driver that does not number
-    the frames it drops cannot be caught at it.
+    Frame numbers and time stamps (s, kernel's monotonic clock) are those of the driver. Frames dropped without
+    a number by the driver cannot be detected.
 
     Parameters
     ----------
     path
-        File of the device.
+        Device file.
     input_number
         Input of a capture card; None leaves it as it is.
     video_lines
         Lines of the analogue video on that input, 525 (NTSC) or 625 (PAL); None leaves them as they are.
     silence_s
-        Longest time without a frame before the camera is taken for dead, s; the exposure and four frame periods come
-        on top, and before the first frame three times as much: cameras on USB take a second and more to begin.
+        Longest time without a frame before the camera counts as dead, s; exposure and four frame periods are added,
+        and three times as much before the first frame: USB cameras take a second or more to start.
     open_device
-        Opens the device; another one in tests.
+        Opens the device; replaced in tests.
 
     Raises
     ------
     CameraError
-        On entering: if the device is not there, may not be opened, or cannot capture.
+        On entering: if the device is missing, cannot be opened, or cannot capture.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class V4l2Camera:
 
     @property
     def identifier(self) -> str:
-        """Name of the device and its file."""
+        """Name of the device and its device file."""
         return f"{self._card} ({self._path})" if self._card else self._path
 
     def __enter__(self) -> Self:
@@ -92,12 +92,12 @@ class V4l2Camera:
         self._close()
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
-        """Set what is not None and return every setting as read back.
+        """Apply the settings that are not None and return the read-back of all.
 
         Raises
         ------
         BadInput
-            If a value lies outside what the camera offers.
+            If a value lies outside the range of the camera.
         CameraError
             If the camera refuses, or reads back another value than requested.
         """
@@ -106,21 +106,21 @@ class V4l2Camera:
         return own.read()
 
     def controls(self) -> tuple[Control, ...]:
-        """Return the controls that the camera offers."""
+        """Return the controls of the camera."""
         return listing.list_controls(self._open)
 
     def control(self, name: str) -> int:
         """Return the value of a control, by its name."""
-        return listing.read_control(self._open, self._named(name))
+        return listing.read_control(self._open, self._control_named(name))
 
     def set_control(self, name: str, value: int) -> int | None:
-        """Set a control by its name and return what it reads back; None for a button."""
-        return listing.write_control(self._open, self._named(name), value)
+        """Set a control by its name and return its read-back; None for a button."""
+        return listing.write_control(self._open, self._control_named(name), value)
 
     def capture(
         self, *, frames: int, discard: int = 0, while_waiting: Callable[[], None] = lambda: None
     ) -> V4l2Capture:
-        """Return a capture of `frames` whole frames after `discard` whole ones that are thrown away."""
+        """Return a capture of `frames` complete frames after `discard` discarded ones."""
         own = V4l2Settings(self._open, self.identifier)
         settings, form = own.read(), own.form()
         period_s = 1.0 / settings.frame_rate_hz if settings.frame_rate_hz else 0.0
@@ -136,7 +136,7 @@ class V4l2Camera:
             identifier=self.identifier,
         )
 
-    def _named(self, name: str) -> Control:
+    def _control_named(self, name: str) -> Control:
         offered = {one.name: one for one in self.controls()}
         if name not in offered:
             raise BadInput(f"a control must be one of {', '.join(offered) or 'none'}, got {name!r}")
@@ -163,13 +163,13 @@ class V4l2Camera:
 
 
 class V4l2Settings:
-    """The settings of one open device, each set and read back."""
+    """Settings of an open device, each set and read back."""
 
     def __init__(self, device: Device, identifier: str) -> None:
         self._device, self._identifier = device, identifier
 
     def apply(self, settings: CameraSettings) -> None:
-        """Set what is not None; a value that the camera does not allow is a BadInput."""
+        """Apply the settings that are not None; a value that the camera does not allow is a BadInput."""
         if settings.first_row or settings.first_column:
             raise BadInput(
                 f"a picture of camera {self._identifier} must begin at row 0 and column 0, "
@@ -208,7 +208,7 @@ class V4l2Settings:
         """Return the format in force."""
         form = Format(type=CAPTURE)
         query_device(
-            self._device, structures.GET_FORMAT, form, f"camera {self._identifier} must tell its picture format"
+            self._device, structures.GET_FORMAT, form, f"camera {self._identifier} must report its image format"
         )
         return form
 
@@ -229,7 +229,7 @@ class V4l2Settings:
         if settings.field_order is not None:
             pix.field = fields.NUMBERS[settings.field_order]
         pix.height = rows // fields.rows_of(1, pix.field)
-        # What follows from the others is for the driver to say.
+        # The driver derives these from the others.
         pix.bytesperline = pix.sizeimage = 0
         self._ask_format(form)
         if complaint := self._complaint(settings, form, code=pix.pixelformat):
@@ -240,7 +240,7 @@ class V4l2Settings:
         query_device(self._device, structures.SET_FORMAT, form, f"camera {self._identifier} must take a picture format")
 
     def _complaint(self, settings: CameraSettings, given: Format, *, code: int) -> str | None:
-        """Return what differs between the format in force and the one requested; None if nothing does."""
+        """Return the first difference between the format in force and the requested one; None if there is none."""
         pix = given.of.pix
         there = fields.rows_of(pix.height, pix.field)
         rows, columns = settings.rows or there, settings.columns or pix.width
@@ -263,7 +263,7 @@ class V4l2Settings:
         return None
 
     def _code(self, name: str | None, *, now: int) -> int:
-        """Return the kernel's number of a pixel format; grey of 8 bits is taken from the luma of video if need be."""
+        """Return the kernel's number of a pixel format; 8-bit grey may be the luma of video."""
         if name is None:
             return now
         codes = self._codes(name)
@@ -324,12 +324,12 @@ class V4l2Settings:
         listing.write_control(self._device, self._control(listing.GAIN, "gain"), round(gain))
 
     def _require_within(self, word: str, unit: str, value: float, low: float, high: float) -> None:
-        # Before anything automatic is switched off: what is refused leaves the camera as it was.
+        # Checked before automatic modes are switched off, so that a refusal leaves the camera unchanged.
         if not low <= value <= high:
             raise BadInput(f"{word} of camera {self._identifier} must lie in {low:g}..{high:g} {unit}, got {value:g}")
 
     def _switch(self, identifier: int, value: int) -> None:
-        """Set a mode, where the camera has it; what was automatic rules the control that is set next."""
+        """Set a mode, if the camera has it; an automatic mode would override the control set next."""
         mode = listing.find_control(self._device, identifier)
         if mode is not None and not mode.is_read_only:
             listing.write_control(self._device, mode, value)

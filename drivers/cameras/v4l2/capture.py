@@ -1,4 +1,4 @@
-"""A running capture of a V4L2 camera: mapped buffers become frames that are whole, or are counted lost."""
+"""Frames from the mapped buffers of a V4L2 camera."""
 
 import errno
 import time
@@ -35,14 +35,14 @@ T = TypeVar("T")
 
 
 class V4l2Capture(FrameCapture):
-    """A capture that runs within its `with` block; iterate it for whole frames.
+    """A capture that runs in its `with` block; iterate it for complete frames.
 
     Parameters
     ----------
     device
         The open device.
     form
-        Format of the pictures.
+        Image format.
     standard
         Video standards of the input, as the kernel's bits.
     patience_s
@@ -81,7 +81,7 @@ class V4l2Capture(FrameCapture):
         self._query(structures.START, structures.START.structure(CAPTURE), "must start")
 
     def _stop(self) -> None:
-        """Stop the camera and give its buffers back; a device that is gone has nothing left to stop."""
+        """Stop the camera and release its buffers; errors of a disconnected device are ignored."""
         with suppress(OSError):
             self._device.ask(structures.STOP, structures.STOP.structure(CAPTURE))
         for memory in self._memory:
@@ -103,7 +103,7 @@ class V4l2Capture(FrameCapture):
         return Field(pixels=pixels, parity=buffer.field, number=number, time_s=_time_s(buffer))
 
     def _take_buffer(self, made: Callable[[Buffer, NDArray, int], T]) -> T | IncompleteFrame:
-        """Copy the next picture out of its buffer, make of it what it is, and give the buffer back."""
+        """Copy the next image out of its buffer, convert it, and return the buffer to the device."""
         buffer = self._next_buffer()
         if not buffer.index < len(self._memory):
             raise CameraError(
@@ -128,7 +128,7 @@ class V4l2Capture(FrameCapture):
         return ""
 
     def _next_buffer(self) -> Buffer:
-        """Wait for a filled buffer; a device that is unplugged says so at once."""
+        """Wait for a filled buffer; an unplugged device raises at once."""
         patience_s = self._patience_s + self._start_s
         until_s = time.monotonic() + patience_s
         while True:
@@ -170,7 +170,7 @@ class V4l2Capture(FrameCapture):
         query_device(self._device, request, structure, f"camera {self._identifier} {rule}")
 
     def _give_back(self, index: int) -> None:
-        """Give a buffer back to a camera that runs; one that does not take it does not run any more."""
+        """Return a buffer to a running camera."""
         try:
             self._device.ask(structures.QUEUE_BUFFER, _buffer(index))
         except OSError as error:
@@ -185,5 +185,5 @@ def _buffer(index: int = 0) -> Buffer:
 
 
 def _time_s(buffer: Buffer) -> float:
-    """Return when the kernel stamped a buffer, s of its clock."""
+    """Return the kernel's time stamp of a buffer, s."""
     return buffer.timestamp.seconds + buffer.timestamp.microseconds * 1e-6

@@ -16,12 +16,12 @@ from drivers.cameras.v4l2.structures import Request
 from drivers.errors import CameraError
 
 MOST_LISTED = 256
-"""More formats, sizes, inputs or controls than this is a list without an end."""
+"""Largest number of formats, sizes, inputs or controls; more is an endless list."""
 _GONE = {errno.ENODEV, errno.ENXIO, errno.EBADF}
 
 
 class Device:
-    """A video device of this machine, opened so that no request waits."""
+    """A video device of this machine, opened without blocking."""
 
     def __init__(self, path: str) -> None:
         if struct.calcsize("P") != 8:
@@ -32,7 +32,7 @@ class Device:
             raise CameraError(f"the video device {path} must be there and free to use, got: {error.strerror}") from None
 
     def ask(self, request: Request, structure: Any) -> None:
-        """Hand a structure to the kernel and have it filled in; a refusal is an OSError."""
+        """Pass a structure to the kernel, which fills it in; a refusal is an OSError."""
         fcntl.ioctl(self._file, request.code, structure, True)
 
     def map(self, length_bytes: int, offset: int) -> "MappedBuffer":
@@ -40,13 +40,13 @@ class Device:
         return MappedBuffer(mmap.mmap(self._file, length_bytes, mmap.MAP_SHARED, mmap.PROT_READ, offset=offset))
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait until a buffer is filled or the device has something to say; False if nothing came in time."""
+        """Wait for a filled buffer or an event; False after the time limit."""
         poll = select.poll()
         poll.register(self._file, select.POLLIN)
         return bool(poll.poll(max(0.0, timeout_s) * 1e3))
 
     def close(self) -> None:
-        """Close it."""
+        """Close the device."""
         os.close(self._file)
 
 
@@ -58,30 +58,30 @@ class MappedBuffer:
 
     def copy(self, size_bytes: int) -> NDArray[np.uint8]:
         """Return a copy of its first bytes."""
-        # Bytes first: an array over the map itself would keep the map from being closed.
+        # Copied: an array over the map itself would keep the map from being closed.
         return np.frombuffer(self._memory[:size_bytes], np.uint8)
 
     def close(self) -> None:
-        """Give it back."""
+        """Unmap it."""
         self._memory.close()
 
 
 def list_structures(device: Device, request: Request, **known: int) -> Iterator[Any]:
-    """Yield one structure after another of a list that the kernel ends by refusing.
+    """Yield the structures of a list that ends with a refusal of the kernel.
 
     Parameters
     ----------
     device
         The device.
     request
-        One whose structure has an `index`.
+        Request whose structure has an `index`.
     known
-        Other fields that say of what the list is.
+        Other fields that select the list.
 
     Raises
     ------
     CameraError
-        If the device is gone, or the list has no end.
+        If the device is gone, or the list is endless.
     """
     for index in range(MOST_LISTED):
         structure = request.structure(index=index, **known)
@@ -92,7 +92,7 @@ def list_structures(device: Device, request: Request, **known: int) -> Iterator[
 
 
 def offers(device: Device, request: Request, structure: Any) -> bool:
-    """Ask the device, and return whether it answers; one that is gone is a `CameraError`."""
+    """Send a request and return whether the device supports it; a lost device is a `CameraError`."""
     try:
         device.ask(request, structure)
     except OSError as error:
@@ -103,7 +103,7 @@ def offers(device: Device, request: Request, structure: Any) -> bool:
 
 
 def query_device(device: Device, request: Request, structure: Any, rule: str) -> None:
-    """Ask the device; a refusal is a `CameraError` that begins with the rule it breaks."""
+    """Send a request; a refusal is a `CameraError` that begins with the broken rule."""
     try:
         device.ask(request, structure)
     except OSError as error:

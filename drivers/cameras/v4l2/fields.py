@@ -20,10 +20,10 @@ ANY, PROGRESSIVE, TOP, BOTTOM, INTERLACED, TOP_THEN_BOTTOM, BOTTOM_THEN_TOP, ALT
 INTERLACED_TOP_FIRST, INTERLACED_BOTTOM_FIRST = 8, 9
 
 FIRST_ROW = {TOP_THEN_BOTTOM: 0, BOTTOM_THEN_TOP: 1}
-"""Where the fields stand one after the other in memory: first row of the one that comes first."""
+"""First row of the first field, for fields stored one after the other."""
 
 STANDARDS = {525: 0x0000B000, 625: 0x000000FF}
-"""V4L2_STD_NTSC and V4L2_STD_PAL by their lines."""
+"""V4L2_STD_NTSC and V4L2_STD_PAL by number of lines."""
 
 _ORDERS: dict[int, FieldOrder] = {
     PROGRESSIVE: "progressive",
@@ -35,7 +35,7 @@ _ORDERS: dict[int, FieldOrder] = {
     INTERLACED_BOTTOM_FIRST: "bottom first",
 }
 NUMBERS = {order: number for number, order in _ORDERS.items()}
-"""The kernel's number of each field order; of two, the one whose rows stand where they belong."""
+"""The kernel's number of each field order; of two, the one with interleaved rows."""
 
 
 def field_order(field: int, standard: int) -> FieldOrder:
@@ -44,7 +44,7 @@ def field_order(field: int, standard: int) -> FieldOrder:
     Parameters
     ----------
     field
-        The kernel's number of it.
+        The kernel's number.
     standard
         Video standards of the input, as the kernel's bits; 0 for a digital camera.
 
@@ -61,12 +61,12 @@ def field_order(field: int, standard: int) -> FieldOrder:
 
 
 def older_field(standard: int) -> int:
-    """Return which field of a video standard is exposed first, the kernel's TOP or BOTTOM."""
+    """Return the field of a video standard that is exposed first, the kernel's TOP or BOTTOM."""
     return BOTTOM if standard & STANDARDS_525 else TOP
 
 
 def rows_of(height: int, field: int) -> int:
-    """Return the rows of a frame whose format has a height, px: that of one field only where fields come apart."""
+    """Return the rows of a frame from the height of its format, px, which is that of a field for separate fields."""
     return 2 * height if field == ALTERNATE else height
 
 
@@ -77,13 +77,13 @@ class Field:
     Parameters
     ----------
     pixels
-        Its rows, shape (row, col), DN.
+        Pixels of the field, shape (row, col), DN.
     parity
-        Which one it is, the kernel's number: TOP or BOTTOM.
+        The kernel's number of the field: TOP or BOTTOM.
     number
         Number of its frame.
     time_s
-        When it was exposed, s of the kernel's clock.
+        Time stamp, s of the kernel's clock.
     """
 
     pixels: NDArray
@@ -93,14 +93,14 @@ class Field:
 
 
 class FieldPairs:
-    """Makes frames of fields.
+    """Combines fields into frames.
 
     Parameters
     ----------
     older
-        Which field of a frame is exposed first, TOP or BOTTOM.
+        Field of a frame that is exposed first, TOP or BOTTOM.
     next_field
-        Returns the next field, or what came and is none.
+        Returns the next field or incomplete frame.
     """
 
     def __init__(self, older: int, next_field: Callable[[], Field | IncompleteFrame]) -> None:
@@ -108,7 +108,7 @@ class FieldPairs:
         self._kept: Field | None = None
 
     def frame(self) -> Frame | IncompleteFrame:
-        """Return the next frame, at the time of its older field; a frame of one field only is broken."""
+        """Return the next frame with the time of its older field; a single field is an incomplete frame."""
         first, self._kept = self._kept or self._next_field(), None
         if isinstance(first, IncompleteFrame):
             return first
@@ -129,7 +129,7 @@ class FieldPairs:
 
 
 def weave(first: NDArray, second: NDArray, *, first_row: int) -> NDArray:
-    """Return the frame of two fields, shape (row, col) each, the first of which begins at row 0 or 1."""
+    """Return the frame of two fields, shape (row, col) each; the first begins at row 0 or 1."""
     frame = np.empty((2 * len(first), *first.shape[1:]), first.dtype)
     frame[first_row::2], frame[1 - first_row :: 2] = first, second
     return frame

@@ -1,4 +1,4 @@
-"""Which video devices there are, and what each offers: inputs, pixel formats, picture sizes and controls."""
+"""Video devices of the machine, with their inputs, pixel formats, sizes and controls."""
 
 import glob
 from dataclasses import dataclass, field
@@ -29,15 +29,15 @@ class Control:
     Parameters
     ----------
     identifier
-        The kernel's number of it.
+        The kernel's number.
     name
-        What the driver calls it.
+        Name given by the driver.
     kind
-        What its values mean.
+        Kind of its values.
     minimum, maximum, step, default
-        Its values, in its own unit.
+        Range of its values, in its own unit.
     is_read_only
-        Whether it can only be read; one that is inactive cannot be set either, as long as another control rules it.
+        Whether it cannot be set, also while inactive because of another control.
     choices
         Names of a menu's values.
     """
@@ -54,7 +54,7 @@ class Control:
 
 
 def list_controls(device: Device) -> tuple[Control, ...]:
-    """Return the controls that a device offers; those of kinds that hold more than a number are left out."""
+    """Return the controls of a device; kinds with more than a number are omitted."""
     found: list[Control] = []
     last = 0
     for _ in range(MOST_LISTED):
@@ -70,7 +70,7 @@ def list_controls(device: Device) -> tuple[Control, ...]:
 
 
 def find_control(device: Device, identifier: int) -> Control | None:
-    """Return one control by the kernel's number of it; None where the device has none."""
+    """Return one control by the kernel's number; None where the device does not have it."""
     query = structures.ControlQuery(id=identifier)
     if not offers(device, structures.QUERY_CONTROL, query) or query.id != identifier or query.type not in _KINDS:
         return None
@@ -85,14 +85,14 @@ def read_control(device: Device, control: Control) -> int:
 
 
 def write_control(device: Device, control: Control, value: int) -> int | None:
-    """Set a control and return what it reads back; None for a button, which has no value.
+    """Set a control and return its read-back; None for a button, which has no value.
 
     Raises
     ------
     BadInput
-        If the value lies outside what the control offers, or it can only be read.
+        If the value lies outside the control's range, or the control is read only.
     CameraError
-        If the device refuses, or reads back something else by more than the control's step.
+        If the device refuses, or its read-back differs by more than the control's step.
     """
     if control.is_read_only:
         raise BadInput(f"the control {control.name!r} must be one that can be set, this one can only be read")
@@ -125,7 +125,7 @@ def _control(device: Device, query: structures.ControlQuery) -> Control:
 
 
 def _choices(device: Device, query: structures.ControlQuery, *, numbers: bool) -> dict[int, str]:
-    """Return the names of a menu's values; values that the driver leaves out are not there."""
+    """Return the names of a menu's values; the driver may skip values."""
     choices = {}
     first = max(0, query.minimum)
     for index in range(first, min(query.maximum, first + _MOST_CHOICES) + 1):
@@ -143,11 +143,11 @@ class OfferedFormat:
     Parameters
     ----------
     letters
-        Its four letters.
+        FourCC of the format.
     name
-        Its name as a camera's setting; None for one that cannot be read, such as a compressed one.
+        Name as a camera setting; None for an unsupported format, such as a compressed one.
     sizes
-        Rows and columns of the pictures that it comes in; empty where every size within bounds is offered.
+        Rows and columns of the images; empty where any size within bounds is offered.
     """
 
     letters: str
@@ -170,11 +170,11 @@ class VideoDevice:
     Parameters
     ----------
     path
-        Its file, such as "/dev/video0".
+        Device file, such as "/dev/video0".
     card, driver, bus
-        What it is, which driver of the kernel serves it, and where it is plugged in.
+        Name of the card, kernel driver and bus position.
     inputs, formats
-        What it offers.
+        Inputs and pixel formats.
     """
 
     path: str
@@ -186,7 +186,7 @@ class VideoDevice:
 
 
 def list_devices() -> tuple[VideoDevice, ...]:
-    """Return the devices of this machine that can capture; others, and those that may not be opened, are left out."""
+    """Return the devices of this machine that can be opened and can capture."""
     found = []
     for path in sorted(glob.glob("/dev/video*")):
         try:
@@ -203,7 +203,7 @@ def list_devices() -> tuple[VideoDevice, ...]:
 
 
 def describe(device: Device, path: str) -> VideoDevice:
-    """Return what an open device is and offers; one that cannot capture is a `CameraError`."""
+    """Return the description of an open device; one that cannot capture is a `CameraError`."""
     capability = capture_capability(device, path)
     return VideoDevice(
         path=path,
@@ -219,7 +219,7 @@ def describe(device: Device, path: str) -> VideoDevice:
 
 
 def capture_capability(device: Device, path: str) -> structures.Capability:
-    """Return what a device says of itself, if it captures video into mapped memory."""
+    """Return the capabilities of a device that captures video into mapped memory."""
     capability = structures.Capability()
     try:
         device.ask(structures.CAPABILITIES, capability)
@@ -233,7 +233,7 @@ def capture_capability(device: Device, path: str) -> structures.Capability:
 
 
 def list_formats(device: Device) -> tuple[OfferedFormat, ...]:
-    """Return the pixel formats that a device offers on its present input."""
+    """Return the pixel formats of a device's present input."""
     return tuple(
         OfferedFormat(
             letters=four_letters(one.pixelformat),
@@ -245,12 +245,12 @@ def list_formats(device: Device) -> tuple[OfferedFormat, ...]:
 
 
 def format_codes(device: Device) -> tuple[int, ...]:
-    """Return the kernel's numbers of the pixel formats that a device offers on its present input."""
+    """Return the kernel's numbers of the pixel formats of a device's present input."""
     return tuple(one.pixelformat for one in list_structures(device, structures.LIST_FORMATS, type=CAPTURE))
 
 
 def list_sizes(device: Device, code: int) -> tuple[tuple[int, int], ...]:
-    """Return rows and columns of the pictures that a format comes in; none where every size within bounds does."""
+    """Return rows and columns of the image sizes of a format; empty where any size within bounds is offered."""
     sizes = []
     for one in list_structures(device, structures.LIST_SIZES, pixel_format=code):
         if one.type != _DISCRETE:

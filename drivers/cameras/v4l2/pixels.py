@@ -14,7 +14,7 @@ MOST_PIXELS_A_SIDE = 65536
 
 @dataclass(frozen=True, kw_only=True)
 class Layout:
-    """Where the grey value of a pixel lies.
+    """Position of the grey values in memory.
 
     Parameters
     ----------
@@ -23,9 +23,9 @@ class Layout:
     kind
         NumPy type of one value.
     first, step
-        Place of the first value of a row, and of each next one, in values.
+        Position of the first value of a row, and distance to the next one, in values.
     planes
-        Size of the whole picture over that of the plane with the grey values, dimensionless.
+        Size of the complete image relative to the plane of grey values, dimensionless.
     """
 
     name: str
@@ -36,11 +36,11 @@ class Layout:
 
     @property
     def is_video(self) -> bool:
-        """Whether it is the luma of colour video, whose black is 16 and whose white is 235 of 255 (ITU-R BT.601)."""
+        """Whether it is the luma of colour video, black 16 and white 235 of 255 (ITU-R BT.601)."""
         return self.name != "Mono8" and self.kind == "u1"
 
     def row_bytes(self, columns: int) -> int:
-        """Bytes that the values of one row span."""
+        """Return the bytes of one row."""
         return columns * self.step * np.dtype(self.kind).itemsize
 
 
@@ -56,24 +56,24 @@ def _layouts() -> dict[int, Layout]:
 
 
 LAYOUTS = _layouts()
-"""Formats that can be read, by the kernel's number, the ones that need least work first."""
+"""Supported formats by the kernel's number, in order of preference."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BufferImage:
-    """One picture as it lies in a buffer.
+    """Layout of one image in a buffer.
 
     Parameters
     ----------
     rows, columns
-        Its size, px.
+        Size of the image, px.
     row_bytes
         Bytes from one row to the next.
     layout
-        Where its grey values lie.
+        Position of the grey values.
     first_field
-        Row at which the field begins whose rows all stand before those of the other, 0 (top) or 1 (bottom); None
-        where the rows of both stand where they belong.
+        First row of the field stored first, 0 (top) or 1 (bottom), for fields one after the other; None for
+        interleaved rows.
     """
 
     rows: int
@@ -99,13 +99,13 @@ class BufferImage:
 
     @property
     def size_bytes(self) -> int:
-        """Bytes of a whole picture, colour included."""
-        # The last row need not be padded.
+        """Bytes of a complete image, colour included."""
+        # The last row may be unpadded.
         plane = (self.rows - 1) * self.row_bytes + self.layout.row_bytes(self.columns)
         return plane if self.layout.planes == 1.0 else int(self.rows * self.row_bytes * self.layout.planes)
 
     def grey(self, data: NDArray[np.uint8]) -> NDArray:
-        """Return the grey values of a whole picture.
+        """Return the grey values of a complete image.
 
         Parameters
         ----------
@@ -129,7 +129,7 @@ class BufferImage:
 
 
 def picture_of(form: Format) -> BufferImage:
-    """Return the picture that a format of the kernel's describes; one that cannot be read is a BadInput."""
+    """Return the image layout of a kernel format; an unsupported one is a BadInput."""
     pix = form.of.pix
     if pix.pixelformat not in LAYOUTS:
         known = ", ".join(dict.fromkeys(layout.name for layout in LAYOUTS.values()))

@@ -25,7 +25,7 @@ STANDARDS_525 = 0x0000F900
 
 
 def _u32(*names: str) -> tuple[tuple[str, type], ...]:
-    """Return fields of 32 bits without a sign."""
+    """Return unsigned 32-bit fields."""
     return tuple((name, c_uint32) for name in names)
 
 
@@ -55,14 +55,14 @@ class FormatDescription(ctypes.Structure):
 class FrameSize(ctypes.Structure):
     """VIDIOC_ENUM_FRAMESIZES; a discrete size has its width and height in the first two of `sizes`.
 
-    Stepwise: least width, most width, step of width, least height, most height, step of height.
+    Stepwise: smallest width, largest width, step of width, smallest height, largest height, step of height.
     """
 
     _fields_ = (*_u32("index", "pixel_format", "type"), ("sizes", c_uint32 * 6), ("reserved", c_uint32 * 2))
 
 
 class PixelFormat(ctypes.Structure):
-    """The picture in memory."""
+    """Image in memory."""
 
     _fields_ = (
         *_u32("width", "height", "pixelformat", "field", "bytesperline", "sizeimage"),
@@ -71,7 +71,7 @@ class PixelFormat(ctypes.Structure):
 
 
 class _FormatOf(ctypes.Union):
-    # Another member of the kernel's union holds a pointer, which is what aligns it.
+    # Another member of the kernel's union is a pointer, which determines the alignment.
     _fields_ = (("pix", PixelFormat), ("raw", c_uint8 * 200), ("alignment", c_uint64))
 
 
@@ -178,11 +178,11 @@ class Request:
     Parameters
     ----------
     name
-        Its name in the kernel, without VIDIOC_.
+        Name in the kernel, without VIDIOC_.
     code
-        Its number: direction, size of the structure, the letter V, and a running number (asm-generic/ioctl.h).
+        Number: direction, size of the structure, the letter V, and a running number (asm-generic/ioctl.h).
     structure
-        What goes along and comes back.
+        Structure passed to the kernel and filled in by it.
     """
 
     name: str
@@ -220,16 +220,16 @@ LIST_SIZES = _request("ENUM_FRAMESIZES", 74, FrameSize)
 
 
 def words(text: bytes) -> str:
-    """Return a name of the kernel's as text, whatever bytes it holds."""
+    """Return a name of the kernel as text; invalid bytes are replaced."""
     return text.split(b"\0")[0].decode("ascii", errors="replace").strip()
 
 
 def four_letters(code: int) -> str:
-    """Return the four letters of a pixel format; its highest bit says that the bytes of a value come big end first."""
+    """Return the FourCC of a pixel format; its highest bit marks big-endian values."""
     letters = words(bytes(code >> shift & 0x7F for shift in (0, 8, 16, 24)))
     return f"{letters}-BE" if code & BIG_ENDIAN else letters
 
 
 def code_of(letters: str) -> int:
-    """Return the number of a pixel format's four letters."""
+    """Return the number of a FourCC."""
     return int.from_bytes(letters.ljust(4).encode("ascii")[:4], "little")

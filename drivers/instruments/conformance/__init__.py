@@ -5,7 +5,7 @@ the driver raises wrongly, when it does not. `rules_for` returns those of a mode
 run them in a test of their own, or by the command `charact conform MODEL`.
 """
 
-from drivers.instruments.conformance import common, gates, lights, supplies  # noqa: F401  (their rules are entered)
+from drivers.instruments.conformance import conformance_pair, roles  # noqa: F401  (their rules are entered)
 from drivers.instruments.conformance.conformance_pair import ConformancePair, Rule, rules_for
 
 __all__ = ["ConformancePair", "Rule", "rules_for"]

@@ -1,18 +1,21 @@
 """A pair of driver and instrument on trial: what it can be made to suffer, and how a rule asks of it."""
 
+import contextlib
 import time
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
+from drivers.errors import BenchError, BenchStopped, InstrumentDisconnected, InstrumentTimeout
 from drivers.instruments.instrument import InstrumentModel
+from drivers.serial_lines.port import ANSWER_S
 from labdata.instrument_config import Role
 
 WRONGS = ("silent", "mute", "garbage", "half-lines", "late", "unplugged", "power-cycle", "trip", "panel")
-"""What a pair can be made to suffer; a late answer comes 0.6 s after its time, "panel" changes a setting by hand."""
+"""Faults of a pair; a late reply comes 0.6 s after its time, "panel" changes a setting by hand."""
 
 
 class ConformancePair(Protocol):
-    """A driver's model and an instrument that it can be tried on, at rest when a rule begins."""
+    """A driver's model and an instrument to test it on, in the safe state when a rule begins."""
 
     @property
     def model(self) -> InstrumentModel:
@@ -20,15 +23,15 @@ class ConformancePair(Protocol):
         ...
 
     def driver(self) -> Any:
-        """Open the line anew, after closing the one before, and return a driver on it."""
+        """Close the line, open a new one, and return a driver on it."""
         ...
 
     def outputs(self) -> Mapping[str, Any]:
-        """What the instrument puts out now, beside its line: gate_open, gate_ns, mcp_v, position, current_a, ..."""
+        """Physical outputs of the instrument: gate_open, gate_ns, mcp_v, position, current_a, ..."""
         ...
 
     def suffer(self, wrong: str, setting: str = "") -> None:
-        """Begin one of `WRONGS`, all others ended.
+        """Begin one of `WRONGS` and end all others.
 
         "panel" needs a setting: of a gate "source", "idle level", "width" or "busy" (every second trigger is lost), of
         a supply "voltage" or "on".
@@ -36,7 +39,7 @@ class ConformancePair(Protocol):
         ...
 
     def heal(self) -> None:
-        """End what is wrong, and clear a trip as a person at the instrument would."""
+        """End all faults, and clear a trip as at the instrument."""
         ...
 
 
@@ -45,7 +48,7 @@ _RULES: dict[Role | None, list[Rule]] = {}
 
 
 def rule_of(role: Role | None) -> Callable[[Rule], Rule]:
-    """Enter a rule among those of a role; None: of every instrument."""
+    """Register a rule for a role; None: for every instrument."""
 
     def enter(rule: Rule) -> Rule:
         _RULES.setdefault(role, []).append(rule)
@@ -55,19 +58,19 @@ def rule_of(role: Role | None) -> Callable[[Rule], Rule]:
 
 
 def rules_for(model: InstrumentModel) -> tuple[Rule, ...]:
-    """Return the rules that hold for a model: those of every instrument, and those of its role."""
+    """Return the rules of a model: those of every instrument, and those of its role."""
     return (*_RULES[None], *_RULES[model.role])
 
 
 def identify_driver(pair: ConformancePair) -> Any:
-    """Return a driver that knows who answers."""
+    """Return a driver with identified instrument."""
     driver = pair.driver()
     driver.identify()
     return driver
 
 
 def must_raise(kind: type[Exception], action: Callable[[], object]) -> None:
-    """Demand that an action ends in an error of a kind."""
+    """Require that an action raises an error of a kind."""
     try:
         result = action()
     except kind:
@@ -76,7 +79,7 @@ def must_raise(kind: type[Exception], action: Callable[[], object]) -> None:
 
 
 def wait_for(there: Callable[[], bool], within_s: float = 5.0) -> None:
-    """Wait until something is so."""
+    """Wait until a condition is true."""
     deadline_s = time.monotonic() + within_s
     while not there():
         assert time.monotonic() < deadline_s, f"the outputs must follow within {within_s:g} s"
@@ -84,4 +87,102 @@ def wait_for(there: Callable[[], bool], within_s: float = 5.0) -> None:
 
 
 def discard_log(step: str, **details: object) -> None:
-    """Nobody keeps a log of the trial."""
+    """Discard a step of the safe action."""
+
+
+PATIENCE_S = 1.0
+
+
+@rule_of(None)
+def says_who_it_is(pair: ConformancePair) -> None:
+    """It says who it is, twice the same."""
+    driver, identity = _new_driver(pair)
+    assert driver.identify() == identity != ""
+
+
+@rule_of(None)
+def silence_is_reported_in_time(pair: ConformancePair) -> None:
+    """An instrument that says nothing is InstrumentTimeout within its answer time and a second."""
+    driver, identity = _new_driver(pair)
+    pair.suffer("silent")
+    began_s = time.monotonic()
+    must_raise(InstrumentTimeout, lambda: _probe(pair, driver))
+    assert time.monotonic() - began_s < ANSWER_S + PATIENCE_S
+    pair.heal()
+    assert driver.identify() == identity
+
+
+@rule_of(None)
+def half_lines_and_garbage_are_no_answers(pair: ConformancePair) -> None:
+    """Half an answer, or characters that are none, is an error, and the line is in step afterwards."""
+    driver, identity = _new_driver(pair)
+    for wrong in ("half-lines", "garbage"):
+        pair.suffer(wrong)
+        must_raise(BenchError, lambda: _probe(pair, driver))
+        pair.heal()
+        assert driver.identify() == identity
+        _probe(pair, driver)
+
+
+@rule_of(None)
+def a_late_answer_is_not_taken_for_the_next(pair: ConformancePair) -> None:
+    """An answer that comes late is taken for no other, neither by this program nor by the next that opens the line."""
+    for is_reopened in (False, True):
+        driver, identity = _new_driver(pair)
+        pair.suffer("late")
+        with contextlib.suppress(BenchError):
+            _probe(pair, driver)
+        pair.heal()
+        driver = pair.driver() if is_reopened else driver
+        assert driver.identify() == identity
+        _probe(pair, driver)
+
+
+@rule_of(None)
+def a_pulled_plug_is_reported_and_put_back(pair: ConformancePair) -> None:
+    """A pulled plug is InstrumentDisconnected; with the plug back in, the line works once reopened, and a new one."""
+    driver, identity = _new_driver(pair)
+    pair.suffer("unplugged")
+    must_raise(InstrumentDisconnected, lambda: _probe(pair, driver))
+    must_raise(InstrumentDisconnected, driver.line.reopen)
+    pair.heal()
+    driver.line.reopen()
+    assert driver.identify() == identity
+    assert pair.driver().identify() == identity
+
+
+@rule_of(None)
+def a_line_that_was_taken_over_obeys_the_safe_action_alone(pair: ConformancePair) -> None:
+    """A line that the safe action has taken over obeys it alone, until it is released."""
+    driver, identity = _new_driver(pair)
+    driver.line.take_over()
+    must_raise(BenchStopped, driver.identify)
+    with driver.line.safing():
+        assert driver.identify() == identity
+    must_raise(BenchStopped, driver.identify)
+    driver.line.release()
+    assert driver.identify() == identity
+
+
+@rule_of(None)
+def a_loss_of_power_leaves_it_at_rest(pair: ConformancePair) -> None:
+    """After a loss of power the line works again, and nothing is on that was not on before."""
+    _, identity = _new_driver(pair)
+    before = dict(pair.outputs())
+    pair.suffer("power-cycle")
+    time.sleep(0.1)
+    pair.heal()
+    assert pair.driver().identify() == identity
+    now = pair.outputs()
+    assert all(now[name] == before[name] for name in before if name != "sensors_lit")
+
+
+def _new_driver(pair: ConformancePair) -> tuple[Any, str]:
+    """Return a driver on a new line, and the identity of its instrument."""
+    driver = pair.driver()
+    return driver, driver.identify()
+
+
+def _probe(pair: ConformancePair, driver: Any) -> None:
+    """Send a query without side effect; a supply that is off has no on state to check."""
+    driver.read_voltage_v() if pair.model.role == "supply" else driver.look()

@@ -19,13 +19,12 @@ from simulate.iiccd import true_quantities
 from simulate.iiccd.automatic_controls import AutomaticState
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.ccd import Ccd
-from simulate.iiccd.chip import DRAW_MARGIN_PX, SCENE_MARGIN_PX
 from simulate.iiccd.fast_sampler.kernel import noise_kernel
 from simulate.iiccd.fast_sampler.prepare import SHORTEST_TAP, SKEWNESS_TOLERANCE, CameraStages
+from simulate.iiccd.grid import DRAW_MARGIN_PX, SCENE_MARGIN_PX
 from simulate.iiccd.microchannel import MicrochannelPlate
 from simulate.iiccd.stage_image import StageImage
 from simulate.iiccd.transfer import StageBlur, product
-from simulate.iiccd.video import Video
 
 # Chance that the largest of a pattern's random numbers lies beyond the one that bounds take.
 MISSED = 0.1
@@ -185,8 +184,7 @@ class NoiseBudget:
     @cached_property
     def line_noise_e(self) -> float:
         """Offset common to a line, e-."""
-        video = self.camera.video()
-        return video.line_noise_dn * self.step_e if isinstance(video, Video) else 0.0
+        return self.camera.video().line_noise_dn * self.step_e
 
     @cached_property
     def electronics(self) -> float:

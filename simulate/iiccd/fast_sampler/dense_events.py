@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from simulate.iiccd.fast_sampler.frame_generator import Shared, float32_values, key_of
 from simulate.iiccd.fast_sampler.kernel import COARSE, Kernel
-from simulate.iiccd.fast_sampler.sampler_protocols import Shared, float32_values, key_of
 
 # What a generator is for, the planes of cells besides.
 ION = 60

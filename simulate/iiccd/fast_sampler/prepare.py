@@ -6,8 +6,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.iiccd import fourier, pattern
-from simulate.iiccd.back_end import DigitalBackEnd
+from simulate.iiccd import pattern
 from simulate.iiccd.ccd import Ccd
 from simulate.iiccd.chain import Chain
 from simulate.iiccd.fast_sampler.charge_distribution import normal_law, pulse_law
@@ -15,7 +14,7 @@ from simulate.iiccd.fast_sampler.dense_events import DenseEventSampler
 from simulate.iiccd.fast_sampler.frame_generator import Readout, StaticScene
 from simulate.iiccd.fast_sampler.kernel import COARSE, REACH, Kernel, noise_kernel, pulse_kernel
 from simulate.iiccd.fast_sampler.sparse_events import SparseEventSampler
-from simulate.iiccd.grid import Grid
+from simulate.iiccd.grid import Grid, irfft_image, rfft_image
 from simulate.iiccd.microchannel import MicrochannelPlate
 from simulate.iiccd.phosphor import PhosphorDecay
 from simulate.iiccd.stage_image import StageImage
@@ -50,7 +49,7 @@ class CameraStages:
     collection: Chain
     afterglow: PhosphorDecay
     ccd: Ccd
-    video: Video | DigitalBackEnd
+    video: Video
     fields: int
 
     @property
@@ -64,7 +63,7 @@ class CameraStages:
         plate, ccd, video = (chain.part(name, name).stages[0] for name in ("microchannel plate", "ccd", "video"))
         afterglow = chain.part("afterglow", "afterglow").stages[0]
         assert isinstance(plate, MicrochannelPlate) and isinstance(ccd, Ccd) and isinstance(afterglow, PhosphorDecay)
-        assert isinstance(video, Video | DigitalBackEnd)
+        assert isinstance(video, Video)
         return cls(
             plate=plate,
             behind_plate=chain.part("phosphor", "taper"),
@@ -185,8 +184,8 @@ def _sharpen(light: NDArray[np.floating], kernel: Kernel) -> NDArray[np.float64]
     down, along = kernel.divisions
     rows, cols = light.shape[0] // 2, light.shape[1] // 2
     lattice = light.reshape(rows * down, 2 // down, cols * along, 2 // along).sum(axis=(1, 3), dtype=np.float64)
-    spectrum = fourier.rfft_image(lattice) * fourier.rfft_image(_filter_on_lattice(kernel.sharpening, lattice.shape))
-    sharp = fourier.irfft_image(spectrum, lattice.shape) / (2 // down * (2 // along))
+    spectrum = rfft_image(lattice) * rfft_image(_filter_on_lattice(kernel.sharpening, lattice.shape))
+    sharp = irfft_image(spectrum, lattice.shape) / (2 // down * (2 // along))
     return sharp.repeat(2 // down, axis=0).repeat(2 // along, axis=1)
 
 
@@ -207,7 +206,7 @@ def _ratio(
     return np.divide(out, into, out=np.full(out.shape, average), where=into > 1e-9 * max(float(into.max()), 1e-300))
 
 
-def _impulse(video: Video | DigitalBackEnd) -> tuple[float, ...]:
+def _impulse(video: Video) -> tuple[float, ...]:
     """The filter along a line as it matters, (tap,)."""
     taps = video.low_pass.impulse_response()
     return tuple(float(tap) for tap in taps[: np.flatnonzero(np.abs(taps) > SHORTEST_TAP)[-1] + 1])
@@ -259,8 +258,8 @@ def readout_of(stages: CameraStages, scene: StaticScene) -> Readout:
         counted=counted,
         held=ccd.held if overflows else None,
         impulse=np.array(_impulse(video), np.float32),
-        jitter_px=video.sync_jitter_px if isinstance(video, Video) else 0.0,
-        line_noise_dn=video.line_noise_dn if isinstance(video, Video) else 0.0,
+        jitter_px=video.sync_jitter_px,
+        line_noise_dn=video.line_noise_dn,
         gain_dn_per_e=video.conversion_gain_dn_per_e * video.gain,
         black_dn=video.black_level_dn,
         gamma=video.gamma,

@@ -7,8 +7,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from simulate.iiccd.fast_sampler.frame_generator import Shared
 from simulate.iiccd.fast_sampler.kernel import COARSE, FINEST, REACH, PulseKernel
-from simulate.iiccd.fast_sampler.sampler_protocols import Shared
 
 Array = NDArray[np.float32]
 Places = NDArray[np.int32]
@@ -104,7 +104,7 @@ class SparseEventSampler:
     @cached_property
     def lines(self) -> Array:
         """The kernel's shares with as many columns as the processor adds at once, shape as they but (..., 8 or 16)."""
-        from simulate.iiccd.fast_sampler.pulse_rows import ADDED_AT_ONCE
+        from simulate.iiccd.fast_sampler.phosphor_rows import ADDED_AT_ONCE
 
         shares = self.kernel.shares
         return np.pad(shares, [(0, 0)] * 3 + [(0, -shares.shape[3] % ADDED_AT_ONCE)])
@@ -150,7 +150,7 @@ class SparsePhosphorSampler:
 
     def expose(self, frame: int, brightness: float, shared: Shared) -> Array:
         """Draw the pulses of a frame's exposures and let the screen glow; see `Screen`."""
-        from simulate.iiccd.fast_sampler.pulse_rows import pulse_rows
+        from simulate.iiccd.fast_sampler.phosphor_rows import pulse_rows
 
         light, coarse = self._light, []
         near, factor = light.near_e * np.float32(brightness), np.float32(brightness)
@@ -163,7 +163,7 @@ class SparsePhosphorSampler:
         return np.stack(coarse)
 
     def _drawn(self, exposure: int, factor: np.float32) -> _Pulses:
-        from simulate.iiccd.fast_sampler.pulse_rows import cells_beyond
+        from simulate.iiccd.fast_sampler.phosphor_rows import cells_beyond
 
         light = self._light
         rng = np.random.default_rng([self._seed, PULSES, exposure + 2**32])
@@ -189,7 +189,7 @@ class SparsePhosphorSampler:
 
     def _on_coarse_cells(self, pulses: _Pulses, factor: np.float32) -> Array:
         """What an exposure shows beyond the mean, summed over coarse cells."""
-        from simulate.iiccd.fast_sampler.pulse_rows import coarse_sums
+        from simulate.iiccd.fast_sampler.phosphor_rows import coarse_sums
 
         light, stored = self._light, self._coarse_stored
         side = FINEST * COARSE

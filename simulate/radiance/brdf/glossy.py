@@ -1,4 +1,4 @@
-"""A glossy coat on a matt base: paint, plastic, wet ground, and water where the base is dark."""
+"""Glossy dielectrics over a diffuse base (paint, plastic, wet ground, water) and rough metals."""
 
 from dataclasses import dataclass
 
@@ -6,21 +6,100 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from labdata.errors import BadInput
-from simulate.radiance.brdf import fresnel, microfacet
-from simulate.radiance.brdf.albedo_table import AlbedoTable, dielectric_albedo
-from simulate.radiance.brdf.base_layer import base_value
-from simulate.radiance.brdf.directions import both_above, cosine_density
-from simulate.radiance.brdf.metal import require_roughness
-from simulate.radiance.brdf.mixture import sample_mixture
-from simulate.radiance.materials.reflectance import Reflectance
+from simulate.radiance.brdf import microfacet
+from simulate.radiance.brdf.microfacet import (
+    AlbedoTable,
+    base_value,
+    dielectric_albedo,
+    sample_mixture,
+    schlick_albedo,
+    specular_albedo,
+)
+from simulate.radiance.brdf.protocol import Reflectance, both_above, cosine_density
 
-# The share of draws that either part gets at least.
+# Mean of (1 - cos)^5 over the hemisphere, cosine-weighted.
+MEAN_RISE = 1.0 / 21.0
+
+
+def require_roughness(roughness: float) -> None:
+    """Refuse a roughness that the facet model does not reach."""
+    if not microfacet.SMOOTHEST <= roughness <= microfacet.ROUGHEST:
+        raise BadInput(f"roughness must lie in [{microfacet.SMOOTHEST:g}, {microfacet.ROUGHEST:g}], got {roughness:g}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Metal:
+    """GGX facets of a metal, the light that hits several facets given back.
+
+    Parameters
+    ----------
+    reflectance
+        At normal incidence, over wavelength.
+    roughness
+        GGX's a, the spread of the facets' slopes, dimensionless.
+
+    Notes
+    -----
+    f = F D G/(4 cos cos) + F_m (1 - E(i)) (1 - E(o))/(pi (1 - E_mean)), E the albedo of perfect facets, F by Schlick,
+    F_m = F_mean^2 E_mean/(1 - F_mean (1 - E_mean)) (Kulla and Conty, SIGGRAPH 2017 course): a perfect mirror metal of
+    any roughness sends all light back. Without the second term roughness 1 loses up to 69 %.
+    """
+
+    reflectance: Reflectance
+    roughness: float
+
+    def __post_init__(self) -> None:
+        require_roughness(self.roughness)
+
+    @property
+    def _perfect(self) -> AlbedoTable:
+        return specular_albedo(self.roughness)
+
+    def value(
+        self, incoming: NDArray[np.floating], outgoing: NDArray[np.floating], wavelength_nm: ArrayLike
+    ) -> NDArray[np.float64]:
+        """Return f, sr-1, shape (band, ray)."""
+        normal = self.reflectance.at(wavelength_nm)[:, None]
+        facing = np.sum(outgoing * microfacet.halfway(incoming, outgoing), axis=1)
+        mirrored = microfacet.lobe(incoming, outgoing, self.roughness)
+        one = normal * mirrored + (1.0 - normal) * (mirrored * microfacet.schlick_rise(facing))
+        perfect = self._perfect
+        many = base_value(perfect.at(incoming), perfect.at(outgoing), perfect.mean, self._between(normal))
+        return one + many * both_above(incoming, outgoing)
+
+    def sample(
+        self, outgoing: NDArray[np.floating], rng: np.random.Generator
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Draw mirrored directions, or by the cosine law as often as light hits several facets; and their densities."""
+        normals = microfacet.sample_visible_normals(outgoing, self.roughness, rng.random((len(outgoing), 2)))
+        drawn = sample_mixture(microfacet.mirror_direction(outgoing, normals), self._perfect.at(outgoing), rng)
+        return drawn, self.pdf(drawn, outgoing)
+
+    def pdf(self, incoming: NDArray[np.floating], outgoing: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Return the density of `sample`, sr-1, shape (ray,)."""
+        share = self._perfect.at(outgoing)
+        mirrored = microfacet.mirror_density(incoming, outgoing, self.roughness)
+        return share * mirrored + (1.0 - share) * cosine_density(incoming)
+
+    def albedo(self, outgoing: NDArray[np.floating], wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+        """Return the fraction of a uniform sky's light that goes to the viewer, shape (band, ray)."""
+        normal = self.reflectance.at(wavelength_nm)[:, None]
+        perfect, rise = self._perfect.at(outgoing), schlick_albedo(self.roughness).at(outgoing)
+        return normal * perfect + (1.0 - normal) * rise + (1.0 - perfect) * self._between(normal)
+
+    def _between(self, normal: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return F_m, the reflectance of light that bounces between facets."""
+        facet, perfect = normal + (1.0 - normal) * MEAN_RISE, self._perfect.mean
+        return facet**2 * perfect / (1.0 - facet * (1.0 - perfect))
+
+
+# Least fraction of the samples for either part.
 LEAST_SHARE = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
 class Glossy:
-    """GGX facets of a dielectric over a matt base that gets all the light they let pass.
+    """GGX microfacets of a dielectric over a diffuse base that receives all transmitted light.
 
     Parameters
     ----------
@@ -55,7 +134,7 @@ class Glossy:
         """Return f, sr-1, shape (band, ray)."""
         facing = np.sum(outgoing * microfacet.halfway(incoming, outgoing), axis=1)
         mirrored = microfacet.lobe(incoming, outgoing, self.roughness)
-        mirrored = mirrored * fresnel.dielectric(facing, self.refractive_index)
+        mirrored = mirrored * microfacet.dielectric(facing, self.refractive_index)
         coat, base = self._coat, self.reflectance.at(wavelength_nm)[:, None]
         below = base_value(coat.at(incoming), coat.at(outgoing), coat.mean, base)
         return mirrored + below * both_above(incoming, outgoing)
@@ -63,7 +142,7 @@ class Glossy:
     def sample(
         self, outgoing: NDArray[np.floating], rng: np.random.Generator
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Draw mirrored directions or by the cosine law, as coat and base share the light; and their densities."""
+        """Draw specular directions or by the cosine law, in the ratio of coat and base; and their densities."""
         normals = microfacet.sample_visible_normals(outgoing, self.roughness, rng.random((len(outgoing), 2)))
         drawn = sample_mixture(microfacet.mirror_direction(outgoing, normals), self._coat_share(outgoing), rng)
         return drawn, self.pdf(drawn, outgoing)
@@ -75,7 +154,7 @@ class Glossy:
         return share * mirrored + (1.0 - share) * cosine_density(incoming)
 
     def albedo(self, outgoing: NDArray[np.floating], wavelength_nm: ArrayLike) -> NDArray[np.float64]:
-        """Return the share of a uniform sky's light that goes to the eye, shape (band, ray)."""
+        """Return the fraction of a uniform sky's light that goes to the viewer, shape (band, ray)."""
         coat = self._coat.at(outgoing)
         return coat + (1.0 - coat) * self.reflectance.at(wavelength_nm)[:, None]
 

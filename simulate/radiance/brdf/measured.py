@@ -1,32 +1,34 @@
-"""A measured BRDF as a table over both polar angles, the azimuth between them, and wavelength."""
+"""Measured BRDFs: tables over both polar angles, the azimuth between them and wavelength, and their files."""
 
 from dataclasses import dataclass, field
+from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from labdata.errors import BadInput
 from labdata.frames import read_only
-from simulate.radiance.brdf.directions import both_above, cosine_density, cosine_directions
+from simulate.radiance.brdf.protocol import both_above, cosine_density, cosine_directions
 
-# How far a table may be from f(i, o) = f(o, i), as a fraction of its largest value, before it is refused.
+# Largest deviation from f(i, o) = f(o, i), as a fraction of the largest value.
 ASYMMETRY = 0.05
-# How much more light than arrives a table may give off: rounding of measured values.
+# Largest excess of the albedo over 1, for rounding of measured values.
 EXCESS = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MeasuredTable:
-    """A BRDF that is the same in all azimuths, linear between the table's angles and wavelengths.
+    """An isotropic BRDF, linear between the table's angles and wavelengths.
 
     Parameters
     ----------
     wavelength_nm
         Wavelengths, ascending, shape (band,), nm; constant outside.
     polar_deg
-        Angles from the normal of light and eye alike, ascending from 0 to 90, shape (polar,), degrees.
+        Angles of light and viewer from the normal, ascending from 0 to 90, shape (polar,), degrees.
     azimuth_deg
-        Azimuth between light and eye, ascending from 0 (both on one side) to 180 (the mirror's side), degrees.
+        Azimuth between light and viewer, ascending from 0 (both on one side) to 180 (specular side), degrees.
     table
         f, sr-1, shape (band, polar of light, polar of eye, azimuth).
 
@@ -103,7 +105,7 @@ class MeasuredTable:
         return cosine_density(incoming)
 
     def albedo(self, outgoing: NDArray[np.floating], wavelength_nm: ArrayLike) -> NDArray[np.float64]:
-        """Return the share of a uniform sky's light that goes to the eye, shape (band, ray)."""
+        """Return the fraction of a uniform sky's light that goes to the viewer, shape (band, ray)."""
         column, along = _place(self.polar_deg, _polar_deg(outgoing))
         table = self._between(self._albedo, wavelength_nm)
         return table[:, column] * (1.0 - along) + table[:, column + 1] * along
@@ -172,3 +174,28 @@ def _azimuth_between_deg(incoming: NDArray[np.floating], outgoing: NDArray[np.fl
     across = incoming[:, 0] * outgoing[:, 1] - incoming[:, 1] * outgoing[:, 0]
     along = incoming[:, 0] * outgoing[:, 0] + incoming[:, 1] * outgoing[:, 1]
     return np.rad2deg(np.arctan2(np.abs(across), along))
+
+
+ARRAYS = ("wavelength_nm", "polar_deg", "azimuth_deg", "table")
+
+
+def read_measured(path: Path) -> MeasuredTable:
+    """Return the BRDF of an .npz file with the arrays of `simulate.radiance.brdf.measured.MeasuredTable`.
+
+    Raises
+    ------
+    BadInput
+        If the file cannot be read, lacks an array, or the table is not a BRDF.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            found = {name: np.asarray(file[name], float) for name in ARRAYS if name in file}
+    except (OSError, ValueError, EOFError, AttributeError, BadZipFile):
+        raise BadInput(f"a measured BRDF must be a readable .npz file, got {path}") from None
+    missing = [name for name in ARRAYS if name not in found]
+    if missing:
+        raise BadInput(f"a measured BRDF must hold {', '.join(ARRAYS)}, got no {missing[0]} in {path.name}")
+    try:
+        return MeasuredTable(**found)
+    except BadInput as error:
+        raise BadInput(f"{error}, in {path.name}") from None

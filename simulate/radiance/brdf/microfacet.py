@@ -1,9 +1,16 @@
-"""A rough face as many small mirrors: how they lean, which hide others, and a draw of those that the eye sees."""
+"""Microfacet model: GGX normals, Smith masking, Fresnel reflectance, albedo tables and the base under a layer."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-# The narrowest and widest spread of slopes.
+from labdata.frames import read_only
+from simulate.radiance.brdf.protocol import cosine_directions, directions_at_cosine
+
+# Limits of the roughness.
 SMOOTHEST, ROUGHEST = 0.002, 1.0
 
 
@@ -16,13 +23,13 @@ def normals_density(half: NDArray[np.floating], roughness: float) -> NDArray[np.
 
 
 def smith_lambda(cosine: NDArray[np.floating], roughness: float) -> NDArray[np.float64]:
-    """Return Smith's Lambda, (sqrt(1 + a^2 tan^2) - 1)/2: 1/(1 + Lambda) of the facets is seen from a direction."""
+    """Return Smith's Lambda, (sqrt(1 + a^2 tan^2) - 1)/2: the fraction 1/(1 + Lambda) of the facets is visible."""
     tangent2 = (1.0 - cosine**2) / np.maximum(cosine**2, 1e-300)
     return 0.5 * (np.sqrt(1.0 + roughness**2 * np.maximum(tangent2, 0.0)) - 1.0)
 
 
 def halfway(incoming: NDArray[np.floating], outgoing: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Return the normals of the facets that mirror one direction into the other, shape (ray, 3)."""
+    """Return the normals of the facets that reflect one direction into the other, shape (ray, 3)."""
     total = incoming + outgoing
     return total / np.maximum(np.linalg.norm(total, axis=1), 1e-300)[:, None]
 
@@ -45,12 +52,12 @@ def lobe(incoming: NDArray[np.floating], outgoing: NDArray[np.floating], roughne
 def sample_visible_normals(
     outgoing: NDArray[np.floating], roughness: float, even: NDArray[np.floating]
 ) -> NDArray[np.float64]:
-    """Return facet normals as the eye sees them, from pairs of numbers even in [0, 1), shape (ray, 2).
+    """Return visible facet normals from pairs of uniform numbers in [0, 1), shape (ray, 2).
 
     Notes
     -----
-    Stretch to a hemisphere, draw on the cap that faces the eye, stretch back (Dupuy and Benyoub, Comput. Graph. Forum
-    42(8), 2023).
+    Stretch to a hemisphere, draw on the cap that faces the viewer, stretch back (Dupuy and Benyoub, Comput. Graph.
+    Forum 42(8), 2023).
     """
     stretched = outgoing * np.array([roughness, roughness, 1.0])
     stretched = stretched / np.linalg.norm(stretched, axis=1)[:, None]
@@ -64,17 +71,160 @@ def sample_visible_normals(
 
 
 def mirror_direction(outgoing: NDArray[np.floating], normal: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Return the direction that a facet mirrors to the eye, shape (ray, 3)."""
+    """Return the direction that a facet reflects to the viewer, shape (ray, 3)."""
     return 2.0 * np.sum(outgoing * normal, axis=1)[:, None] * normal - outgoing
 
 
 def mirror_density(
     incoming: NDArray[np.floating], outgoing: NDArray[np.floating], roughness: float
 ) -> NDArray[np.float64]:
-    """Return the density of `mirror_direction` draws of `sample_visible_normals`, D / (4 cos(o) (1 + Lambda(o))), sr-1, shape (ray,).
+    """Return the density of mirrored `sample_visible_normals`, D / (4 cos(o) (1 + Lambda(o))), sr-1, shape (ray,).
 
-    Directions below the surface have one too: they are drawn, and lost.
+    Directions below the surface have a density too: they are drawn and give zero.
     """
     cos_out = np.maximum(outgoing[:, 2], 1e-12)
     density = normals_density(halfway(incoming, outgoing), roughness)
     return density / (4.0 * cos_out * (1.0 + smith_lambda(cos_out, roughness)))
+
+
+def dielectric(cosine: ArrayLike, refractive_index: float) -> NDArray[np.float64]:
+    """Return the reflectance of unpolarised light on glass, water, lacquer; cosine of the angle from the normal."""
+    parallel, perpendicular = dielectric_polarised(cosine, refractive_index)
+    return 0.5 * (parallel + perpendicular)
+
+
+def dielectric_polarised(cosine: ArrayLike, refractive_index: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the reflectances of light polarised parallel and perpendicular to the plane of incidence."""
+    cos_in = np.clip(np.asarray(cosine, float), 0.0, 1.0)
+    cos_on = np.sqrt(1.0 - (1.0 - cos_in**2) / refractive_index**2)
+    parallel = (refractive_index * cos_in - cos_on) / (refractive_index * cos_in + cos_on)
+    perpendicular = (cos_in - refractive_index * cos_on) / (cos_in + refractive_index * cos_on)
+    return parallel**2, perpendicular**2
+
+
+def conductor(cosine: ArrayLike, refractive_index: float, extinction: float) -> NDArray[np.float64]:
+    """Return the reflectance of unpolarised light on a metal of index n + i k, for cosines from the normal."""
+    cos_in = np.clip(np.asarray(cosine, float), 0.0, 1.0).astype(complex)
+    index = refractive_index + 1j * extinction
+    cos_on = np.sqrt(1.0 - (1.0 - cos_in**2) / index**2)
+    parallel = (index * cos_in - cos_on) / (index * cos_in + cos_on)
+    perpendicular = (cos_in - index * cos_on) / (cos_in + index * cos_on)
+    return 0.5 * (np.abs(parallel) ** 2 + np.abs(perpendicular) ** 2)
+
+
+def schlick_rise(cosine: ArrayLike) -> NDArray[np.float64]:
+    """Return (1 - cosine)^5: a metal of normal reflectance F0 has about F0 + (1 - F0) (1 - cosine)^5 (Schlick 1994)."""
+    return (1.0 - np.clip(np.asarray(cosine, float), 0.0, 1.0)) ** 5
+
+
+NODES, STRATA = 96, 64
+# Steep facets are rare and lose their light: quantiles are denser towards them by this power.
+TAIL_POWER = 4
+
+
+@dataclass(frozen=True, eq=False)
+class AlbedoTable:
+    """Directional albedo over the cosine of the viewing angle, linear between nodes.
+
+    Parameters
+    ----------
+    cosine, albedo
+        Nodes from 0 to 1, and values, both of shape (node,).
+    """
+
+    cosine: NDArray[np.float64]
+    albedo: NDArray[np.float64]
+
+    def at(self, outgoing: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Return the albedo towards directions (ray, 3), shape (ray,)."""
+        return np.interp(outgoing[:, 2], self.cosine, self.albedo)
+
+    @property
+    def mean(self) -> float:
+        """2 int E mu dmu of the broken line, exactly."""
+        low, high = self.cosine[:-1], self.cosine[1:]
+        first, last = self.albedo[:-1], self.albedo[1:]
+        piece = (high - low) / 6.0 * (first * (2.0 * low + high) + last * (low + 2.0 * high))
+        return float(2.0 * piece.sum())
+
+
+@lru_cache(maxsize=64)
+def specular_albedo(roughness: float) -> AlbedoTable:
+    """Return the single-scattering albedo of a rough face with perfectly reflecting facets."""
+    return _rough_albedo(roughness, np.ones_like)
+
+
+@lru_cache(maxsize=64)
+def schlick_albedo(roughness: float) -> AlbedoTable:
+    """Return the albedo of a rough face whose facets reflect (1 - cos)^5."""
+    return _rough_albedo(roughness, schlick_rise)
+
+
+@lru_cache(maxsize=64)
+def dielectric_albedo(roughness: float, refractive_index: float) -> AlbedoTable:
+    """Return the single-scattering albedo of a rough dielectric face."""
+    return _rough_albedo(roughness, lambda cosine: dielectric(cosine, refractive_index))
+
+
+def _rough_albedo(roughness: float, reflectance: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> AlbedoTable:
+    """Integrate over the visible facets: reflectance times the probability that the reflected ray is unmasked."""
+    # Nodes are denser at grazing angles, where the albedo changes most.
+    cosine = np.linspace(0.0, 1.0, NODES) ** 2
+    cosine[0] = 1e-5
+    middle, edge = (np.arange(STRATA) + 0.5) / STRATA, np.arange(STRATA + 1) / STRATA
+    quantile, weight = 1.0 - (1.0 - middle) ** TAIL_POWER, -np.diff((1.0 - edge) ** TAIL_POWER)
+    even = np.stack(np.meshgrid(middle, quantile, indexing="ij"), axis=-1).reshape(-1, 2)
+    weight = np.tile(weight, STRATA) / STRATA
+    albedo = [_one_albedo(float(mu), roughness, reflectance, even) @ weight for mu in cosine]
+    cosine[0] = 0.0
+    return AlbedoTable(read_only(cosine), read_only(np.array(albedo, float)))
+
+
+def _one_albedo(
+    cosine: float,
+    roughness: float,
+    reflectance: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    even: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Return the fraction of light that each sampled facet reflects."""
+    outgoing = np.broadcast_to(directions_at_cosine(np.array([cosine])), (len(even), 3))
+    normal = sample_visible_normals(outgoing, roughness, even)
+    incoming = mirror_direction(outgoing, normal)
+    above = incoming[:, 2] > 0.0
+    behind_eye = smith_lambda(np.array([cosine]), roughness)
+    behind_light = smith_lambda(np.where(above, incoming[:, 2], 1.0), roughness)
+    free = np.where(above, (1.0 + behind_eye) / (1.0 + behind_eye + behind_light), 0.0)
+    return free * reflectance(np.sum(outgoing * normal, axis=1))
+
+
+def base_value(
+    first_in: NDArray[np.floating],
+    first_out: NDArray[np.floating],
+    first_mean: NDArray[np.floating] | float,
+    base: NDArray[np.floating],
+) -> NDArray[np.float64]:
+    """Return the BRDF of the base under a first layer, sr-1.
+
+    Parameters
+    ----------
+    first_in, first_out
+        Albedo of the first layer towards light and viewer, dimensionless.
+    first_mean
+        Its cosine-weighted mean, dimensionless.
+    base
+        Reflectance of the base, dimensionless.
+
+    Notes
+    -----
+    rho (1 - E(i)) (1 - E(o)) / (pi (1 - E_mean)) (Kelemen and Szirmay-Kalos, Eurographics 2001): its albedo is
+    rho (1 - E(o)), so with rho = 1 all light comes back.
+    """
+    return base * (1.0 - first_in) * (1.0 - first_out) / (np.pi * (1.0 - first_mean))
+
+
+def sample_mixture(
+    first: NDArray[np.float64], share: NDArray[np.floating], rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """Return the first directions with a probability `share` (ray,), else draws by the cosine law, shape (ray, 3)."""
+    takes_first = rng.random(len(first)) < share
+    return np.where(takes_first[:, None], first, cosine_directions(len(first), rng))

@@ -1,9 +1,15 @@
-"""What every BRDF offers; directions are unit vectors away from the surface, in a frame whose z is its normal."""
+"""BRDF protocol, Lambertian BRDF, spectral reflectance, and sampling of the hemisphere.
 
+Directions are unit vectors away from the surface, in a frame whose z axis is its normal.
+"""
+
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from labdata.errors import BadInput
 
 
 class Brdf(Protocol):
@@ -11,8 +17,7 @@ class Brdf(Protocol):
 
     Notes
     -----
-    f(i, o) = f(o, i), and int f cos(i) di <= 1 for every o: held by tests for each BRDF here. A direction at or below
-    the surface gives zero.
+    f(i, o) = f(o, i), and int f cos(i) di <= 1 for every o. A direction at or below the surface gives zero.
     """
 
     def value(
@@ -25,7 +30,7 @@ class Brdf(Protocol):
         incoming
             Directions to the light, shape (ray, 3).
         outgoing
-            Directions to the eye, shape (ray, 3).
+            Directions to the viewer, shape (ray, 3).
         wavelength_nm
             Wavelengths, shape (band,), nm.
         """
@@ -34,21 +39,21 @@ class Brdf(Protocol):
     def sample(
         self, outgoing: NDArray[np.floating], rng: np.random.Generator
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Draw one direction to the light for each direction to the eye.
+        """Draw one direction to the light for each direction to the viewer.
 
         Parameters
         ----------
         outgoing
-            Directions to the eye, shape (ray, 3).
+            Directions to the viewer, shape (ray, 3).
         rng
             Source of chance.
 
         Returns
         -------
         incoming
-            Directions, shape (ray, 3); a few may fall below the surface, where `value` is zero.
+            Directions, shape (ray, 3); some may lie below the surface, where `value` is zero.
         density
-            Their probability densities, sr-1, shape (ray,): the same as `pdf` says.
+            Their probability densities, sr-1, shape (ray,), as `pdf`.
         """
         ...
 
@@ -57,5 +62,99 @@ class Brdf(Protocol):
         ...
 
     def albedo(self, outgoing: NDArray[np.floating], wavelength_nm: ArrayLike) -> NDArray[np.float64]:
-        """Return the share of light from a uniform sky that goes to the eye, int f cos(i) di, shape (band, ray)."""
+        """Return the fraction of a uniform sky's light that goes to the viewer, int f cos(i) di, shape (band, ray)."""
         ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Reflectance:
+    """Fraction of light over wavelength, linear between the given values and constant outside.
+
+    Parameters
+    ----------
+    wavelength_nm
+        Wavelengths, ascending, nm; one makes a grey.
+    share
+        Fraction at each, 0 to 1, dimensionless.
+    """
+
+    wavelength_nm: tuple[float, ...] = (550.0,)
+    share: tuple[float, ...] = (0.0,)
+
+    def __post_init__(self) -> None:
+        if not self.wavelength_nm or len(self.wavelength_nm) != len(self.share):
+            raise BadInput(
+                f"a reflectance must have one share per wavelength, got {len(self.wavelength_nm)} wavelengths "
+                f"and {len(self.share)} shares"
+            )
+        if any(b <= a for a, b in zip(self.wavelength_nm, self.wavelength_nm[1:], strict=False)):
+            raise BadInput(f"a material's wavelengths must ascend, got {list(self.wavelength_nm)}")
+        for share in self.share:
+            if not 0.0 <= share <= 1.0:
+                raise BadInput(f"a share of light must lie in [0, 1], got {share:g}")
+
+    def at(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+        """Return the fraction at wavelengths, dimensionless, shape (band,)."""
+        return np.interp(np.atleast_1d(np.asarray(wavelength_nm, float)), self.wavelength_nm, self.share)
+
+
+def grey(share: float) -> Reflectance:
+    """Return the same reflectance at all wavelengths."""
+    return Reflectance(share=(share,))
+
+
+def both_above(incoming: NDArray[np.floating], outgoing: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Return 1 where both directions lie above the surface and 0 elsewhere, shape (ray,)."""
+    return ((incoming[:, 2] > 0.0) & (outgoing[:, 2] > 0.0)).astype(float)
+
+
+def cosine_directions(count: int, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Draw directions with density cos/pi, shape (count, 3)."""
+    square, turn = rng.random(count), 2.0 * np.pi * rng.random(count)
+    radius = np.sqrt(square)
+    return np.column_stack([radius * np.cos(turn), radius * np.sin(turn), np.sqrt(1.0 - square)])
+
+
+def cosine_density(incoming: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Return cos/pi, sr-1, zero below the surface, shape (ray,)."""
+    return np.maximum(incoming[:, 2], 0.0) / np.pi
+
+
+def directions_at_cosine(cosine: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Return unit vectors (x, 0, z) with z given, shape (ray, 3)."""
+    sine = np.sqrt(np.maximum(1.0 - np.square(cosine), 0.0))
+    return np.asarray(np.column_stack([sine, np.zeros_like(sine), cosine]), float)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lambert:
+    """Lambert's law, f = rho / pi.
+
+    Parameters
+    ----------
+    reflectance
+        rho over wavelength.
+    """
+
+    reflectance: Reflectance
+
+    def value(
+        self, incoming: NDArray[np.floating], outgoing: NDArray[np.floating], wavelength_nm: ArrayLike
+    ) -> NDArray[np.float64]:
+        """Return f, sr-1, shape (band, ray)."""
+        return self.reflectance.at(wavelength_nm)[:, None] / np.pi * both_above(incoming, outgoing)
+
+    def sample(
+        self, outgoing: NDArray[np.floating], rng: np.random.Generator
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Draw directions by the cosine law and return them with their densities."""
+        drawn = cosine_directions(len(outgoing), rng)
+        return drawn, cosine_density(drawn)
+
+    def pdf(self, incoming: NDArray[np.floating], outgoing: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Return cos(i) / pi."""
+        return cosine_density(incoming)
+
+    def albedo(self, outgoing: NDArray[np.floating], wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+        """Return rho, shape (band, ray)."""
+        return self.reflectance.at(wavelength_nm)[:, None] * np.ones(len(outgoing))

@@ -1,4 +1,4 @@
-"""Beads and corner cubes: light goes back to where it came from, around it a little, the rest to a matt base."""
+"""Retroreflectors such as beads and corner cubes, over a diffuse base."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -8,11 +8,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from labdata.errors import BadInput
 from labdata.frames import read_only
-from simulate.radiance.brdf.albedo_table import AlbedoTable
-from simulate.radiance.brdf.base_layer import base_value
-from simulate.radiance.brdf.directions import both_above, cosine_density, directions_at_cosine
-from simulate.radiance.brdf.mixture import sample_mixture
-from simulate.radiance.materials.reflectance import Reflectance
+from simulate.radiance.brdf.microfacet import AlbedoTable, base_value, sample_mixture
+from simulate.radiance.brdf.protocol import Reflectance, both_above, cosine_density, directions_at_cosine
 
 NARROWEST_DEG, WIDEST_DEG = 0.02, 20.0
 # Directions of which the lobe's albedo is the mean.
@@ -21,16 +18,16 @@ LATTICE = 8192
 
 @dataclass(frozen=True, kw_only=True)
 class Retroreflector:
-    """A lobe around the direction to the light, over a matt base.
+    """A lobe around the direction to the light, over a diffuse base.
 
     Parameters
     ----------
     share
-        Share of the light in the lobe, over wavelength.
+        Fraction of the light in the lobe, over wavelength.
     reflectance
         Of the base, over wavelength.
     half_width_deg
-        Angle between light and eye at which the lobe has fallen to half, degrees.
+        Angle between light and viewer at half of the lobe's maximum, degrees.
 
     Notes
     -----
@@ -83,7 +80,7 @@ class Retroreflector:
         return 0.5 * _lobe(incoming, outgoing, self.concentration) + 0.5 * cosine_density(incoming)
 
     def albedo(self, outgoing: NDArray[np.floating], wavelength_nm: ArrayLike) -> NDArray[np.float64]:
-        """Return the share of a uniform sky's light that goes to the eye, shape (band, ray)."""
+        """Return the fraction of a uniform sky's light that goes to the viewer, shape (band, ray)."""
         back = self.share.at(wavelength_nm)[:, None] * self._lobe_albedo.at(outgoing)
         return back + (1.0 - back) * self.reflectance.at(wavelength_nm)[:, None]
 
@@ -97,11 +94,11 @@ def _lobe(incoming: NDArray[np.floating], outgoing: NDArray[np.floating], concen
 def _lobe_directions(
     outgoing: NDArray[np.floating], concentration: float, even: NDArray[np.floating]
 ) -> NDArray[np.float64]:
-    """Return directions of the lobe from pairs of numbers even in [0, 1)."""
+    """Return directions of the lobe from pairs of uniform numbers in [0, 1)."""
     apart = -np.log1p(even[:, 0] * np.expm1(-2.0 * concentration)) / concentration
     aside = np.sqrt(np.maximum(apart * (2.0 - apart), 0.0))
     turn = 2.0 * np.pi * even[:, 1]
-    # Any two directions at right angles to the eye's (Duff et al., J. Comput. Graph. Tech. 6(1), 2017).
+    # Two directions normal to the viewing direction (Duff et al., J. Comput. Graph. Tech. 6(1), 2017).
     sign = np.copysign(1.0, outgoing[:, 2])
     a = -1.0 / (sign + outgoing[:, 2])
     b = outgoing[:, 0] * outgoing[:, 1] * a
@@ -114,7 +111,7 @@ def _lobe_directions(
 
 @lru_cache(maxsize=64)
 def _lobe_albedo(concentration: float) -> AlbedoTable:
-    """Return int N cos(i)/max(cos(i), cos(o)) di: what is lost is light that would go below the surface."""
+    """Return int N cos(i)/max(cos(i), cos(o)) di; light below the surface is lost."""
     width = 1.0 / np.sqrt(concentration)
     near = min(8.0 * width, 1.0) * np.linspace(0.0, 1.0, 65) ** 2
     cosine = np.union1d(near, np.linspace(0.0, 1.0, 33))

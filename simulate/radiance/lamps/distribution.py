@@ -1,20 +1,21 @@
-"""Where a lamp shines: intensity over direction in the lamp's own frame, whose z is its axis."""
+"""Lamps and their intensity distributions, in the lamp's frame with the axis as z."""
 
 from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from labdata.errors import BadInput
 from labdata.frames import read_only
+from simulate.radiance.spectrum import SourceSpectrum
 
 
 class Distribution(Protocol):
-    """Share of a lamp's light per solid angle."""
+    """Fraction of a lamp's light per solid angle."""
 
     def per_sr(self, direction: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Return the share of the flux per sr in directions (ray, 3), shape (ray,); its integral is 1."""
+        """Return the fraction of the flux per sr in directions (ray, 3), shape (ray,); its integral is 1."""
         ...
 
 
@@ -29,7 +30,7 @@ class Isotropic:
 
 @dataclass(frozen=True, kw_only=True)
 class Cosine:
-    """A matt emitting surface: the cosine of the angle from the axis."""
+    """A Lambertian emitter: the cosine of the angle from the axis."""
 
     def per_sr(self, direction: NDArray[np.floating]) -> NDArray[np.float64]:
         """Return cos/pi, sr-1, zero behind."""
@@ -43,7 +44,7 @@ class SpotBeam:
     Parameters
     ----------
     half_angle_deg
-        Where intensity has fallen to half, degrees from the axis.
+        Angle from the axis at half intensity, degrees.
     """
 
     half_angle_deg: float
@@ -64,7 +65,7 @@ class SpotBeam:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MeasuredDistribution:
-    """Measured intensities, as goniophotometers give and IES files hold.
+    """Measured intensities, as in goniophotometer and IES files.
 
     Parameters
     ----------
@@ -105,7 +106,7 @@ class MeasuredDistribution:
         return self._total
 
     def per_sr(self, direction: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Return the share of the flux per sr, linear in both angles between the table's."""
+        """Return the fraction of the flux per sr, linear in both angles between the table's."""
         polar = np.rad2deg(np.arccos(np.clip(direction[:, 2], -1.0, 1.0)))
         azimuth = np.rad2deg(np.arctan2(direction[:, 1], direction[:, 0])) % 360.0
         return self._candela(polar, azimuth) / self._total
@@ -142,3 +143,36 @@ class MeasuredDistribution:
         else:
             around = np.trapezoid(self.candela, self.azimuth_deg, axis=0) / self.azimuth_deg[-1]
         return float(2.0 * np.pi * np.sum(np.interp(middle, self.polar_deg, around) * ring))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Lamp:
+    """Spectrum and intensity distribution of a lamp, without a position.
+
+    Parameters
+    ----------
+    flux
+        Radiant flux, W over wavelength (`spectrum`).
+    distribution
+        Intensity distribution in the lamp's frame, z along its axis.
+    """
+
+    flux: SourceSpectrum
+    distribution: Distribution = field(default_factory=Isotropic)
+
+    def intensity(self, direction: NDArray[np.floating], wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+        """Return the spectral radiant intensity, W sr-1 nm-1, shape (band, ray).
+
+        Parameters
+        ----------
+        direction
+            Unit vectors away from the lamp in its frame, shape (ray, 3).
+        wavelength_nm
+            The whole spectral grid, shape (band,), nm; a line's power lies in the bands around it
+            (`SourceSpectrum.on`).
+        """
+        return self.flux.on(wavelength_nm)[:, None] * self.distribution.per_sr(direction)
+
+    def exitance(self, area_m2: float, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+        """Return what a surface of an area gives off when it is this lamp, W m-2 nm-1, shape (band,)."""
+        return self.flux.on(wavelength_nm) / area_m2

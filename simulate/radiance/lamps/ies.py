@@ -1,4 +1,4 @@
-"""Lamps measured by others: photometric files of the form LM-63 of the Illuminating Engineering Society (.ies).
+"""Photometric files of lamps: IES LM-63 (.ies).
 
 Read: editions of 1986, 1991, 1995, 2002 and 2019, photometry of type C, and no correction for tilt. The lamp shines
 along its axis at vertical angle 0; horizontal angles grow from the plane C0 counterclockwise as seen from above a lamp
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from labdata.errors import BadInput
 from simulate.radiance.lamps.distribution import MeasuredDistribution
 
-# A file of more numbers than this is no lamp's.
+# Most angles and bytes of a valid file.
 MOST_ANGLES = 20_000
 LARGEST_BYTES = 16_000_000
 TYPE_C = 1.0
@@ -23,7 +23,7 @@ TYPE_C = 1.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Photometry:
-    """What a file says of a lamp.
+    """Photometry of a lamp from a file.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def parse_photometry(text: str) -> Photometry:
 
 
 def _after_tilt(lines: list[str]) -> Iterator[str]:
-    """The numbers after the keywords; a correction for tilt must be none."""
+    """Return the lines after the keywords; raise BadInput if there is a correction for tilt."""
     for number, line in enumerate(lines):
         said = line.strip()
         if said.upper().startswith("TILT"):
@@ -110,7 +110,7 @@ def _without_tilt(lines: list[str]) -> Iterator[str]:
 
 
 class _Numbers:
-    """Numbers of lines, blanks or commas between them, taken a few at a time."""
+    """Reader of numbers that are separated by blanks or commas, over several lines."""
 
     def __init__(self, lines: Iterator[str]) -> None:
         self.lines = lines
@@ -146,7 +146,7 @@ def _count(what: str, number: float) -> int:
 def _from_zero(
     azimuth: NDArray[np.float64], candela: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Horizontal angles from 0: a lamp given from 90 to 270 deg is the same on both sides of that plane."""
+    """Return horizontal angles from 0: a lamp given from 90 to 270 deg is symmetric about that plane."""
     if (azimuth[0], azimuth[-1]) != (90.0, 270.0):
         return azimuth, candela
     mirrored = (180.0 - azimuth) % 360.0

@@ -5,19 +5,16 @@ from pathlib import Path
 import numpy as np
 
 from labdata.errors import BadInput
-from simulate.radiance.outdoor.description.lamp_placement import NARROW
-from simulate.radiance.photometry import planck
-from simulate.radiance.spectrum import SourceSpectrum
-from simulate.radiance.tables import table
+from simulate.radiance.outdoor.scene import NARROW
+from simulate.radiance.spectrum import SourceSpectrum, planck, table
 
-PACKAGE = "simulate.radiance.lamps"
 FIRST_NM, LAST_NM = 300.0, 1200.0
 # Lines, nm, and power relative to the lamp's visible continuum table (380 to 780 nm, lines included, is 1).
 SODIUM_D = ((589.0, 2.0 / 3.0), (589.6, 1.0 / 3.0))
 SODIUM_NEAR_INFRARED = ((818.3, 0.36), (819.5, 0.64))
 MERCURY = ((404.7, 0.0852), (435.8, 0.1751), (546.1, 0.2185), (577.0, 0.0978), (579.1, 0.0978))
 MERCURY_COATED = ((404.7, 0.0579), (435.8, 0.1239), (546.1, 0.1605), (577.0, 0.0699), (579.1, 0.0699))
-# Visible power, W, for which the tables stand; near-infrared parts are shares of it.
+# Visible power of the tables, W; near-infrared lines are relative to it.
 COLUMNS = {
     "high-pressure-sodium": ("high_pressure_sodium", ()),
     "mercury": ("mercury", MERCURY),
@@ -38,7 +35,7 @@ KINDS = ("incandescent", "low-pressure-sodium", *COLUMNS)
 COLDEST_K, HOTTEST_K = 1000.0, 20000.0
 # Exitance of a black body over T^4, W m-2 K-4.
 STEFAN_BOLTZMANN = 5.670374419e-8
-# A narrow band is a normal distribution out to so many standard deviations, of so many samples.
+# A narrow band is a normal distribution: range in standard deviations, and samples.
 REACH, SAMPLES = 4.0, 65
 
 
@@ -120,7 +117,7 @@ def scale_to(
     if not whole > 0.0:
         needed = "have visible light to be scaled to lumens (state watts)" if unit == "lumens" else "have some power"
         raise BadInput(f"the spectrum of a lamp must {needed}, got none in {name}")
-    return found.scaled(asked / whole)
+    return found.scale(asked / whole)
 
 
 def _narrow(wavelength_nm: float, width_nm: float) -> SourceSpectrum:
@@ -180,7 +177,7 @@ def _discharge(kind: str, near_infrared_share: float) -> SourceSpectrum:
         wavelength, density, lines = np.array([FIRST_NM, LAST_NM]), np.zeros(2), SODIUM_D
     else:
         column, lines = COLUMNS[kind]
-        visible = table(PACKAGE, "visible")
+        visible = table("visible")
         wavelength, density = visible["wavelength_nm"], visible[column]
     lines = (*lines, *((nm, near_infrared_share * part) for nm, part in beyond if near_infrared_share > 0.0))
     return SourceSpectrum(

@@ -1,1 +1,1 @@
-"""A place out of doors: objects, lamps, camera, weather and time, read from TOML and meshes."""
+"""Outdoor scenes: description, geometry, camera and render settings."""

@@ -1,7 +1,8 @@
-"""From the description of a scene to its surfaces: shapes and mesh files, turned, scaled and set in their places."""
+"""Surfaces of a scene from its description: shapes, mesh files and material maps, in their poses."""
 
 import os
 import zlib
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,16 +11,80 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata.errors import BadInput
-from simulate.radiance.embree import Copied
-from simulate.radiance.outdoor.description.objects import METRE, Object, Pose
-from simulate.radiance.outdoor.description.scene import OutdoorScene
-from simulate.radiance.outdoor.material_map import split_by_material
-from simulate.radiance.outdoor.shapes import Mesh, shape
-from simulate.radiance.outdoor.surfaces import Surfaces, collect_surfaces
+from simulate.radiance.geometry.embree import Copied
+from simulate.radiance.geometry.shapes import Mesh, shape
+from simulate.radiance.geometry.surfaces import Surfaces, collect_surfaces
+from simulate.radiance.outdoor.scene import METRE, Object, OutdoorScene, Pose
 
-# Fewest triangles of a mesh with gaps: of fewer, gaps would be holes in walls.
+# Each run of one material along a row becomes a rectangle; an image with more runs is not a map.
+MOST_RUNS = 500_000
+
+
+def split_by_material(path: Path, size_m: tuple[float, ...], materials: Sequence[str]) -> list[tuple[str, Mesh]]:
+    """Return the parts of a plane, one for each material of an image that covers it.
+
+    Parameters
+    ----------
+    path
+        An image of one channel whose values are indices of the materials; its first row lies at +y, its first column at
+        -x.
+    size_m
+        Size of the plane, (x, y), m.
+    materials
+        Names of materials.
+
+    Raises
+    ------
+    BadInput
+        If the image cannot be read, contains other numbers, or changes too often for a map.
+    """
+    from labdata.importers import read_frames
+
+    values = np.asarray(read_frames(path).data[0])
+    wrong = values[(values < 0) | (values >= len(materials)) | (values != np.round(values))]
+    if wrong.size:
+        raise BadInput(
+            f"a material map must hold whole numbers from 0 to {len(materials) - 1}, got {wrong.flat[0]:g} "
+            f"in {path.name}"
+        )
+    row, first, last, number = _runs(values.astype(np.int64))
+    if len(row) > MOST_RUNS:
+        raise BadInput(
+            f"a material map must change at most {MOST_RUNS} times along its rows, got {len(row)} in {path.name}"
+        )
+    rows, columns = values.shape
+    x = np.stack([first, last], axis=1) / columns * size_m[0] - 0.5 * size_m[0]
+    y = 0.5 * size_m[1] - np.stack([row, row + 1], axis=1) / rows * size_m[1]
+    return [
+        (name, _rectangles(x[number == which], y[number == which]))
+        for which, name in enumerate(materials)
+        if (number == which).any()
+    ]
+
+
+def _runs(values: NDArray[np.int64]) -> tuple[NDArray[np.int64], ...]:
+    """Return row, first and last column and value of each run of one value along a row."""
+    columns = values.shape[1]
+    begins = np.ones(values.shape, bool)
+    begins[:, 1:] = values[:, 1:] != values[:, :-1]
+    place = np.flatnonzero(begins)
+    row, first = place // columns, place % columns
+    last = np.append(first[1:], 0)
+    last[last == 0] = columns
+    return row, first, last, values.ravel()[place]
+
+
+def _rectangles(x: NDArray[np.float64], y: NDArray[np.float64]) -> Mesh:
+    """Return rectangles at z = 0 that face up, x from left to right and y from top to bottom, (rectangle, 2) each."""
+    corners = np.stack([x[:, [0, 1, 1, 0]], y[:, [1, 1, 0, 0]], np.zeros((len(x), 4))], axis=-1)
+    first = 4 * np.arange(len(x))[:, None]
+    halves = [first + np.array(half) for half in ([0, 1, 2], [0, 2, 3])]
+    return Mesh(corners.reshape(-1, 3), np.concatenate(halves))
+
+
+# Fewest triangles of a mesh with gaps, so that gaps are small.
 FINE = 400
-# Copies of a mesh that have more triangles together share it: each triangle by itself takes some 700 bytes.
+# Copies with more triangles than this in total share one mesh: a triangle takes some 700 bytes.
 SHARED_FROM = 500_000
 KINDS = (".obj", ".ply", ".stl", ".glb")
 
@@ -30,8 +95,8 @@ def build_surfaces(scene: OutdoorScene) -> Surfaces:
     Raises
     ------
     BadInput
-        If a mesh file cannot be read, holds no triangle, or is open where its surface glows; if an object with gaps has
-        too few triangles.
+        If a mesh file cannot be read, contains no triangle, or is open although its surface emits light; if an object
+        with gaps has too few triangles.
     """
     glass = frozenset(surface.label for surface in scene.material if surface.pane_transmittance is not None)
     glowing = {surface.label for surface in scene.material if surface.glow_lm_per_m2 > 0.0}
@@ -45,14 +110,14 @@ def build_surfaces(scene: OutdoorScene) -> Surfaces:
             pieces = split_by_material(scene.file(thing.map), thing.size_m, thing.map_materials)
             parts += [(thing.label, name, place_mesh(piece, pose)) for name, piece in pieces for pose in poses]
             continue
-        if thing.file is not None and thing.material in glowing and not mesh.closed:
+        if thing.file is not None and thing.material in glowing and not mesh.is_closed:
             raise BadInput(
                 f"the mesh of an object that glows must be closed, so that it has an outer side, got an open one "
                 f"in {thing.file} of {thing.label!r}"
             )
         if thing.gaps > 0.0:
             mesh = remove_triangles(mesh, thing.gaps, thing.label)
-        # What glows or is glass is looked for triangle by triangle.
+        # Emitters and glass are sampled by triangle, so that their copies are not shared.
         shared = thing.material not in glowing | glass and len(poses) * len(mesh.faces) > SHARED_FROM and len(poses) > 1
         if shared:
             copied.append((thing.label, thing.material, _copies(mesh, poses[1:])))
@@ -61,7 +126,7 @@ def build_surfaces(scene: OutdoorScene) -> Surfaces:
 
 
 def _copies(mesh: Mesh, poses: tuple[Pose, ...]) -> Copied:
-    """Return a mesh about its middle, for single precision, and where its copies stand."""
+    """Return a mesh relative to its centre, for single precision, and the poses of its copies."""
     middle = 0.5 * (mesh.vertices_m.min(axis=0) + mesh.vertices_m.max(axis=0))
     turn = np.array([pose.scale * _rotation(pose) for pose in poses])
     shift = np.array([pose.position_m for pose in poses]) + turn @ middle
@@ -69,7 +134,7 @@ def _copies(mesh: Mesh, poses: tuple[Pose, ...]) -> Copied:
 
 
 def remove_triangles(mesh: Mesh, gaps: float, label: str) -> Mesh:
-    """Return a mesh without so large a share of its surface: triangles by chance, the same for the same label.
+    """Remove random triangles up to a fraction of the area, the same ones for the same label.
 
     Raises
     ------
@@ -88,13 +153,13 @@ def remove_triangles(mesh: Mesh, gaps: float, label: str) -> Mesh:
 
 
 def place_mesh(mesh: Mesh, pose: Pose) -> Mesh:
-    """Return a mesh in a pose."""
+    """Transform a mesh into a pose."""
     turned = pose.scale * mesh.vertices_m @ _rotation(pose).T
     return Mesh(turned + np.asarray(pose.position_m), mesh.faces)
 
 
 def _rotation(pose: Pose) -> NDArray[np.float64]:
-    """First the roll about y, then the pitch about x, then the heading about z, clockwise from above."""
+    """Return the rotation: roll about y, then pitch about x, then heading about z, clockwise from above."""
     roll, pitch, heading = np.deg2rad([pose.roll_deg, pose.pitch_deg, -pose.heading_deg])
     about_y = np.array([[np.cos(roll), 0, np.sin(roll)], [0, 1, 0], [-np.sin(roll), 0, np.cos(roll)]])
     about_x = np.array([[1, 0, 0], [0, np.cos(pitch), -np.sin(pitch)], [0, np.sin(pitch), np.cos(pitch)]])
@@ -103,7 +168,7 @@ def _rotation(pose: Pose) -> NDArray[np.float64]:
 
 
 def _mesh(scene: OutdoorScene, thing: Object) -> tuple[Mesh, str]:
-    """Return the triangles of an object, and what its file says of materials."""
+    """Return the triangles of an object, and the materials in its file, in words."""
     if thing.shape is not None:
         return shape(thing.shape, thing.size_m), ""
     assert thing.file is not None and thing.unit is not None
@@ -122,7 +187,7 @@ def _read(path: Path, metre: float) -> tuple[Mesh, str]:
         mesh, own = loaded.to_mesh(), _own_materials([thing.visual for thing in loaded.geometry.values()])
         vertices, faces = np.array(mesh.vertices, float), np.array(mesh.faces, np.int64)
     except Exception as error:
-        # Readers of four formats raise whatever they stumble over.
+        # The readers of the four formats raise many kinds of errors.
         raise BadInput(f"{path.name} must be a whole {path.suffix} mesh: {_first_line(error)}") from None
     if not len(faces):
         raise BadInput(f"a mesh must have triangles, got none in {path.name}")
@@ -136,7 +201,7 @@ def _read(path: Path, metre: float) -> tuple[Mesh, str]:
 
 
 def _own_materials(visuals: list[Any]) -> str:
-    """Return in words what a file's parts have of colours: they say nothing of the near infrared and are not used."""
+    """Return in words the colours in a file, which are not used because they have no near infrared."""
     made = [visual.material for visual in visuals if visual.defined and hasattr(visual, "material")]
     names = sorted({str(material.name) for material in made if material.name})
     words = [f"materials ({', '.join(names)})" if names else "materials"] if made else []

@@ -1,4 +1,4 @@
-"""A scene made ready for light: surfaces built, sky and lamps lit, all of it on the bands that are computed."""
+"""A scene built for rendering: its surfaces, sky, lamps and air on the bands of a rendering."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -8,35 +8,34 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from labdata.errors import BadInput
-from simulate.radiance.atmosphere.air import Atmosphere
+from simulate.radiance.atmosphere import Atmosphere
+from simulate.radiance.brdf.measured import read_measured
 from simulate.radiance.brdf.protocol import Brdf
-from simulate.radiance.lamps import Cosine, Isotropic, Lamp, SpotBeam, read_ies, read_spectrum, spectrum
+from simulate.radiance.geometry.surfaces import Surfaces
+from simulate.radiance.integrator import environment_map
+from simulate.radiance.integrator.light_sources import DiscLight, LampLight, LampPattern, Lighting, Panels, panels_of
+from simulate.radiance.integrator.panes import Panes
+from simulate.radiance.integrator.shading_points import BsdfSet, shading_frames
+from simulate.radiance.integrator.spectral_scene import Air, SpectralScene, air
+from simulate.radiance.lamps.distribution import Cosine, Isotropic, Lamp, SpotBeam
+from simulate.radiance.lamps.ies import read_ies
+from simulate.radiance.lamps.spectra import read_spectrum, spectrum
 from simulate.radiance.outdoor.build import build_surfaces
-from simulate.radiance.outdoor.description.lamp_placement import LampPlacement
-from simulate.radiance.outdoor.description.material import MaterialSpec
-from simulate.radiance.outdoor.description.scene import OutdoorScene
-from simulate.radiance.outdoor.description.surroundings import Weather
-from simulate.radiance.outdoor.measured_surface import read_measured
-from simulate.radiance.outdoor.surfaces import Surfaces
-from simulate.radiance.sky.disc import Disc
+from simulate.radiance.outdoor.materials import MaterialSpec
+from simulate.radiance.outdoor.scene import LampPlacement, OutdoorScene
+from simulate.radiance.outdoor.surroundings import Weather
 from simulate.radiance.sky.ephemeris import ObserverLocation
+from simulate.radiance.sky.moon import Disc
 from simulate.radiance.sky.night_sky import NightSky
-from simulate.radiance.sky.town import TownGlow
-from simulate.radiance.spectral_grid import spectral_grid
-from simulate.radiance.spectrum import SourceSpectrum
-from simulate.radiance.transport import environment_map
-from simulate.radiance.transport.air_path_table import Air, air
-from simulate.radiance.transport.light_sources import DiscLight, LampLight, LampPattern, Lighting, Panels, panels_of
-from simulate.radiance.transport.panes import Panes
-from simulate.radiance.transport.shading_points import BsdfSet, shading_frames
-from simulate.radiance.transport.spectral_scene import SpectralScene
+from simulate.radiance.sky.sky_glow import TownGlow
+from simulate.radiance.spectrum import SourceSpectrum, spectral_grid
 
 Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True)
 class BuiltScene:
-    """A scene with its surfaces and its lights.
+    """A scene with its surfaces and light sources.
 
     Parameters
     ----------
@@ -48,7 +47,7 @@ class BuiltScene:
 
     @cached_property
     def surfaces(self) -> Surfaces:
-        """All surfaces; refuses a lamp that sticks in one."""
+        """All surfaces; raises BadInput if a lamp touches one."""
         found = build_surfaces(self.scene)
         for post in self.scene.lamp:
             _refuse_touching(post, found)
@@ -74,27 +73,27 @@ class BuiltScene:
 
     @cached_property
     def lamps(self) -> tuple[tuple[LampPlacement, Lamp], ...]:
-        """Lamps that shine and their light."""
+        """Lamps with flux, and their light."""
         lamps = ((post, _lamp(self.scene, post)) for post in self.scene.lamp)
         return tuple((post, lamp) for post, lamp in lamps if lamp.flux.total() > 0.0)
 
     @cached_property
     def glows(self) -> tuple[tuple[str, SourceSpectrum], ...]:
-        """Materials that glow and their radiance, W m-2 sr-1: that of a matt surface, exitance over pi."""
+        """Emitting materials and their radiance, W m-2 sr-1: of a Lambertian surface, exitance over pi."""
         return tuple(
-            (surface.label, spectrum(surface.lamp, lumens=surface.glow_lm_per_m2).scaled(1.0 / np.pi))
+            (surface.label, spectrum(surface.lamp, lumens=surface.glow_lm_per_m2).scale(1.0 / np.pi))
             for surface in self.scene.material
             if surface.glow_lm_per_m2 > 0.0
         )
 
     def sources(self) -> tuple[SourceSpectrum, ...]:
-        """Return the spectra of all light."""
+        """Return the spectra of all sources."""
         natural = () if self.sky is None else self.sky.sources()
         lamps = tuple(lamp.flux for _, lamp in self.lamps)
         return (*natural, *lamps, *(glow for _, glow in self.glows))
 
     def bands(self, response_nm: ArrayLike, response: ArrayLike, tolerance: float) -> NDArray[np.float64]:
-        """Return wavelengths that follow light, materials and a sensor, see `spectral_grid`."""
+        """Return the bands for the sources, materials and a sensor, see `spectral_grid`."""
         used = {self.surfaces.materials[number] for number in np.unique(self.surfaces.material_of)}
         used |= set() if self.surfaces.panes is None else set(self.surfaces.panes.materials)
         spectra = [self._spectrum(surface) for surface in self.scene.material if surface.label in used]
@@ -106,20 +105,20 @@ class BuiltScene:
         grid = np.asarray(wavelength_nm, float)
         surfaces = self.surfaces
         by_label = {surface.label: surface for surface in self.scene.material}
-        coats = BsdfSet.of(tuple(self._brdf(by_label[name]) for name in surfaces.materials), grid)
+        bsdfs = BsdfSet.of(tuple(self._brdf(by_label[name]) for name in surfaces.materials), grid)
         if surfaces.panes is not None:
-            coats = replace(coats, panes=_panes(surfaces.panes, by_label, grid))
-        return SpectralScene(surfaces=surfaces, bsdfs=coats, lighting=self._lighting(grid), air=self._air(grid))
+            bsdfs = replace(bsdfs, panes=_panes(surfaces.panes, by_label, grid))
+        return SpectralScene(surfaces=surfaces, bsdfs=bsdfs, lighting=self._lighting(grid), air=self._air(grid))
 
     def _brdf(self, surface: MaterialSpec) -> Brdf:
-        return surface.made.brdf() if surface.measured is None else read_measured(self.scene.file(surface.measured))
+        return surface.material.brdf() if surface.measured is None else read_measured(self.scene.file(surface.measured))
 
     def _spectrum(self, surface: MaterialSpec) -> tuple[Sequence[float], Array]:
-        """Wavelengths of a material's table, and what it reflects there: of a measured one, back along its normal."""
+        """Return wavelengths and reflectance of a material's table; of a measured one the albedo at normal view."""
         if surface.pane_transmittance is not None:
             return surface.wavelength_nm, surface.let_through(np.asarray(surface.wavelength_nm))
         if surface.measured is None:
-            return surface.made.wavelength_nm, surface.made.reflected(surface.made.wavelength_nm)
+            return surface.material.wavelength_nm, surface.material.reflectance_at(surface.material.wavelength_nm)
         table = read_measured(self.scene.file(surface.measured))
         upright = table.albedo(np.array([[0.0, 0.0, 1.0]]), table.wavelength_nm)[:, 0]
         return tuple(float(nm) for nm in table.wavelength_nm), upright
@@ -156,7 +155,7 @@ class BuiltScene:
         return panels_of(self.surfaces, kinds[self.surfaces.material_of], spectra)
 
     def _air(self, grid: NDArray[np.float64]) -> Air:
-        """Air lit by the sky; without a place that of the weather given, which takes light and adds none."""
+        """Return the air lit by the sky; without a place, that of the weather, with attenuation only."""
         if self.sky is not None:
             return air(self.sky.air(), grid)
         return Air() if self.scene.weather is None else air(_atmosphere(self.scene.weather), grid)
@@ -187,7 +186,7 @@ def _without(sky: NightSky, bodies: tuple[Disc, ...]) -> NightSky:
 
 def _lamp(scene: OutdoorScene, post: LampPlacement) -> Lamp:
     beams = {"isotropic": Isotropic, "cosine": Cosine, "spot": lambda: SpotBeam(half_angle_deg=post.half_angle_deg)}
-    measured = read_ies(scene.file(post.beam)) if post.measured else None
+    measured = read_ies(scene.file(post.beam)) if post.has_photometric_file else None
     distribution = beams[post.beam]() if measured is None else measured.table
     power = {"watts": post.watts, "lumens": measured.lumens if post.lumens is None and measured else post.lumens or 0.0}
     if post.kind.endswith(".csv"):
@@ -218,7 +217,7 @@ def _lamp_light(post: LampPlacement, lamp: Lamp, grid: NDArray[np.float64]) -> L
 
 
 def _frame(axis: NDArray[np.float64], heading_deg: float) -> NDArray[np.float64]:
-    """Axes of a lamp, rows: C0, C90 (counterclockwise from above where it shines down) and its axis."""
+    """Return the axes of a lamp as rows: C0, C90 (counterclockwise from above for a lamp that shines down), axis."""
     heading = np.deg2rad(heading_deg)
     first = np.array([np.sin(heading), np.cos(heading), 0.0])
     first -= (first @ axis) * axis
@@ -230,7 +229,7 @@ def _frame(axis: NDArray[np.float64], heading_deg: float) -> NDArray[np.float64]
 
 
 def _refuse_touching(post: LampPlacement, surfaces: Surfaces) -> None:
-    """Refuse a lamp whose ball touches a surface: what shines inside a wall lights nothing as it should."""
+    """Raise BadInput if a lamp's sphere touches a surface, which would occlude it in part."""
     place = np.asarray(post.position_m, float)
     for corners, name in surfaces.near(place, post.radius_m):
         import trimesh

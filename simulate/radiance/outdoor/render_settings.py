@@ -1,11 +1,10 @@
-"""How much of a scene's light a sensor would notice: the bands, rays, bounces and sources that a picture needs.
+"""Render settings: bands, rays, bounces and sources for the error that a sensor tolerates.
 
-A trial of few places keeps every source, with all that its light does, and every bounce apart. What a part
-changes, over the grain of a pixel there (`RenderSensor.grain`), root mean square over the sixteenth of the picture where that is
-most, is its influence; parts whose influences stay together below a share of the tolerance are left out. Bands are
-chosen to change no source by more than another share; the rest is left to chance, by which the whole picture may be off
-in its root mean square. Influences are found at the trial's places, so they are estimates and no bounds: something
-small that the trial missed may have more.
+A pilot run at a few points computes every source and every bounce as a separate component. The influence of a component
+is its rms signal over the sensor's noise floor, in the sixteenth of the frame where that is largest; components whose
+influences are together below a fraction of the tolerance are neglected. Another fraction limits the spectral error of
+the bands, the rest is the rms Monte Carlo error of the rendering. Influences are estimates from the pilot's points, not
+bounds: a small object that the pilot missed may have more.
 """
 
 from dataclasses import dataclass
@@ -14,78 +13,97 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulate.effect_selection import EffectSelection, OptionalEffect, select_effects
+from simulate.radiance.geometry.viewpoint import Viewpoint
+from simulate.radiance.integrator.adaptive_sampling import SamplingSettings
+from simulate.radiance.integrator.integrator_settings import IntegratorSettings
+from simulate.radiance.integrator.outgoing_radiance import radiance_along
+from simulate.radiance.integrator.render_sensor import KNOWN, RenderSensor
+from simulate.radiance.integrator.shading_request import bounce_order
+from simulate.radiance.integrator.spectral_scene import SpectralScene
 from simulate.radiance.outdoor.built_scene import BuiltScene
-from simulate.radiance.outdoor.viewpoint import Viewpoint
-from simulate.radiance.transport.adaptive_sampling import SamplingSettings
-from simulate.radiance.transport.camera_ray_radiance import radiance_along
-from simulate.radiance.transport.integrator_settings import IntegratorSettings
-from simulate.radiance.transport.radiance_components import bounce_order
-from simulate.radiance.transport.render_sensor import KNOWN, RenderSensor
-from simulate.radiance.transport.spectral_scene import SpectralScene
 
-# Places of the trial, rays of each and by which each gathers; bounces that it tells apart, and follows in all.
-TRIAL_PIXELS, TRIAL_RAYS, TRIAL_GATHERED, TRIAL_BOUNCES, TRIAL_LAST = 1600, 2, 4, 4, 24
-# Parts of the picture, down and across, in each of which influences are found by themselves.
-REGIONS = 4
-# Tolerance, as a share of the grain, below which shadows narrower than two pixels are worth twice the time.
-FINE_BELOW = 0.1
-# Shares of the tolerance: for what is left out, for bands, and for chance, which adds by its square.
-SHARE, BANDS, CHANCE = 0.4, 0.2, 0.6
-# Spectral error allowed of any source's signal, at least and at most, and that of the trial.
-FINEST, COARSEST = 0.0005, 0.005
-# Most rays of a pixel; with nothing left out: the same, what chance may change, bounces before paths go on by chance
-# only, and bounces at most.
-MOST, EXACT_MOST, EXACT_CHANCE, EXACT_ROULETTE, EXACT_BOUNCES = 4096, 32768, 0.05, 3, 200
-# Where few bounces are followed, what comes by the last is little: chance ends paths at once, for a fifth of the time.
-EARLY_ROULETTE = 1
-LAST_BOUNCE = f"bounce {TRIAL_BOUNCES} and further"
-# Brightest pixels, per cent, that saturate any sensor: they do not decide how fine the bands are.
-BRIGHTEST = 0.5
-# Rays of a picture at most, where its pixels do not need more at least: a minute or so on two cores.
-RAYS_IN_ALL = 3_000_000
-# Shorter side of the least picture whose pixels share light, px: twice the widest window (`field.WIDTHS`).
-SHARED_FROM_PX = 64
-# Seconds for a million rays and ten bands, as measured on one core: what a part costs.
-SOURCE_S, BOUNCE_S = 0.25, 1.5
+
+@dataclass(frozen=True, kw_only=True)
+class RenderLimits:
+    """Parameters of the pilot run, and the division of the error between its causes."""
+
+    # Points of the pilot, camera and gather rays of each; bounces with components of their own, and most bounces.
+    pilot_points: int = 1600
+    pilot_rays: int = 2
+    pilot_gather_rays: int = 4
+    pilot_bounces: int = 4
+    pilot_max_bounces: int = 24
+    # Regions of the frame, down and across, in which influences are computed separately.
+    regions: int = 4
+    # Fractions of the tolerance for neglected components, for bands, and for the Monte Carlo error.
+    neglect_fraction: float = 0.4
+    band_fraction: float = 0.2
+    monte_carlo_fraction: float = 0.6
+    # Tolerance below which the fine irradiance cache is used, as a fraction of the noise floor; shorter side of the
+    # smallest frame with a cache, px: twice the largest smoothing window.
+    fine_cache_tolerance: float = 0.1
+    min_cached_frame_px: int = 64
+    # Limits of the spectral error of any source's signal; the largest is that of the pilot. Brightest pixels, per cent,
+    # which saturate any sensor and do not affect the choice of bands.
+    min_spectral_error: float = 0.0005
+    max_spectral_error: float = 0.005
+    saturated_percent: float = 0.5
+    # Most rays of a pixel, and of a rendering beyond the fewest of each pixel: about a minute on two cores.
+    max_rays: int = 4096
+    total_rays: int = 3_000_000
+    # With few bounces the last ones carry little light: early Russian roulette takes a fifth of the time.
+    early_roulette_depth: int = 1
+    # Exact renderings: most rays of a pixel, Monte Carlo error, first bounce with Russian roulette, and most bounces.
+    exact_max_rays: int = 32768
+    exact_noise_fraction: float = 0.05
+    exact_roulette_depth: int = 3
+    exact_bounces: int = 200
+    # Cost of a source and of a bounce, s for a million rays and ten bands, measured on one core.
+    source_cost_s: float = 0.25
+    bounce_cost_s: float = 1.5
+
+
+RENDER_LIMITS = RenderLimits()
+LAST_BOUNCE = f"bounce {RENDER_LIMITS.pilot_bounces} and further"
 
 
 @dataclass(frozen=True, kw_only=True)
 class MonteCarloTolerance:
-    """The variance by chance that pixels may have in the mean, by their signal.
+    """Allowed Monte Carlo variance of pixels, as a function of their signal.
 
     Parameters
     ----------
     eye
-        Who looks.
-    of_grain
-        Share of the grain that is the standard deviation of chance, root mean square over the picture.
+        Name of the sensor.
+    noise_floor_fraction
+        Fraction of the noise floor that the Monte Carlo error is, rms over the rendering.
     """
 
     eye: RenderSensor
-    of_grain: float
+    noise_floor_fraction: float
 
     def __call__(self, signal: NDArray[np.floating]) -> NDArray[np.floating]:
-        return (self.of_grain * self.eye.grain(signal)) ** 2
+        return (self.noise_floor_fraction * self.eye.noise_floor(signal)) ** 2
 
 
 @dataclass(frozen=True, kw_only=True)
 class RenderSettings:
-    """What a picture is made with.
+    """Settings of a rendering.
 
     Parameters
     ----------
     wavelength_nm
         Bands, shape (band,), nm.
     spectral_error
-        What bands may change of any source's signal, relative.
+        Largest relative error of any source's signal because of the bands.
     rays, effort
-        How many rays, and how far light is followed.
+        Numbers of rays, and integrator settings.
     plan
-        Parts that are kept and left out, influences in units of a pixel's grain.
-    sees
-        Whose noise that is.
+        Retained and neglected components, influences relative to the noise floor.
+    sensor_name
+        Name of the sensor.
     exact
-        Whether nothing was to be left out.
+        Whether nothing is neglected.
     """
 
     wavelength_nm: NDArray[np.float64]
@@ -93,22 +111,28 @@ class RenderSettings:
     rays: SamplingSettings
     effort: IntegratorSettings
     plan: EffectSelection
-    sees: str
+    sensor_name: str
     exact: bool = False
 
     @property
     def chance(self) -> float:
-        """Share of the grain that is the standard deviation of chance, root mean square over the picture."""
-        return self.rays.allowed.of_grain if isinstance(self.rays.allowed, MonteCarloTolerance) else 0.0
+        """Fraction of the noise floor that the Monte Carlo error is, rms over the rendering."""
+        return (
+            self.rays.error_limit.noise_floor_fraction
+            if isinstance(self.rays.error_limit, MonteCarloTolerance)
+            else 0.0
+        )
 
     def text(self) -> str:
-        """Return the plan for people."""
-        few, most, chance = self.rays.fewest, self.rays.most, self.chance
+        """Return the settings as text."""
+        few, most, chance = self.rays.min_rays, self.rays.max_rays, self.chance
         follows = self.effort
-        bounces = "to the end, by chance" if follows.bounces >= EXACT_BOUNCES else f"{follows.bounces}"
+        bounces = (
+            "to the end, by chance" if follows.max_bounces >= RENDER_LIMITS.exact_bounces else f"{follows.max_bounces}"
+        )
         return "\n".join(
             (
-                f"light, by what {self.sees} would notice of it:",
+                f"light, by what {self.sensor_name} would notice of it:",
                 self.plan.text("rms where it is most"),
                 f"{len(self.wavelength_nm)} bands from {self.wavelength_nm[0]:.0f} to {self.wavelength_nm[-1]:.0f} nm, "
                 f"which change no source's signal by more than {100.0 * self.spectral_error:.2g} %",
@@ -119,31 +143,37 @@ class RenderSettings:
         )
 
     def document(self) -> dict:
-        """Return the plan as plain values, for a file."""
+        """Return the settings as plain values, for a file."""
         return {
             **self.plan.document(),
             "wavelength_nm": self.wavelength_nm.tolist(),
             "spectral_error": self.spectral_error,
-            "bounces": self.effort.bounces,
-            "bounces_by_chance_from": self.effort.roulette_from,
-            "rays": {name: getattr(self.rays, name) for name in ("fewest", "edge", "most", "gathered", "shared")},
+            "bounces": self.effort.max_bounces,
+            "bounces_by_chance_from": self.effort.roulette_depth,
+            "rays": {
+                "fewest": self.rays.min_rays,
+                "edge": self.rays.edge,
+                "most": self.rays.max_rays,
+                "gathered": self.rays.gather_rays,
+                "shared": self.rays.cache_rays,
+            },
             "exact": self.exact,
         }
 
 
 @dataclass(frozen=True)
 class PilotEstimate:
-    """Parts of the light at a few places of a picture.
+    """Radiance components at a few points of a frame.
 
     Parameters
     ----------
     signal
-        Signal of each place, or of each pixel where these hold several, shape (place,).
+        Signal of each point, or of each pixel that contains several, shape (point,).
     parts
-        Signal of each part there by each ray, shape (place, ray), by name. What bounces of a lamp's or a disc's light,
-        or lacks in bounces by hidden sky, is part of the bounce and of the source: who leaves out either lacks it.
+        Signal of each component by ray, shape (point, ray), by name. Reflected light of a lamp or disc, or the part of
+        the bounces occluded from the sky, belongs both to the bounce and to the source: neglecting either removes it.
     shape
-        Places (down, across).
+        Points (down, across).
     """
 
     signal: NDArray[np.floating]
@@ -154,7 +184,7 @@ class PilotEstimate:
 def choose_render_settings(
     site: BuiltScene, view: Viewpoint, eye: RenderSensor, tolerance: float, seed: int
 ) -> tuple[RenderSettings, SpectralScene]:
-    """Choose what a picture for an eye is made with, and return the scene on the bands chosen.
+    """Choose the settings of a rendering for a sensor, and return the scene on the chosen bands.
 
     Parameters
     ----------
@@ -163,76 +193,90 @@ def choose_render_settings(
     eye
         The sensor's response and noise.
     tolerance
-        What leaving out and chance may change together, as a share of a pixel's grain, root mean square.
+        Total rms error by neglected components and Monte Carlo noise, as a fraction of a pixel's noise floor.
     seed
-        Seed of the trial.
+        Seed of the pilot.
     """
-    stage = site.on(site.bands(eye.response_nm, eye.response, COARSEST))
+    stage = site.on(site.bands(eye.response_nm, eye.response, RENDER_LIMITS.max_spectral_error))
     tried = trial(stage, view, eye, seed)
-    chosen = select_effects(_effects(tried, eye, view, stage.bands), SHARE * tolerance)
-    bright = float(np.percentile(tried.signal, 100.0 - BRIGHTEST)) if len(tried.signal) else 0.0
+    chosen = select_effects(_effects(tried, eye, view, stage.bands), RENDER_LIMITS.neglect_fraction * tolerance)
+    bright = float(np.percentile(tried.signal, 100.0 - RENDER_LIMITS.saturated_percent)) if len(tried.signal) else 0.0
     error = float(
-        np.clip(BANDS * tolerance * float(eye.grain(bright, smooth=True)) / max(bright, 1e-30), FINEST, COARSEST)
+        np.clip(
+            RENDER_LIMITS.band_fraction * tolerance * float(eye.noise_floor(bright, smooth=True)) / max(bright, 1e-30),
+            RENDER_LIMITS.min_spectral_error,
+            RENDER_LIMITS.max_spectral_error,
+        )
     )
-    if error < COARSEST:
+    if error < RENDER_LIMITS.max_spectral_error:
         stage = site.on(site.bands(eye.response_nm, eye.response, error))
     plan = EffectSelection(tolerance=tolerance, kept=chosen.kept, left_out=chosen.left_out)
     return RenderSettings(
         wavelength_nm=stage.bsdfs.wavelength_nm,
         spectral_error=error,
         rays=SamplingSettings(
-            most=MOST,
-            in_all=RAYS_IN_ALL,
-            shared=_n_cache_rays(view),
-            fine=tolerance < FINE_BELOW,
-            allowed=MonteCarloTolerance(eye=eye, of_grain=CHANCE * tolerance),
+            max_rays=RENDER_LIMITS.max_rays,
+            total_rays=RENDER_LIMITS.total_rays,
+            cache_rays=_n_cache_rays(view),
+            refine=tolerance < RENDER_LIMITS.fine_cache_tolerance,
+            error_limit=MonteCarloTolerance(
+                eye=eye, noise_floor_fraction=RENDER_LIMITS.monte_carlo_fraction * tolerance
+            ),
         ),
         effort=_effort(plan),
         plan=plan,
-        sees=eye.name,
+        sensor_name=eye.name,
     ), stage
 
 
 def _n_cache_rays(view: Viewpoint) -> int | None:
-    """Rays of a node of shared light; None where the picture is no larger than the windows over which it is evened."""
-    return SamplingSettings().shared if min(view.shape) >= SHARED_FROM_PX else None
+    """Return the first rays of a cache node; None for a frame smaller than the largest smoothing window."""
+    return SamplingSettings().cache_rays if min(view.shape) >= RENDER_LIMITS.min_cached_frame_px else None
 
 
 def exact(site: BuiltScene, view: Viewpoint, eye: RenderSensor, seed: int) -> tuple[RenderSettings, SpectralScene]:
-    """Return the plan that leaves nothing out, and the scene on its bands: for reference, and slow."""
-    stage = site.on(site.bands(eye.response_nm, eye.response, FINEST))
+    """Return settings that neglect nothing, and the scene on their bands: a slow reference."""
+    stage = site.on(site.bands(eye.response_nm, eye.response, RENDER_LIMITS.min_spectral_error))
     effects = _effects(trial(stage, view, eye, seed), eye, view, stage.bands)
     return RenderSettings(
         wavelength_nm=stage.bsdfs.wavelength_nm,
-        spectral_error=FINEST,
+        spectral_error=RENDER_LIMITS.min_spectral_error,
         rays=SamplingSettings(
-            fewest=4, edge=64, most=EXACT_MOST, shared=None, allowed=MonteCarloTolerance(eye=eye, of_grain=EXACT_CHANCE)
+            min_rays=4,
+            edge=64,
+            max_rays=RENDER_LIMITS.exact_max_rays,
+            cache_rays=None,
+            error_limit=MonteCarloTolerance(eye=eye, noise_floor_fraction=RENDER_LIMITS.exact_noise_fraction),
         ),
-        effort=IntegratorSettings(bounces=EXACT_BOUNCES, roulette_from=EXACT_ROULETTE),
+        effort=IntegratorSettings(
+            max_bounces=RENDER_LIMITS.exact_bounces, roulette_depth=RENDER_LIMITS.exact_roulette_depth
+        ),
         plan=EffectSelection(tolerance=0.0, kept=tuple(effects), left_out=()),
-        sees=eye.name,
+        sensor_name=eye.name,
         exact=True,
     ), stage
 
 
 def trial(stage: SpectralScene, view: Viewpoint, eye: RenderSensor, seed: int) -> PilotEstimate:
-    """Return the parts of the light at places spread over a picture."""
+    """Return the radiance components at points spread over a frame."""
     rng = np.random.default_rng([seed, 2])
     place = _Places.over(view)
-    row, col = place.drawn(rng)
+    row, col = place.draw(rng)
     origin, towards = view.rays(row, col)
     weight = eye.weight(stage.bsdfs.wavelength_nm)
     found = radiance_along(
         stage,
         origin,
         towards,
-        IntegratorSettings(bounces=TRIAL_LAST, roulette_from=TRIAL_BOUNCES),
+        IntegratorSettings(max_bounces=RENDER_LIMITS.pilot_max_bounces, roulette_depth=RENDER_LIMITS.pilot_bounces),
         rng,
-        gathered=TRIAL_GATHERED,
+        gather_rays=RENDER_LIMITS.pilot_gather_rays,
         split=True,
     ).found
     by_name = {name: place.means(light @ weight) for name, light in found.items()}
-    signal = np.asarray(sum(by_name.values(), start=np.zeros((int(np.prod(place.shape)), TRIAL_RAYS)))).mean(axis=1)
+    signal = np.asarray(
+        sum(by_name.values(), start=np.zeros((int(np.prod(place.shape)), RENDER_LIMITS.pilot_rays)))
+    ).mean(axis=1)
     parts: dict[str, NDArray[np.floating]] = {}
     for name, light in by_name.items():
         for part in _parts_of(name, (*stage.lighting.names, "hidden sky")):
@@ -245,7 +289,7 @@ def trial(stage: SpectralScene, view: Viewpoint, eye: RenderSensor, seed: int) -
 
 @dataclass(frozen=True)
 class _Places:
-    """Places spread evenly over a picture, shape (place,); where pixels hold several, a pixel's count as one."""
+    """Points on a regular grid over a frame, shape (point,); several points in a pixel count as one."""
 
     row: NDArray[np.floating]
     col: NDArray[np.floating]
@@ -256,7 +300,7 @@ class _Places:
     @classmethod
     def over(cls, view: Viewpoint) -> "_Places":
         rows, columns = view.shape
-        across = np.sqrt(TRIAL_PIXELS * columns / rows)
+        across = np.sqrt(RENDER_LIMITS.pilot_points * columns / rows)
         many = (max(1, int(across * rows / columns)), max(1, int(across)))
         row, col = (
             axis.ravel()
@@ -269,44 +313,44 @@ class _Places:
             return cls(row, col, spread, np.arange(len(row)), many)
         return cls(row, col, spread, row.astype(np.int64) * columns + col.astype(np.int64), view.shape)
 
-    def drawn(self, rng: np.random.Generator) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-        """Draw rows and columns of `TRIAL_RAYS` rays around each place, (place and ray,)."""
-        jitter = rng.random((2, len(self.row) * TRIAL_RAYS)) - 0.5
+    def draw(self, rng: np.random.Generator) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+        """Draw rows and columns of `RENDER_LIMITS.pilot_rays` rays around each point, (point and ray,)."""
+        jitter = rng.random((2, len(self.row) * RENDER_LIMITS.pilot_rays)) - 0.5
         row, col = (
-            np.repeat(axis, TRIAL_RAYS) + apart * spread
+            np.repeat(axis, RENDER_LIMITS.pilot_rays) + apart * spread
             for axis, apart, spread in zip((self.row, self.col), jitter, self.spread, strict=True)
         )
         return row, col
 
     def means(self, signal: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Return signals of rays as means of each place that counts, by first and second rays, shape (place, ray)."""
-        each = signal.reshape(-1, TRIAL_RAYS).astype(float)
+        """Return mean signals of each counted point, separately by first and second rays, shape (point, ray)."""
+        each = signal.reshape(-1, RENDER_LIMITS.pilot_rays).astype(float)
         count = np.bincount(self.pixel, minlength=int(np.prod(self.shape)))
         total = [np.bincount(self.pixel, ray, minlength=len(count)) for ray in each.T]
         return np.stack(total, axis=1) / count[:, None]
 
 
 def _parts_of(name: str, sources: tuple[str, ...]) -> tuple[str, ...]:
-    """Parts to which light belongs: the order of its bounce, and its source, if it is one that a plan may leave out."""
+    """Return the components that light belongs to: its bounce, and its source if that may be neglected."""
     order, source = bounce_order(name)
     if order == 0:
         return (name,)
-    last = LAST_BOUNCE if order >= TRIAL_BOUNCES else f"bounce {order}"
+    last = LAST_BOUNCE if order >= RENDER_LIMITS.pilot_bounces else f"bounce {order}"
     return (last, source) if source in sources else (last,)
 
 
 def _air_between(
     stage: SpectralScene, origin: NDArray[np.floating], towards: NDArray[np.floating], seed: int
 ) -> NDArray[np.float32]:
-    """Light of lamps that air takes before it reaches surfaces: the same rays with and without."""
+    """Return the lamp light that air attenuates before it reaches surfaces: the same rays with and without air."""
     with_air, without = (
         radiance_along(
             stage,
             origin,
             towards,
-            IntegratorSettings(bounces=0, hidden_sky=False, air_between=between),
+            IntegratorSettings(max_bounces=0, sky_shadowing=False, path_air=between),
             np.random.default_rng([seed, 3]),
-            gathered=1,
+            gather_rays=1,
         ).total()
         for between in (True, False)
     )
@@ -314,16 +358,16 @@ def _air_between(
 
 
 def _effects(tried: PilotEstimate, eye: RenderSensor, view: Viewpoint, bands: int) -> list[OptionalEffect]:
-    """Turn parts into effects: their influence, and what they would cost."""
-    grain = eye.grain(tried.signal, smooth=True)[:, None]
-    million = view.shape[0] * view.shape[1] * SamplingSettings().fewest * 1e-6 * bands / 10.0
+    """Return effects of the components: influence and cost."""
+    grain = eye.noise_floor(tried.signal, smooth=True)[:, None]
+    million = view.shape[0] * view.shape[1] * SamplingSettings().min_rays * 1e-6 * bands / 10.0
     influence = {
         name: _influence(part / grain, tried.shape)
         for name, part in tried.parts.items()
         if name not in ("in view", "sky")
     }
-    # A bounce cannot be followed without those before it.
-    orders = [f"bounce {order}" for order in range(1, TRIAL_BOUNCES)] + [LAST_BOUNCE]
+    # A bounce needs all lower bounces.
+    orders = [f"bounce {order}" for order in range(1, RENDER_LIMITS.pilot_bounces)] + [LAST_BOUNCE]
     for order, further in zip(orders[-2::-1], orders[:0:-1], strict=True):
         if further in influence:
             influence[order] = max(influence.get(order, 0.0), influence[further])
@@ -333,18 +377,21 @@ def _effects(tried: PilotEstimate, eye: RenderSensor, view: Viewpoint, bands: in
 
 
 def _influence(part: NDArray[np.floating], shape: tuple[int, int]) -> float:
-    """Root mean square of a part (place, ray) over the region where that is largest.
+    """Return the rms of a component (point, ray) over the region where it is largest.
 
     Notes
     -----
-    The mean square is that of the product of two rays of the same place, which chance does not enlarge as it would the
-    square of their mean: specks of one ray find no like in the other.
+    The mean square is that of the product of two rays of the same point, which is not biased by Monte Carlo noise as
+    the square of their mean would be.
     """
     square = (part[:, 0] * part[:, 1]).reshape(shape)
+    count = RENDER_LIMITS.regions
     regions = [
-        region.mean() for rows in np.array_split(square, REGIONS) for region in np.array_split(rows, REGIONS, axis=1)
+        region.mean()
+        for rows in np.array_split(square, count)
+        for region in np.array_split(rows, count, axis=1)
         if region.size
-    ]  # fmt: skip
+    ]
     return float(np.sqrt(max(0.0, *regions)))
 
 
@@ -353,18 +400,18 @@ def _is_gathered(name: str) -> bool:
 
 
 def _cost(name: str) -> float:
-    return BOUNCE_S if _is_gathered(name) else SOURCE_S
+    return RENDER_LIMITS.bounce_cost_s if _is_gathered(name) else RENDER_LIMITS.source_cost_s
 
 
 def _effort(plan: EffectSelection) -> IntegratorSettings:
     orders = [int(effect.name.split()[1]) for effect in plan.kept if effect.name.startswith("bounce ")]
     out = plan.names
     followed = max(orders, default=0)
-    to_the_end = followed >= TRIAL_BOUNCES
+    to_the_end = followed >= RENDER_LIMITS.pilot_bounces
     return IntegratorSettings(
-        bounces=EXACT_BOUNCES if to_the_end else followed,
-        hidden_sky="hidden sky" not in out,
-        air_between="air before surfaces" not in out,
-        left_out=frozenset(out),
-        roulette_from=EXACT_ROULETTE if to_the_end else EARLY_ROULETTE,
+        max_bounces=RENDER_LIMITS.exact_bounces if to_the_end else followed,
+        sky_shadowing="hidden sky" not in out,
+        path_air="air before surfaces" not in out,
+        neglected=frozenset(out),
+        roulette_depth=RENDER_LIMITS.exact_roulette_depth if to_the_end else RENDER_LIMITS.early_roulette_depth,
     )

@@ -1,4 +1,4 @@
-"""Where sun and moon stand over a place at a time, how far they are, and how the moon is lit."""
+"""Ephemeris of sun and moon for an observer: directions, distances, phase, libration and eclipses."""
 
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -15,7 +15,7 @@ FIRST_YEAR, LAST_YEAR = 1900, 2100
 
 @dataclass(frozen=True, kw_only=True)
 class ObserverLocation:
-    """A place on the ground.
+    """Location of an observer.
 
     Parameters
     ----------
@@ -40,14 +40,14 @@ class ObserverLocation:
 
 @dataclass(frozen=True, kw_only=True)
 class Body:
-    """Sun or moon as seen from a place, without refraction.
+    """Sun or moon for an observer, without refraction.
 
     Parameters
     ----------
     direction
         Unit vector: x east, y north, z up.
     distance_km
-        From the place, km.
+        From the observer, km.
     radius_km
         Of the body, km.
     """
@@ -73,13 +73,13 @@ class Body:
 
     @property
     def position_km(self) -> NDArray[np.float64]:
-        """Vector from the place, km."""
+        """Vector from the observer, km."""
         return self.distance_km * np.asarray(self.direction)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ephemeris:
-    """Sun and moon over a place at one time.
+    """Sun and moon for an observer at one time.
 
     Parameters
     ----------
@@ -99,12 +99,12 @@ class Ephemeris:
 
     @property
     def phase_deg(self) -> float:
-        """Angle at the moon between sun and place: 0 at full moon, degrees."""
+        """Angle at the moon between sun and observer: 0 at full moon, degrees."""
         return angle_deg(self.sun.position_km - self.moon.position_km, -self.moon.position_km)
 
     @property
     def sunlit_share(self) -> float:
-        """Share of the sun that the moon's centre sees past the earth, 0 in the umbra of an eclipse, dimensionless."""
+        """Fraction of the sun visible from the moon's centre, 0 in the umbra of the earth, dimensionless."""
         to_earth = np.array([0.0, 0.0, -EARTH_RADIUS_KM]) - self.moon.position_km
         to_sun = self.sun.position_km - self.moon.position_km
         sun, earth = (
@@ -115,13 +115,13 @@ class Ephemeris:
 
     @property
     def sun_share(self) -> float:
-        """Share of the sun's disc that the moon leaves free at the place, dimensionless."""
+        """Fraction of the sun's disc that the moon does not cover for the observer, dimensionless."""
         apart = np.deg2rad(angle_deg(self.sun.position_km, self.moon.position_km))
         return visible_disc_fraction(self.sun.angular_radius_rad, self.moon.angular_radius_rad, float(apart))
 
 
 def ephemeris(place: ObserverLocation, time: datetime) -> Ephemeris:
-    """Return sun and moon over a place at a time, topocentric and without refraction.
+    """Return sun and moon for an observer at a time, topocentric and without refraction.
 
     Parameters
     ----------
@@ -182,7 +182,7 @@ def angle_deg(one: NDArray[np.floating], other: NDArray[np.floating]) -> float:
 
 
 def visible_disc_fraction(radius: float, cover_radius: float, apart: float) -> float:
-    """Return the share of a disc that another in front of it leaves free; radii and distance in rad."""
+    """Return the fraction of a disc that another one in front of it does not cover; radii and distance in rad."""
     if apart >= radius + cover_radius:
         return 1.0
     if apart <= abs(radius - cover_radius):

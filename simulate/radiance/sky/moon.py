@@ -1,14 +1,28 @@
-"""The moon's light by the ROLO model: disc reflectance over phase, libration and wavelength."""
+"""Spectra of sun and moon, the latter by the ROLO model, and their discs as light sources."""
 
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from simulate.radiance.atmosphere import Atmosphere
 from simulate.radiance.sky.ephemeris import AU_KM, Ephemeris
-from simulate.radiance.sky.sun import PACKAGE, sun_spectrum
-from simulate.radiance.spectrum import SourceSpectrum
-from simulate.radiance.tables import table
+from simulate.radiance.spectrum import SourceSpectrum, require_grid, table
+
+
+def sun_spectrum(distance_au: float = 1.0) -> SourceSpectrum:
+    """Return the sun's irradiance normal to the beam, W m-2, at a distance in astronomical units.
+
+    Notes
+    -----
+    ASTM G173-03's extraterrestrial spectrum in steps of 5 nm: Fraunhofer lines are averaged, 133,100 lux are kept.
+    """
+    sun = table("sun")
+    return SourceSpectrum(
+        wavelength_nm=sun["wavelength_nm"], density=sun["irradiance_w_m2_nm"] / np.square(distance_au)
+    )
+
 
 SOLID_ANGLE_SR = 6.4177e-5
 STANDARD_KM = 384_400.0
@@ -47,7 +61,7 @@ def band_reflectance(
     + d3 cos((g - p3)/p4) (Kieffer and Stone, Astron. J. 129, 2887, 2005, eq. 10, model 311g). Fitted for phases from
     1.55 to 97 degrees; it is used beyond, where it stays within 0.35 mag of Allen's phase curve up to 150 degrees.
     """
-    rolo = table(PACKAGE, "rolo")
+    rolo = table("rolo")
     phase = np.deg2rad(phase_deg)
     sun = np.deg2rad(phase_deg if sun_longitude_deg is None else sun_longitude_deg)
     logarithm = sum(rolo[f"a{i}"] * phase**i for i in range(4))
@@ -63,7 +77,7 @@ def band_reflectance(
 @cache
 def _smoother() -> NDArray[np.float64]:
     """Return the matrix that takes values at the bands to polynomial coefficients, by least squares."""
-    powers = np.vander(_scale_wavelength(table(PACKAGE, "rolo")["wavelength_nm"]), SMOOTHING_DEGREE + 1)
+    powers = np.vander(_scale_wavelength(table("rolo")["wavelength_nm"]), SMOOTHING_DEGREE + 1)
     return np.asarray(np.linalg.pinv(powers), float)
 
 
@@ -100,7 +114,7 @@ def moon_spectrum(
     E = A Omega / pi E_sun / (d_sun/AU)^2 (384,400 km / d_moon)^2, Omega 6.4177e-5 sr.
     """
     share = SOLID_ANGLE_SR / np.pi * (STANDARD_KM / moon_distance_km) ** 2
-    return sun_spectrum(sun_distance_au).filtered(lambda nm: share * moon_reflectance(nm, *geometry))
+    return sun_spectrum(sun_distance_au).multiply(lambda nm: share * moon_reflectance(nm, *geometry))
 
 
 def moonlight(at: Ephemeris) -> SourceSpectrum:
@@ -114,4 +128,54 @@ def moonlight(at: Ephemeris) -> SourceSpectrum:
         moon_distance_km=at.moon.distance_km,
         sun_distance_au=float(np.linalg.norm(from_sun)) / AU_KM,
     )
-    return light.scaled(at.sunlit_share)
+    return light.scale(at.sunlit_share)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Disc:
+    """Sun or moon.
+
+    Parameters
+    ----------
+    name
+        "sun" or "moon".
+    direction
+        Unit vector (x east, y north, z up) to its centre.
+    angular_radius_rad
+        Radius, rad.
+    extraterrestrial
+        Irradiance before the atmosphere, normal to the beam, W m-2.
+    atmosphere
+        Air that its light crosses.
+    """
+
+    name: str
+    direction: tuple[float, float, float]
+    angular_radius_rad: float
+    extraterrestrial: SourceSpectrum
+    atmosphere: Atmosphere
+
+    @property
+    def elevation_deg(self) -> float:
+        """Height of the centre over the horizon, degrees."""
+        return float(np.rad2deg(np.arcsin(np.clip(self.direction[2], -1.0, 1.0))))
+
+    @property
+    def visible_share(self) -> float:
+        """Fraction of the disc above a level horizon, dimensionless."""
+        height = np.clip(np.deg2rad(self.elevation_deg) / self.angular_radius_rad, -1.0, 1.0)
+        return float(0.5 + (np.arcsin(height) + height * np.sqrt(1.0 - height**2)) / np.pi)
+
+    def irradiance(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+        """Return the irradiance at the ground, normal to the beam, W m-2 nm-1, shape (band,); zero when set.
+
+        Parameters
+        ----------
+        wavelength_nm
+            The complete spectral grid, shape (band,), nm.
+        """
+        grid = require_grid(wavelength_nm)
+        # Absorption bands of gases are narrower than spectral bands: transmittance is applied before averaging.
+        air, height = self.atmosphere, self.elevation_deg
+        left = self.extraterrestrial.multiply(lambda nm: air.slant_transmittance(height, nm)[:, 0])
+        return self.visible_share * left.on(grid)

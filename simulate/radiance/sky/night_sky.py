@@ -1,4 +1,4 @@
-"""The sky as a scene's light: sun, moon, what the air makes of them, airglow, stars, towns."""
+"""Sky radiance: sun and moon, scattered light, twilight, airglow, zodiacal light, stars and towns."""
 
 from dataclasses import dataclass, field, replace
 from datetime import datetime
@@ -7,18 +7,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from labdata.errors import BadInput
-from simulate.radiance.atmosphere.air import Atmosphere
-from simulate.radiance.atmosphere.airmass import airmass
+from simulate.radiance.atmosphere import Atmosphere, airmass
 from simulate.radiance.cube import band_widths
-from simulate.radiance.photometry import LUMENS_PER_WATT, luminous_efficiency
-from simulate.radiance.sky import scattering, twilight
-from simulate.radiance.sky.dark_sky import dark_sky, van_rhijn
-from simulate.radiance.sky.disc import Disc
+from simulate.radiance.sky import scattering, sky_glow
 from simulate.radiance.sky.ephemeris import AU_KM, Ephemeris, ObserverLocation, ephemeris
-from simulate.radiance.sky.moon import moonlight
-from simulate.radiance.sky.sun import sun_spectrum
-from simulate.radiance.sky.town import TownGlow
-from simulate.radiance.spectrum import SourceSpectrum, require_grid, sum_spectra
+from simulate.radiance.sky.moon import Disc, moonlight, sun_spectrum
+from simulate.radiance.sky.sky_glow import TownGlow, dark_sky, van_rhijn
+from simulate.radiance.spectrum import LUMENS_PER_WATT, SourceSpectrum, luminous_efficiency, require_grid, sum_spectra
 
 # Irradiance over pi times the zenith's radiance of a layer of airglow, above the air (`van_rhijn`).
 AIRGLOW_HEMISPHERE = 1.715
@@ -39,11 +34,11 @@ class NightSky:
     towns
         Glow of towns.
     ground_albedo
-        Of the land around, which lights the sky from below.
+        Albedo of the surrounding land, which lights the sky from below.
 
     Notes
     -----
-    Directions have x east, y north, z up. Clouds are not there: an overcast sky is a weather of its own.
+    Directions have x east, y north, z up. There are no clouds.
     """
 
     atmosphere: Atmosphere = field(default_factory=Atmosphere)
@@ -90,7 +85,7 @@ class NightSky:
 
     def sources(self) -> tuple[SourceSpectrum, ...]:
         """Return the spectra that light the scene, for `spectral_grid`."""
-        bodies = [body.extraterrestrial for body in self.bodies if body.elevation_deg > -twilight.LAST_DEG]
+        bodies = [body.extraterrestrial for body in self.bodies if body.elevation_deg > -sky_glow.LAST_DEG]
         return (*bodies, self._night(), *(town.spectrum for town in self.towns))
 
     def radiance(self, direction: NDArray[np.floating], wavelength_nm: ArrayLike) -> NDArray[np.float64]:
@@ -101,7 +96,7 @@ class NightSky:
         direction
             Unit vectors, shape (path, 3); below the horizon there is no sky and the radiance is zero.
         wavelength_nm
-            The whole spectral grid, shape (band,), nm.
+            The complete spectral grid, shape (band,), nm.
         """
         grid = require_grid(wavelength_nm)
         total = self._night_radiance(direction, grid)
@@ -111,7 +106,7 @@ class NightSky:
                 total += self._endless(body, direction, grid) * scattering.sky_depth(depth, direction)
             glow = self._twilight(body)
             if glow is not None:
-                total += glow.on(grid)[:, None] * twilight.twilight_shape(direction, body.direction)
+                total += glow.on(grid)[:, None] * sky_glow.twilight_shape(direction, body.direction)
         return total * (direction[:, 2] >= 0.0)
 
     def air_radiance(self, direction: NDArray[np.floating], wavelength_nm: ArrayLike) -> NDArray[np.float64]:
@@ -135,7 +130,7 @@ class NightSky:
         for body in self.bodies:
             glow = self._twilight(body)
             if glow is not None:
-                around += glow.on(grid) * (twilight.twilight_shape(directions, body.direction) @ cosine)
+                around += glow.on(grid) * (sky_glow.twilight_shape(directions, body.direction) @ cosine)
         even = 0.5 * (1.0 + self.ground_albedo) / np.pi * around + self._night_air(grid)
         return total + even[:, None]
 
@@ -162,22 +157,22 @@ class NightSky:
         """Return the radiance of an endless path lit by one body; the sky it makes has the diffuse irradiance known."""
         depth, molecules = scattering.scattering_parts(self.atmosphere, grid)
         # Followed through the narrow bands of gases before it is put on the grid.
-        diffuse = body.extraterrestrial.filtered(
+        diffuse = body.extraterrestrial.multiply(
             lambda nm: scattering.diffuse_share(self.atmosphere, body.elevation_deg, nm, self.ground_albedo)
         )
         per_shape = diffuse.on(grid) / scattering.level_irradiance(body.direction, depth, molecules)
         return per_shape[:, None] * scattering.endless_path(direction, body.direction, molecules)
 
     def _twilight(self, body: Disc) -> SourceSpectrum | None:
-        return twilight.twilight_spectrum(body.elevation_deg, body.extraterrestrial.lumens / sun_spectrum().lumens)
+        return sky_glow.twilight_spectrum(body.elevation_deg, body.extraterrestrial.lumens / sun_spectrum().lumens)
 
     def _night(self) -> SourceSpectrum:
         dark = dark_sky()
         return sum_spectra(
             [
-                dark.airglow.scaled(self.airglow),
-                dark.zodiacal.scaled(self.zodiacal),
-                dark.starlight.scaled(self.starlight),
+                dark.airglow.scale(self.airglow),
+                dark.zodiacal.scale(self.zodiacal),
+                dark.starlight.scale(self.starlight),
             ]
         )
 
@@ -219,9 +214,9 @@ class NightSky:
         )
 
     def _direct_fraction(self, elevation_deg: NDArray[np.floating], grid: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the share of light from all over that crosses the air without being turned, shape (band, path).
+        """Return the transmittance for isotropic light, shape (band, path).
 
-        Haze scatters forward: only 1 - g of its depth turns light.
+        Haze scatters forward: only 1 - g of its depth counts.
         """
         air = self.atmosphere
         depth = air.molecules_depth(grid) + (1.0 - scattering.ASYMMETRY) * air.haze_depth(grid)
@@ -229,7 +224,7 @@ class NightSky:
 
 
 def _bodies(at: Ephemeris, air: Atmosphere) -> tuple[Disc, ...]:
-    sunlight = sun_spectrum(at.sun.distance_km / AU_KM).scaled(at.sun_share)
+    sunlight = sun_spectrum(at.sun.distance_km / AU_KM).scale(at.sun_share)
     return tuple(
         Disc(
             name=name,

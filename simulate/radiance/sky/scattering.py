@@ -1,13 +1,11 @@
-"""Sunlight and moonlight scattered by the air: how much comes down, and how it is spread over the sky."""
+"""Scattering of sunlight and moonlight by the atmosphere: diffuse irradiance and angular distribution."""
 
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from simulate.radiance.atmosphere.aerosol import scattering_albedo
-from simulate.radiance.atmosphere.air import Atmosphere
-from simulate.radiance.atmosphere.airmass import airmass
+from simulate.radiance.atmosphere import Atmosphere, airmass, scattering_albedo
 
 # nL per foot-candle to sr-1: 1 nL is 1e-5/pi cd m-2, 1 foot-candle 10.764 lux.
 NANOLAMBERT_CD_M2 = 1e-5 / np.pi
@@ -111,7 +109,7 @@ def _layers(
 
 
 def _forward_share(sine: float) -> float:
-    """Return the share of haze's scattered light that goes down, for light from an elevation of this sine."""
+    """Return the downward fraction of light scattered by haze, for light from an elevation of this sine."""
     log = np.log(1.0 - ASYMMETRY)
     first = log * (1.459 + log * (0.1595 + log * 0.4129))
     second = log * (0.0783 + log * (-0.3824 - log * 0.5874))
@@ -119,7 +117,7 @@ def _forward_share(sine: float) -> float:
 
 
 def _sky_albedo(atmosphere: Atmosphere, wavelength_nm: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Return the share of light from the ground that the sky sends back, at an air mass of 1.8."""
+    """Return the reflectance of the sky for light from the ground, at an air mass of 1.8."""
     molecules, scattered, absorbed = _layers(atmosphere, wavelength_nm, 1.8)
     elevation = np.rad2deg(np.arcsin(1.0 / 1.8))
     gas = atmosphere.gas_slant_transmittance(elevation, wavelength_nm)[:, 0]
@@ -163,7 +161,7 @@ MIE_INTEGRAL = _integral_over_directions(krisciunas_schaefer_mie(_FINE), _FINE)
 def scattering_parts(
     atmosphere: Atmosphere, wavelength_nm: NDArray[np.floating]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the depth of scattering straight up and the molecules' share of it, both of shape (band,)."""
+    """Return the vertical scattering depth and the molecules' fraction of it, both of shape (band,)."""
     molecules, haze = atmosphere.molecules_depth(wavelength_nm), atmosphere.haze_depth(wavelength_nm)
     return molecules + haze, molecules / (molecules + haze)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from charact.bloom.series.ring_loops import best_step, lost_at_top, ring_means, whiten_rings, whitened_residuals
+from charact.bloom.series.ring_loops import best_step, lost_at_top, residuals_and_slopes, ring_means, whiten_rings
 
 LEVELS, RINGS, NODES, POINTS = 3, 7, 12, 4
 
@@ -60,7 +60,7 @@ def test_what_is_left_over_falls_with_the_light_as_it_says(rng):
     def left(amplitudes):
         lost = lost_at_top(straight, amplitudes, sd, 100.0, 5.0)
         rings = ring_means(lost.reshape(LEVELS, lost.shape[1], -1), weights, begin, end)
-        return whitened_residuals(
+        return residuals_and_slopes(
             white, even, np.zeros_like(even), amplitudes, rings.reshape(LEVELS, -1, 3, POINTS), triangles
         )
 

@@ -10,12 +10,11 @@ from charact import bloom
 from charact.bloom import transfer
 from charact.bloom.point_stack import read_point_stacks
 from charact.bloom.series.halo_models import HaloModel
-from charact.bloom.series.hankel import frequencies, onto_nodes
-from charact.bloom.series.levels import level_of, noise_of
 from charact.bloom.series.likelihood import SeriesLikelihood, series_of
 from charact.bloom.series.model_selection import candidates
 from charact.bloom.series.ring_series import build_ring_series
-from charact.bloom.series.rings import geometry_of
+from charact.bloom.series.rings import geometry_of, level_of, noise_of
+from charact.bloom.transfer import frequencies, onto_nodes
 from charact.method import Context
 from charact.method.registry import methods_of_kind
 from charact.study.bloom.scene import BloomScene, bloom_session

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from charact.bloom.session_bloom_map import map_of, spread_from
-from charact.cli.bloom_map import write_bloom_map
+from charact.bloom.bloom_map import map_of, spread_from
 from charact.method import Context
+from charact.report.bloom_images import write_bloom_map
 from charact.study.bloom.scene import BloomScene, bloom_session
 from labdata.errors import BadInput
 from labdata.measurement import Posterior, Result, make_refusal, measurement_from_draws, measurement_from_sd

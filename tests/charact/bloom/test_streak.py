@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from charact.bloom.column_artefacts import streak_measurements, streak_of
 from charact.bloom.point_stack import read_point_stacks
-from charact.bloom.streak import streak_measurements, streak_of
 from charact.method import Context
 from charact.study.bloom.scene import BloomScene, bloom_session, noiseless_frame
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-
-from charact.cli.judge import SaturationJudge, half_interval_dn
 from labdata.adaptive import StopCriterion
+
+from charact.cli.benches import SaturationJudge, half_interval_dn
 from labdata.conditions import Conditions
 from labdata.plan import Step
 
@@ -60,11 +60,11 @@ def test_every_saturated_pixel_counts():
     frame = np.zeros(SHAPE)
     frame.flat[:3] = 4095.0
     watcher.see(frame)
-    assert watcher.complaint() == "0.5 % of all pixels are at the highest code 4095 DN"
-    assert not watcher.saturated()
+    assert watcher.complaint() == "0.5 % of all pixels are at full scale, 4095 DN"
+    assert not watcher.is_saturated()
     frame.flat[:60] = 4095.0
     watcher.see(frame)
-    assert watcher.saturated()
+    assert watcher.is_saturated()
 
 
 def test_a_point_is_meant_to_saturate():

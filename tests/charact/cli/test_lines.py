@@ -2,9 +2,9 @@
 
 import pytest
 
-from charact.cli.annotate import _one_a_region
+from charact.cli.annotate import _one_per_region
+from charact.cli.demo_loop import lines
 from charact.cli.output import print_result
-from charact.cli.truth_comparison import lines
 from charact.report.truth import compare_with_truth
 from labdata.measurement import Measurement, Result, measurement_from_sd
 
@@ -53,6 +53,6 @@ def test_the_table_of_truths_tells_directions_apart() -> None:
 
 
 def test_what_groups_tell_together_has_no_frame_in_the_picture() -> None:
-    shown = _one_a_region(Result(measurements=(bars(0), bars(40), together())))
+    shown = _one_per_region(Result(measurements=(bars(0), bars(40), together())))
     assert [m.region for m in shown] == [(0, 0, 20, 20), (0, 40, 20, 20)]
-    assert _one_a_region(Result(measurements=(together(),))) == [together()]
+    assert _one_per_region(Result(measurements=(together(),))) == [together()]

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-from charact.cli.annotate import COLOURS, render_annotations
+from charact.cli.annotate import COLOURS, place_captions, render_annotations
 from charact.cli.application import app
-from charact.cli.captions import place_captions
-from charact.cli.units import FrequencyUnit
+from charact.cli.output import FrequencyUnit
 from charact.study.edge.scene import EdgeScene, TrueBlur
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
@@ -78,14 +77,14 @@ def test_a_black_level_above_the_dark_side_is_not_believed_and_said(two_edges: P
 
 def test_a_black_level_lets_the_noise_of_bars_tell_a_gamma(tmp_path: Path) -> None:
     scene = PulsedBars(
-        blur=TrueBlur(form="exponential", frequency_cy_per_px=0.32, exponent=1.3), photoelectrons=12.0, frames=4, rows=90,
-        cols=100, frequency_cy_per_px=0.25, gamma=1.9,
+        blur=TrueBlur(form="exponential", frequency_cy_per_px=0.32, exponent=1.3), photoelectrons=12.0, frames=4,
+        rows=90, cols=100, frequency_cy_per_px=0.25, gamma=1.9,
     )  # fmt: skip
     file = tmp_path / "bars.npy"
     np.save(file, scene.frames_drawn(np.random.default_rng(0)).data)
     asked = ("mtf", "bars", file, "--frequency", "0.25", "--quick", "--json")
     told = [json.loads(charact(*asked, *more).stdout)["measurements"][0] for more in ((), ("--black-dn", "12"))]
-    by_noise = [any("noise grows with the power" in note for note in one["notes"]) for one in told]
+    by_noise = [any("noise grows as signal" in note for note in one["notes"]) for one in told]
     assert by_noise == [False, True]
 
 
@@ -94,7 +93,7 @@ def test_a_black_level_that_is_none_is_one_sentence(two_edges: Path, black: str)
     done = charact("mtf", "edge", two_edges, "--quick", "--black-dn", black)
     assert done.exit_code == 1
     assert done.stderr.count("\n") == 1
-    assert "--black-dn must lie below the highest code in the frames, " in done.stderr
+    assert "--black-dn must be below the largest grey value of the frames, " in done.stderr
     assert black in done.stderr
 
 

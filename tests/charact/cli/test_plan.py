@@ -7,13 +7,12 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from charact.cli.application import app
-from charact.cli.plan_files import builtin_plan_names, load_plan
+from charact.cli.benches import builtin_plan_names, load_plan
 from charact.report.page import page
-from labdata.dose_ledger import FOLDER_VARIABLE, ledger_of
 from labdata.measurement import Result as Measured
 from labdata.sensors import load_sensor, save_sensor
 from labdata.session import open_session
-from labdata.tube_dose import Dose
+from labdata.tube_dose import FOLDER_VARIABLE, Dose, ledger_of
 
 PLAN = """
 name = "small"

@@ -92,7 +92,7 @@ def test_a_camera_without_a_tube_keeps_every_stage_and_says_so(folder):
         "--photoelectrons-per-dn", 1, "--frames", 1, "--explain",
     )  # fmt: skip
     assert done.exit_code == 0, done.output
-    assert "every stage is kept" in done.stdout
+    assert "all effects are retained" in done.stdout
 
 
 def test_a_tolerance_below_zero_is_a_usage_error(folder):

@@ -73,13 +73,13 @@ def test_a_scene_becomes_frames_with_radiance_truth_and_plan_beside_them(tmp_pat
 def test_what_does_not_belong_to_a_scene_is_refused_in_one_sentence(tmp_path, files):
     asked = ("simulate", files / "scene.toml", tmp_path / "out", "--sensor", files / "camera.toml")
     for more, words in (
-        (("--illuminance-lux", 1e-4), "--illuminance-lux belongs to a bench scene"),
-        (("--black-dn", 3), "--black-dn belongs to a picture"),
+        (("--illuminance-lux", 1e-4), "--illuminance-lux is only for bench scenes"),
+        (("--black-dn", 3), "--black-dn is only for an image"),
     ):
         done = charact(*asked, *more)
         assert done.exit_code == 1 and words in done.stderr
     done = charact("simulate", "bench", tmp_path / "out", "--sensor", files / "camera.toml", "--preview")
-    assert done.exit_code == 1 and "a preview shows a scene with a camera in it" in done.stderr
+    assert done.exit_code == 1 and "--preview needs an outdoor scene" in done.stderr
     done = charact("simulate", "nowhere", tmp_path / "out", "--sensor", files / "camera.toml")
     assert (
         done.exit_code == 1 and "must be a .toml file or one of airfield, bench, bench-lit, hangar, road" in done.stderr

@@ -6,8 +6,8 @@ import tifffile
 from numpy.testing import assert_allclose, assert_array_equal
 
 from charact.cli.image_source import centre_on_frame, cube_of, photoelectrons_of
-from charact.cli.simulated_conditions import conditions_of
-from charact.cli.stage_image_files import SHEET, save_stages, sheet
+from charact.cli.simulated_session import SHEET, save_stages, sheet
+from charact.cli.simulation_sources import conditions_of
 from labdata import BadInput
 from labdata.sensors import load_camera, load_sensor
 
@@ -71,7 +71,7 @@ def test_a_picture_stands_in_the_middle_of_the_frame_to_half_a_pixel(rows, cols)
 @pytest.mark.parametrize(
     ("picture", "options", "sentence"),
     [
-        (np.ones((2, 2)), {"photoelectrons_per_dn": None}, "a picture needs --photoelectrons-per-dn"),
+        (np.ones((2, 2)), {"photoelectrons_per_dn": None}, "an image needs --photoelectrons-per-dn"),
         (np.ones((2, 2)), {"photoelectrons_per_dn": 0.0}, "--photoelectrons-per-dn must be positive, got 0"),
         (np.ones((2, 2)), {"photoelectrons_per_dn": -1.0}, "--photoelectrons-per-dn must be positive, got -1"),
         (np.ones((2, 2)), {"photoelectrons_per_dn": float("nan")}, "must be positive, got nan"),
@@ -100,9 +100,9 @@ def test_a_cube_is_read_as_it_was_written(tmp_path):
 @pytest.mark.parametrize(
     ("arrays", "sentence"),
     [
-        ({"radiance": np.ones((1, 2, 2))}, "must hold wavelength_nm and radiance, got no wavelength_nm"),
-        ({"wavelength_nm": np.ones(1), "radiance": -np.ones((1, 2, 2))}, "must be finite and nowhere negative"),
-        ({"wavelength_nm": np.ones(1), "radiance": np.full((1, 2, 2), np.nan)}, "must be finite and nowhere negative"),
+        ({"radiance": np.ones((1, 2, 2))}, "must contain wavelength_nm and radiance, got no wavelength_nm"),
+        ({"wavelength_nm": np.ones(1), "radiance": -np.ones((1, 2, 2))}, "must be finite and not negative"),
+        ({"wavelength_nm": np.ones(1), "radiance": np.full((1, 2, 2), np.nan)}, "must be finite and not negative"),
         ({"wavelength_nm": np.array([2.0, 1.0]), "radiance": np.ones((2, 2, 2))}, "wavelengths must ascend"),
         ({"wavelength_nm": np.ones(2), "radiance": np.ones((1, 2, 2))}, "axes (band, row, col) with 2 bands"),
         ({"wavelength_nm": np.array(["a"]), "radiance": np.ones((1, 2, 2))}, "must be numbers"),
@@ -118,7 +118,7 @@ def test_what_is_no_radiance_is_refused(tmp_path, arrays, sentence):
 def test_a_file_that_is_no_cube_is_refused(tmp_path):
     for name, content in (("text.npz", b"radiance"), ("empty.npz", b""), ("cut.npz", b"PK\x03\x04 and no more")):
         (tmp_path / name).write_bytes(content)
-        with pytest.raises(BadInput, match=r"must be a whole \.npz file, got " + name.replace(".", r"\.")):
+        with pytest.raises(BadInput, match=r"must be a complete \.npz file, got " + name.replace(".", r"\.")):
             cube_of(tmp_path / name)
     whole = tmp_path / "whole.npz"
     np.savez_compressed(whole, wavelength_nm=np.arange(2.0), radiance=np.random.default_rng(0).random((2, 40, 40)))
@@ -127,7 +127,7 @@ def test_a_file_that_is_no_cube_is_refused(tmp_path):
     whole.write_bytes(spoilt)
     np.save(tmp_path / "array", np.ones(3))
     for name in ("whole.npz", "array.npy"):
-        with pytest.raises(BadInput, match=r"must be a whole \.npz file"):
+        with pytest.raises(BadInput, match=r"must be a complete \.npz file"):
             cube_of(tmp_path / name)
     with pytest.raises(BadInput, match="must exist to be read"):
         cube_of(tmp_path / "none.npz")

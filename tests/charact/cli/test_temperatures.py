@@ -102,4 +102,4 @@ def test_a_scene_that_lacks_something_is_refused_in_one_sentence(scene, small, t
 
 def test_a_lab_bench_has_no_surface_temperatures(tmp_path):
     done = charact("temperatures", "bench", tmp_path / "warm")
-    assert done.exit_code == 1 and "out of doors" in done.stderr
+    assert done.exit_code == 1 and "outdoor scene" in done.stderr

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 from charact.fit import predicted_quantities
-from charact.fit.admissible_measurements import LEVEL, SHAPE
-from charact.fit.levels import StackMean
-from charact.fit.model import Model, model_of
+from charact.fit.admissible_measurements import LEVEL, SHAPE, StackMean
 from charact.fit.observations import observations
 from charact.fit.predicted_quantities import Values
 from charact.fit.prior import prior_of, values_of_description
+from charact.fit.sensor import Model, model_of
 from labdata.measurement import Curve, Measurement, Result, measurement_from_sd
 from labdata.sensor import Sensor
 from labdata.sensors import load_sensor

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from charact.fit.full_well import GAIN, PATH, full_well_draws
 from charact.fit.prior import prior_of
+from charact.fit.sensor import FULL_WELL, GAIN, full_well_draws
 from labdata.sensors import load_sensor
 
 
@@ -21,7 +21,7 @@ def test_every_draw_fills_the_scale_and_is_the_prior_where_it_does_anyway(sheet,
     level = well * gain + float(sheet.video.black_level_dn)
     assert level.min() >= 255.0 * (1 - 1e-9)
     free = gain > 0.0059
-    prior = prior_of(sheet, (PATH,)).draw(rng, 4000)[:, 0]
+    prior = prior_of(sheet, (FULL_WELL,)).draw(rng, 4000)[:, 0]
     least = 243.0 / 0.0059
     kept = prior[prior > least]
     error = kept.std() * np.sqrt(1.0 / kept.size + 1.0 / free.sum())

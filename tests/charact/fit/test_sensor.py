@@ -8,10 +8,16 @@ import numpy as np
 import pytest
 
 from charact.fit import fit_sensor, predicted_quantities
-from charact.fit.model import KEPT_DRAWS, inflate_errors, model_of, posterior_of
 from charact.fit.observations import observations
 from charact.fit.prior import prior_of, values_of_description
-from charact.fit.sensor import IDENTIFIED_SHARE, description_from_posterior
+from charact.fit.sensor import (
+    IDENTIFIED_SHARE,
+    KEPT_DRAWS,
+    description_from_posterior,
+    inflate_errors,
+    model_of,
+    posterior_of,
+)
 from charact.posterior import find_maximum
 from labdata.errors import BadInput
 from labdata.measurement import Posterior, Result, measurement_from_sd

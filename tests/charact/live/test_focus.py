@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from charact.live.focus import BestFocus, Focus, read_focus, window_about
-from charact.live.focus_reader import AVERAGED_FRAMES, FocusReader
+from charact.live.focus import AVERAGED_FRAMES, BestFocus, Focus, FocusReader, read_focus, window_about
 from charact.method import Context
 from tests.charact.live.sources import AtOnce, edge
 

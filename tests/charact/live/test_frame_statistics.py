@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from charact.live.frame_statistics import measure_frame
-from charact.live.preview_image import SATURATED_BGR, render_preview
+from charact.live.live_view import SATURATED_BGR, render_preview
 from labdata.errors import BadInput
 
 
@@ -86,7 +86,7 @@ def test_what_cannot_be_metered_is_refused_in_a_sentence() -> None:
     frame = np.zeros((10, 10), np.uint8)
     with pytest.raises(BadInput, match="inside the image of 10 rows"):
         measure_frame(frame, full_scale_dn=255.0, region=(5, 5, 6, 5))
-    with pytest.raises(BadInput, match="unsigned codes"):
+    with pytest.raises(BadInput, match="unsigned integers"):
         measure_frame(frame.astype(float), full_scale_dn=255.0)
     with pytest.raises(BadInput, match="one shape"):
         measure_frame(frame, frame[:5], full_scale_dn=255.0)

@@ -5,8 +5,8 @@ import time
 import numpy as np
 import pytest
 
-from charact.live.focus_reader import FocusReader
-from charact.live.growing_session import SessionSource
+from charact.live.focus import FocusReader
+from charact.live.frame_source import SessionSource
 from charact.live.live_loop import LiveLoop
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
@@ -76,7 +76,7 @@ def test_what_is_no_session_of_ours_is_refused_in_a_sentence(tmp_path) -> None:
         SessionSource(tmp_path)
     np.save(tmp_path / "flat.npy", np.zeros((2, 4, 4), np.uint8))
     (tmp_path / "session.toml").write_text('name = "x"\n[[stack]]\nlabel = "f"\nkind = "flat"\nframes = "flat.npy"\n')
-    with pytest.raises(BadInput, match="only frames taken by charact acquire"):
+    with pytest.raises(BadInput, match="must be acquired by charact acquire"):
         next(iter(SessionSource(tmp_path)))
 
 
@@ -93,5 +93,5 @@ def test_a_stack_that_is_there_already_is_shown_with_its_noise_and_its_focus(tmp
         view, until_s = None, time.monotonic() + 20.0
         while (view is None or view.focus is None) and time.monotonic() < until_s:
             view = running.newest.after(view.number if view else 0, timeout_s=1.0)
-    assert view is not None and view.seen.frame.number == 5 and view.meters.noise_dn is not None
+    assert view is not None and view.source_frame.frame.number == 5 and view.statistics.noise_dn is not None
     assert view.focus is not None and view.focus.mtf50_cy_per_px is not None

@@ -9,9 +9,8 @@ from threading import Event
 import numpy as np
 import pytest
 
-from charact.live.frame_rate import FrameRate
-from charact.live.frame_source import CameraSource, highest_code
-from charact.live.live_loop import LiveLoop
+from charact.live.frame_source import CameraSource, full_scale_of
+from charact.live.live_loop import FrameRate, LiveLoop
 from charact.live.terminal import lines, watch_on_terminal
 from charact.method import Context
 from labdata.capture import CameraSettings, Frame
@@ -63,7 +62,7 @@ def test_a_camera_is_read_and_nothing_of_it_is_set() -> None:
     "pixel_format,dtype,code", [("Mono8", np.uint8, 255), ("Mono10", np.uint16, 1023), (None, np.uint16, 65535)]
 )
 def test_full_scale_is_that_of_the_pixel_format_where_it_names_one(pixel_format, dtype, code) -> None:
-    assert highest_code(np.dtype(dtype), pixel_format) == code
+    assert full_scale_of(np.dtype(dtype), pixel_format) == code
 
 
 def test_the_rate_is_the_cameras_own_and_counts_frames_that_nobody_looked_at() -> None:
@@ -82,7 +81,7 @@ def test_frames_of_two_stacks_are_not_subtracted_from_one_another(seed) -> None:
         while running.newest.end_reason is None:
             running.newest.after(2**62, timeout_s=1.0)
         view = running.newest.view
-    assert view is not None and view.number == 2 and view.meters.noise_dn is None
+    assert view is not None and view.number == 2 and view.statistics.noise_dn is None
 
 
 def test_the_terminal_shows_every_meter_with_its_unit_and_ends_with_a_reason(seed) -> None:

@@ -9,9 +9,9 @@ import httpx
 import numpy as np
 import pytest
 
-from charact.live.guard import PageAccess, is_loopback, new_token
 from charact.live.live_loop import LiveLoop
 from charact.live.page import page
+from charact.live.server import PageAccess, is_loopback, new_token
 from labdata.errors import BadInput
 from tests.charact.live.sources import Told, noisy, seen
 
@@ -121,7 +121,7 @@ def test_without_the_token_nobody_sees_a_page_that_others_can_reach(running, pat
         strangers.get(path, headers={"cookie": "charact-8600"}),
     ]
     assert {answer.status_code for answer in refused} == {401}
-    assert all("token of the address" in answer.text and "mean_dn" not in answer.text for answer in refused)
+    assert all("token in the address" in answer.text and "mean_dn" not in answer.text for answer in refused)
     assert strangers.get(path, params={"token": token}, headers={"host": "rebound.example:8600"}).status_code == 403
 
 

@@ -8,8 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from charact.cli.application import app
-from charact.live.quick_look import look_at
-from charact.live.stack_watcher import run_outcome, watch_stacks
+from charact.live.quick_look import look_at, run_outcome, watch_stacks
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.event_log import EventLog

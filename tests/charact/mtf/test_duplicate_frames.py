@@ -5,7 +5,7 @@ import pytest
 
 from charact import mtf
 from charact.method import Context
-from charact.mtf.duplicate_frames import drop_duplicate_frames
+from charact.mtf.dispatch import drop_duplicate_frames
 from charact.study.bars.scene import BarScene
 from charact.study.edge.scene import EdgeScene, TrueBlur
 from charact.study.point.scene import PointScene
@@ -42,7 +42,7 @@ def test_one_frame_delivered_six_times_is_one_frame(kind, method, seed):
     alone, again = (mtf.measure(kind, stack, method=method, context=QUICK, **told) for stack in (one, repeated(one, 6)))
     for single, same in zip(alone.measurements, again.measurements, strict=True):
         assert (same.value, same.interval95, same.flags) == (single.value, single.interval95, single.flags)
-        assert "All 6 frames are the same, code for code: they count as one." in same.notes
+        assert "All 6 frames are identical and count as one." in same.notes
 
 
 @pytest.mark.parametrize("method", EDGES)
@@ -62,7 +62,7 @@ def test_frames_that_repeat_are_left_out_and_counted(seed):
     assert np.array_equal(found.data, drawn)
     assert found.time_s.tolist() == [0.0, 1.0, 4.0]
     assert found.frame_number.tolist() == [10, 11, 14]
-    assert found.notes == ("a note", "2 of 5 frames repeat an earlier one code for code and do not count.")
+    assert found.notes == ("a note", "2 of 5 frames are identical to an earlier one and do not count.")
 
 
 def test_frames_that_differ_in_one_pixel_are_two(seed):

@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
-from charact.mtf.point.dark_noise_from_histogram import HIDDEN_SD, dark_sd_from_histogram
-from charact.mtf.rounding import PLACES, rounding_shifts
+from charact.mtf.point.parametric_noise import dark_sd_from_histogram
+from charact.mtf.point.thresholds import ACCURACY as POINT_ACCURACY
+from charact.mtf.quantisation_checks import rounding_shifts
+from charact.mtf.thresholds import ACCURACY
 
 
 @pytest.mark.parametrize("sd", [0.02, 0.2, 0.35])
@@ -14,7 +16,7 @@ def test_shifts_are_those_of_rounded_noise(sd: float, seed: int) -> None:
     level = np.array([10.0, 10.2, 10.37, 10.8])
     drawn = np.rint(level + sd * rng.standard_normal((1_000_000, level.size)))
     shifts = rounding_shifts(level, np.full(level.size, 0.2))
-    assert shifts.shape == (PLACES, level.size)
+    assert shifts.shape == (ACCURACY.rounding_offsets, level.size)
     true = drawn.mean(axis=0) - level
     error = 5.0 * drawn.std(axis=0) / 1000.0
     assert np.all(np.abs(true) <= np.abs(shifts).max(axis=0) + error)
@@ -49,4 +51,4 @@ def test_the_noise_of_quiet_pixels_is_told_beside_pulses_of_light(sd: float, pla
 def test_noise_that_rounding_hides_is_taken_for_little() -> None:
     codes = np.full(10_000, 12, np.uint8)
     codes[:500] = 15
-    assert dark_sd_from_histogram(codes) == HIDDEN_SD
+    assert dark_sd_from_histogram(codes) == POINT_ACCURACY.hidden_sd_dn

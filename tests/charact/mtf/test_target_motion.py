@@ -8,7 +8,8 @@ import pytest
 from charact import mtf
 from charact.method import Context
 from charact.mtf.edge.pixels.prepare_edge import prepare_edge
-from charact.mtf.target_motion import CHANCE, measure_target_motion
+from charact.mtf.target_motion import measure_target_motion
+from charact.mtf.thresholds import LIMITS
 from charact.study.bars.scene import BarScene
 from charact.study.edge.scene import EdgeScene, TrueBlur, level_crossing
 from charact.study.point.scene import PointScene
@@ -31,7 +32,7 @@ def test_places_at_rest_are_told_apart_from_motion_as_often_as_promised(seed):
     chances = np.array([measure_target_motion(0.1 * rng.standard_normal((8, 64))).chance for _ in range(4000)])
     below = np.mean(chances < 0.01)
     assert below == pytest.approx(0.01, abs=4.0 * np.sqrt(0.01 * 0.99 / 4000))
-    assert np.sum(chances < CHANCE) <= 4
+    assert np.sum(chances < LIMITS.motion_p_value) <= 4
 
 
 @pytest.mark.parametrize("lines", [12, 64])

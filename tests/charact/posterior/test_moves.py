@@ -4,10 +4,8 @@ import emcee
 import numpy as np
 import pytest
 
-from charact.posterior.ensembles import Ensembles
-from charact.posterior.moves import DifferentialEvolution, IndependentDraws
-from charact.posterior.normal_scores import NormalScores
-from charact.posterior.probit_transform import ProbitTransform
+from charact.posterior.ensembles import DifferentialEvolution, Ensembles, IndependentDraws
+from charact.posterior.probit_transform import NormalScores, ProbitTransform
 
 SCALES = np.array([0.1, 1.0, 10.0])
 MEAN = np.array([1.0, -2.0, 30.0])

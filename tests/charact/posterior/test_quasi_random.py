@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from charact.posterior.laplace import truncated_gaussian_draws
-from charact.posterior.quasi_random import BASES, LONGEST, quasi_random_normals
+from charact.posterior.laplace import BASES, LONGEST, quasi_random_normals, truncated_gaussian_draws
 
 WIDE = np.tile([-np.inf, np.inf], (4, 1))
 

@@ -77,8 +77,12 @@ def result() -> Result:
                 "mtf50", "cy/px", behind["tube_frequency_cy_per_px"], method="edge-forward", posterior=behind,
                 provenance=made, seconds=1.2, stack="edge-1", region=(10, 20, 60, 80),
             ),
-            measurement_from_sd("mtf", "1", 0.55, 0.02, method="bars-forward", frequency_cy_per_px=0.15, orientation_deg=0.0),
-            measurement_from_sd("covariance_gain", "DN", 3.51, 0.03, method="covariance-sum", flags=("lag",), notes=(NOTE,)),
+            measurement_from_sd(
+                "mtf", "1", 0.55, 0.02, method="bars-forward", frequency_cy_per_px=0.15, orientation_deg=0.0
+            ),
+            measurement_from_sd(
+                "covariance_gain", "DN", 3.51, 0.03, method="covariance-sum", flags=("lag",), notes=(NOTE,)
+            ),
             measurement_from_sd("ebi", "lm/cm2", 3.5e-11, 2e-12, method="covariance-sum"),
             make_refusal("halo_diameter", "px", REASON, method="halo-forward"),
         ),

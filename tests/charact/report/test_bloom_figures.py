@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from charact.report import blooms
-from charact.report.bloom_images import plot_bloom_frames, plot_bloom_map
+from charact.report.bloom_images import add_extent_data, plot_bloom_frames, plot_bloom_map
 from charact.report.corner import varying
-from charact.report.extent_figure_data import add_extent_data
 from charact.report.figure_registry import figure_of
 from charact.report.style import white_style
 from charact.study.bloom.scene import BloomScene, bloom_session, truth

@@ -1,7 +1,7 @@
 """The EMVA 1288 summary stands for a camera of white noise, and says for any other why it does not."""
 
 from charact.report import fragment
-from charact.report.emva import NAMES, emva_summary
+from charact.report.tables import NAMES, emva_summary
 from labdata.measurement import Result, make_refusal, measurement_from_sd
 from labdata.quantity import QUANTITIES
 

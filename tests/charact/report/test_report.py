@@ -12,7 +12,7 @@ from charact.report import compare_with_truth, fragment, page, write
 from charact.report.corner import corner_svg, varying
 from charact.report.figure_registry import FIGURES, figure_of
 from charact.report.number_format import plus_minus, round_to_spread
-from charact.report.report_images import around_the_light, grey_limits, picture_of, representative
+from charact.report.report_images import bright_region, grey_limits, image_of, representative
 from charact.report.tables import quantity_groups
 from charact.study.flats.flat_cases import InMemoryStack
 from labdata.conditions import Conditions
@@ -87,13 +87,13 @@ def test_labels_from_outside_are_escaped(made):
 
 def test_evidence_of_an_unknown_or_broken_kind_is_told_and_not_drawn(html):
     text = " ".join(_text(html).split())
-    assert "Not drawn: no figure of the kind 'of-tomorrow'" in text
+    assert "Not plotted: no figure of the kind 'of-tomorrow'" in text
     assert "strength 4.5 DN" in text
-    assert "Not drawn: its data cannot be drawn" in text
+    assert "Not plotted: its data cannot be plotted" in text
 
 
 def test_conditions_tell_what_was_asked_where_it_differs(html):
-    assert "780 (asked 781)" in _text(html)
+    assert "780 (requested 781)" in _text(html)
 
 
 def test_truth_stands_beside_the_measured_with_z(html):
@@ -157,7 +157,7 @@ def test_a_corner_plot_names_its_parameters_with_units_and_skips_those_that_do_n
 
 def test_the_grey_scale_of_a_picture_is_stated_even_where_all_pixels_are_equal():
     assert grey_limits(np.full((8, 8), 7)) == (7.0, 8.0)
-    assert "Black 7 DN, white 8 DN." in picture_of(np.full((8, 8), 7), "flat").caption
+    assert "Black 7 DN, white 8 DN." in image_of(np.full((8, 8), 7), "flat").caption
 
 
 def test_a_region_is_drawn_with_the_worst_verdict_of_its_numbers(made):
@@ -207,13 +207,13 @@ def test_a_pdf_without_its_library_ends_in_one_sentence_with_the_install_command
 def test_the_picture_of_a_small_target_is_cut_around_it():
     mean = np.full((120, 160), 10.0)
     mean[50:60, 70:85] = 100.0
-    row, col, height, width = around_the_light(mean)
+    row, col, height, width = bright_region(mean)
     assert row < 50
     assert row + height > 60
     assert col < 70
     assert col + width > 85
     assert height < 40
-    assert around_the_light(np.full((12, 16), 3.0)) == (0, 0, 12, 16)
+    assert bright_region(np.full((12, 16), 3.0)) == (0, 0, 12, 16)
 
 
 def test_a_series_of_stacks_has_one_table_that_names_them():
@@ -360,7 +360,7 @@ def test_the_evidence_of_every_drawn_kind_has_axes_with_units():
     assert examples.keys() == FIGURES.keys()
     for kind, data in examples.items():
         figure = figure_of(kind, {"figure": kind, **data})
-        assert figure.svg is not None, (kind, figure.why_not)
+        assert figure.svg is not None, (kind, figure.refusal_reason)
         texts = re.findall(r"<text[^>]*>([^<]*)</text>", figure.svg)
         unit = r"\((px|DN|DN²|1|.*px\)?|.*cycles.*|.*fitted.*|standard deviations\))"
         assert any(re.search(unit, text) for text in texts), kind

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from charact.report import stages
+from charact.report import curves
 from charact.report.figure_registry import figure_of
 from charact.report.style import report_style
 
@@ -43,7 +43,7 @@ def budget(after: bool = False) -> dict:
 
 def drawn(data: dict):
     with report_style():
-        figure = stages.plot_mtf_budget(data)
+        figure = curves.plot_mtf_budget(data)
         figure.canvas.draw()
     return figure
 
@@ -88,7 +88,7 @@ def test_both_axes_have_their_units_and_the_cathode_s_scale():
 def test_the_budget_is_drawn_in_the_section_of_the_mtf_with_its_numbers_beside_it(after: bool):
     figure = figure_of("stage budget", budget(after))
     assert figure.section == "mtf"
-    assert figure.svg is not None, figure.why_not
+    assert figure.svg is not None, figure.refusal_reason
     assert ("measured after the gain, 95 %" in figure.svg) == after
     assert dict(figure.numbers)["the curves say"] == "identified by the curves: lens"
     assert len(figure.svg) < 150_000
@@ -104,10 +104,10 @@ def groups() -> dict:
 
 def test_bar_groups_stand_on_their_curve_with_arms_of_1_96_standard_errors():
     with report_style():
-        axes = stages.plot_bar_groups(groups()).axes[0]
+        axes = curves.plot_bar_groups(groups()).axes[0]
     (bars,) = axes.containers
     assert bars[0].get_xydata() == pytest.approx(np.array([[0.1, 0.8], [0.2, 0.5]]))
     heights = [float(np.ptp(segment[:, 1])) for segment in bars[2][0].get_segments()]
     assert heights == pytest.approx([2 * 1.96 * 0.01, 2 * 1.96 * 0.02], rel=1e-3)
-    assert labelled(axes)["one curve through the groups, 95 %"][1] == pytest.approx(np.exp(-3.0 * FREQUENCY))
+    assert labelled(axes)["curve through the groups, 95 %"][1] == pytest.approx(np.exp(-3.0 * FREQUENCY))
     assert figure_of("bar groups, rows", groups()).svg is not None

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from matplotlib.text import Text
 
-from charact.report import blooms, corner, joint, noise, style
+from charact.report import blooms, corner, curves, noise, style
 from labdata.measurement import Posterior
 
 SPREAD = [0.1, 0.1]
@@ -20,7 +20,7 @@ FIGURES = {
         },
     ),
     "joint MTF": (
-        joint.plot_joint_mtf,
+        curves.plot_joint_mtf,
         {"kind": ["edge", "flat"], "target": ["edge", "flats, vertical"], "residuals_sd": [[0.1, 1.0], [0.0]]},
     ),
     "forms of light": (

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from charact.validation import flats, histogram
+from charact.validation import frame_features
 
 SHAPE = (8, 96, 128)
 
@@ -13,16 +13,16 @@ def _white(rng: np.random.Generator, mean: float = 100.0, sd: float = 8.0) -> np
 
 
 def test_white_noise_has_its_variance_and_no_correlation(seed: int) -> None:
-    tiles = flats.tiles_of(_white(np.random.default_rng(seed)))
+    tiles = frame_features.tiles_of(_white(np.random.default_rng(seed)))
     pixels = np.prod(SHAPE)
     assert tiles.variance == pytest.approx(64.0, abs=4.5 * 64.0 * np.sqrt(2.0 / pixels))
-    for lag in flats.LAGS:
+    for lag in frame_features.LAGS:
         assert abs(tiles.correlation(lag)) < 4.5 / np.sqrt(pixels * 7 / 8)
 
 
 def test_a_moving_mean_of_two_columns_correlates_neighbours_by_half(seed: int) -> None:
     frames = _white(np.random.default_rng(seed))
-    tiles = flats.tiles_of((frames + np.roll(frames, 1, axis=2)) / 2.0)
+    tiles = frame_features.tiles_of((frames + np.roll(frames, 1, axis=2)) / 2.0)
     assert tiles.correlation((0, 1)) == pytest.approx(0.5, abs=0.02)
     assert tiles.correlation((1, 0)) == pytest.approx(0.0, abs=0.02)
     # Summed over the lags the covariance is what it was before the blur.
@@ -31,7 +31,7 @@ def test_a_moving_mean_of_two_columns_correlates_neighbours_by_half(seed: int) -
 
 def test_errors_told_are_the_scatter_over_repetitions(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    found = [flats.correlation_features(flats.tiles_of(_white(rng))) for _ in range(60)]
+    found = [frame_features.correlation_features(frame_features.tiles_of(_white(rng))) for _ in range(60)]
     scatter = np.std([one.value for one in found], axis=0, ddof=1)
     told = np.sqrt(np.mean([np.diag(one.covariance) for one in found], axis=0))
     # A scatter of 60 is known to 9 %, a mean of 60 jackknives to a few.
@@ -41,20 +41,20 @@ def test_errors_told_are_the_scatter_over_repetitions(seed: int) -> None:
 
 def test_signal_scales_out_of_the_noise(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    dark = flats.tiles_of(_white(rng, 10.0, 1.0))
-    lit = [flats.tiles_of(_white(rng, 10.0 + level, np.sqrt(1.0 + 3.0 * level))) for level in (20.0, 80.0)]
-    features = flats.noise_features(lit, dark)
+    dark = frame_features.tiles_of(_white(rng, 10.0, 1.0))
+    lit = [frame_features.tiles_of(_white(rng, 10.0 + level, np.sqrt(1.0 + 3.0 * level))) for level in (20.0, 80.0)]
+    features = frame_features.noise_features(lit, dark)
     assert features.value[[0, 2]] == pytest.approx(np.log(3.0), abs=0.05)
 
 
 def test_equal_noise_has_equal_grey_levels_and_other_noise_has_not(seed: int) -> None:
     rng = np.random.default_rng(seed)
     shape = (8, 192, 256)
-    measured = histogram.sample_of(rng.normal(100.0, 8.0, shape).round(), rng)
-    same = np.concatenate([histogram.sample_of(rng.normal(103.0, 8.0, shape).round(), rng) for _ in range(8)])
-    skewed = np.concatenate([histogram.sample_of(rng.gamma(4.0, 4.0, shape).round(), rng) for _ in range(8)])
-    assert histogram.distance(measured, same).p_value > 1e-5
-    other = histogram.distance(measured, skewed)
+    measured = frame_features.sample_of(rng.normal(100.0, 8.0, shape).round(), rng)
+    same = np.concatenate([frame_features.sample_of(rng.normal(103.0, 8.0, shape).round(), rng) for _ in range(8)])
+    skewed = np.concatenate([frame_features.sample_of(rng.gamma(4.0, 4.0, shape).round(), rng) for _ in range(8)])
+    assert frame_features.distance(measured, same).p_value > 1e-5
+    other = frame_features.distance(measured, skewed)
     assert other.p_value < 1e-6
     assert other.wasserstein_sd > 0.05
 
@@ -63,7 +63,7 @@ def test_pixels_drawn_for_the_histogram_share_no_frame_and_no_neighbourhood(seed
     """Numbering every pixel shows which were drawn."""
     frames, rows, cols = 8, 64, 64
     numbers = np.arange(frames * rows * cols, dtype=float).reshape(frames, rows, cols)
-    drawn = histogram.sample_of(numbers, np.random.default_rng(seed))
+    drawn = frame_features.sample_of(numbers, np.random.default_rng(seed))
     places = np.round(drawn - drawn.min()).astype(int)
     assert len(np.unique(places)) >= len(places) * 0.9
-    assert len(places) == frames // 2 * rows * cols // histogram.STRIDE**2
+    assert len(places) == frames // 2 * rows * cols // frame_features.STRIDE**2

@@ -14,7 +14,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from charact.cli.judge import SaturationJudge
+from charact.cli.benches import SaturationJudge
 from charact.cli.prompting import PromptingOperator
 from drivers.acquisition.acquire import PLAN, acquire
 from drivers.acquisition.run_control import RunControl
@@ -24,10 +24,10 @@ from drivers.errors import BenchError
 from drivers.interface import Operator
 from labdata.capture import Frame
 from labdata.conditions import Conditions
-from labdata.dose_ledger import DoseLedger
 from labdata.errors import BadInput
 from labdata.limits import limits_in_force
 from labdata.plan import Plan
+from labdata.tube_dose import DoseLedger
 from tests.faults.campaign.rig import CampaignRig, StoppablePipe
 
 CLOCK_JUMP_S = 7200.0

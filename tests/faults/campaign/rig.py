@@ -16,11 +16,10 @@ from labdata.limits import Override
 from labdata.plan import Plan, Step
 from labdata.sensors import load_sensor, save_sensor
 from simulate.virtual_bench.bench import VirtualBench
-from simulate.virtual_bench.camera_process import CameraProcess
+from simulate.virtual_bench.camera import CameraProcess
 from simulate.virtual_bench.faults import Faults, inject_faults
-from simulate.virtual_bench.operator import VirtualOperator
-from simulate.virtual_bench.outputs import Outputs
-from simulate.virtual_bench.truth_folder import BenchTruth
+from simulate.virtual_bench.outputs import Outputs, VirtualOperator
+from simulate.virtual_bench.true_sensor import BenchTruth
 
 GATE, SUPPLY = INSTRUMENTS = ("delay_generator", "high_voltage")
 FREE_S = 20.0

@@ -3,23 +3,20 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from simulate.radiance.brdf.lambert import Lambert
-from simulate.radiance.brdf.protocol import Brdf
+from simulate.radiance.brdf.protocol import Brdf, Lambert, grey
+from simulate.radiance.geometry.shapes import Mesh
+from simulate.radiance.geometry.surfaces import collect_surfaces
+from simulate.radiance.integrator.environment_map import black, environment_map
+from simulate.radiance.integrator.integrator_settings import IntegratorSettings
+from simulate.radiance.integrator.light_sources import DiscLight, LampLight, LampPattern, Lighting, panels_of
+from simulate.radiance.integrator.outgoing_radiance import outgoing_radiance
+from simulate.radiance.integrator.shading_points import BsdfSet
+from simulate.radiance.integrator.spectral_scene import Air, SpectralScene
 from simulate.radiance.lamps.distribution import Isotropic
-from simulate.radiance.materials.reflectance import grey
-from simulate.radiance.outdoor.shapes import Mesh
-from simulate.radiance.outdoor.surfaces import collect_surfaces
-from simulate.radiance.transport.air_path_table import Air
-from simulate.radiance.transport.environment_map import black, environment_map
-from simulate.radiance.transport.integrator_settings import IntegratorSettings
-from simulate.radiance.transport.light_sources import DiscLight, LampLight, LampPattern, Lighting, panels_of
-from simulate.radiance.transport.outgoing_radiance import outgoing_radiance
-from simulate.radiance.transport.shading_points import BsdfSet
-from simulate.radiance.transport.spectral_scene import SpectralScene
 
 NM = np.array([500.0, 600.0])
 UP = (0.0, 0.0, 1.0)
-DIRECT = IntegratorSettings(bounces=0)
+DIRECT = IntegratorSettings(max_bounces=0)
 # The sky that is equally bright everywhere, and the one that is three times as bright overhead.
 UNIFORM = lambda way: np.ones((2, len(way)))  # noqa: E731
 OVERCAST = lambda way: np.ones((2, 1)) * (1.0 + 2.0 * way[:, 2]) / 3.0  # noqa: E731
@@ -75,13 +72,13 @@ def disc_light(direction, radius_rad=0.00465, irradiance=1.0) -> DiscLight:
 
 
 def irradiance(
-    stage: SpectralScene, places, normal, *, seed=1, effort=DIRECT, rays=16, known=1.0
+    stage: SpectralScene, places, normal, *, seed=1, effort=DIRECT, rays=16, sky_control_fraction=1.0
 ) -> NDArray[np.floating]:
     """Return the irradiance of places (place, 3) on surfaces with a normal, looked at along it, shape (place,)."""
     places = np.atleast_2d(np.asarray(places, float))
     normals = np.broadcast_to(np.asarray(normal, float), places.shape)
     hit = stage.surfaces.tracer.hits(places + 1e-2 * normals, -normals)
-    share = np.full(len(places), known, np.float32)
+    share = np.full(len(places), sky_control_fraction, np.float32)
     points = stage.bsdfs.points(stage.surfaces, hit.face, places, -normals, share)
     light = outgoing_radiance(stage, points, effort, np.random.default_rng(seed), rays=rays).total()[:, 0]
     return light / stage.bsdfs.rho_by_pi[points.material, 0]

@@ -6,12 +6,9 @@ import numpy as np
 import pytest
 
 from labdata.errors import BadInput
-from simulate.radiance.atmosphere import Atmosphere
-from simulate.radiance.atmosphere.aerosol import kruse_per_km, visibility_extinction_per_km
-from simulate.radiance.atmosphere.airmass import airmass
-from simulate.radiance.atmosphere.rayleigh import rayleigh_depth
-from simulate.radiance.sky import Disc, NightSky
-from simulate.radiance.sky.moon import moon_spectrum
+from simulate.radiance.atmosphere import Atmosphere, airmass, kruse_per_km, rayleigh_depth, visibility_extinction_per_km
+from simulate.radiance.sky.moon import Disc, moon_spectrum
+from simulate.radiance.sky.night_sky import NightSky
 
 CLEAREST_KM = 339.0
 

@@ -4,9 +4,12 @@ import numpy as np
 import pytest
 
 from labdata.errors import BadInput
-from simulate.radiance.brdf import Glossy, Lambert, MeasuredTable, Metal, Retroreflector, fresnel
-from simulate.radiance.brdf.albedo_table import specular_albedo
-from simulate.radiance.materials import Reflectance, grey
+from simulate.radiance.brdf import microfacet
+from simulate.radiance.brdf.glossy import Glossy, Metal
+from simulate.radiance.brdf.measured import MeasuredTable
+from simulate.radiance.brdf.microfacet import specular_albedo
+from simulate.radiance.brdf.protocol import Lambert, Reflectance, grey
+from simulate.radiance.brdf.retroreflector import Retroreflector
 
 WAVELENGTH = np.array([450.0, 650.0, 850.0])
 TABLE = Reflectance(wavelength_nm=(450.0, 650.0, 850.0), share=(0.2, 0.6, 1.0))
@@ -152,20 +155,20 @@ def test_the_roughest_face_sends_back_1_minus_ln_2_along_its_normal():
     ("angle", "reflectance"), [(0, 0.0400), (30, 0.0415), (45, 0.0502), (60, 0.0892), (75, 0.2531), (85, 0.6128)]
 )
 def test_glass_reflects_by_fresnel(angle, reflectance):
-    assert fresnel.dielectric(np.cos(np.deg2rad(angle)), 1.5) == pytest.approx(reflectance, abs=6e-5)
+    assert microfacet.dielectric(np.cos(np.deg2rad(angle)), 1.5) == pytest.approx(reflectance, abs=6e-5)
 
 
 def test_brewsters_angle_and_aluminium():
-    parallel, perpendicular = fresnel.dielectric_polarised(np.cos(np.deg2rad(56.31)), 1.5)
+    parallel, perpendicular = microfacet.dielectric_polarised(np.cos(np.deg2rad(56.31)), 1.5)
     assert parallel < 1e-9 < perpendicular
-    assert fresnel.conductor(1.0, 0.958, 6.69) == pytest.approx(0.921, abs=1e-3)
-    assert fresnel.conductor(0.3, 1.5, 0.0) == pytest.approx(float(fresnel.dielectric(0.3, 1.5)), rel=1e-12)
+    assert microfacet.conductor(1.0, 0.958, 6.69) == pytest.approx(0.921, abs=1e-3)
+    assert microfacet.conductor(0.3, 1.5, 0.0) == pytest.approx(float(microfacet.dielectric(0.3, 1.5)), rel=1e-12)
 
 
 @pytest.mark.parametrize(("index", "reflectance"), [(1.5, 0.0918), (1.33, 0.0659)])
 def test_glass_and_water_in_an_even_glow(index, reflectance):
     cosine = (np.arange(20_000) + 0.5) / 20_000
-    assert np.mean(2.0 * cosine * fresnel.dielectric(cosine, index)) == pytest.approx(reflectance, abs=1e-4)
+    assert np.mean(2.0 * cosine * microfacet.dielectric(cosine, index)) == pytest.approx(reflectance, abs=1e-4)
 
 
 def test_a_retroreflector_is_brightest_to_the_lamps_own_eye():

@@ -7,18 +7,15 @@ import numpy as np
 import pytest
 
 from labdata.errors import BadInput
-from simulate.radiance.embree import COPY_BITS
+from simulate.radiance.geometry.embree import COPY_BITS
+from simulate.radiance.geometry.viewpoint import Viewpoint
+from simulate.radiance.integrator.auxiliary_layers import truth
+from simulate.radiance.integrator.integrator_settings import IntegratorSettings
+from simulate.radiance.integrator.outgoing_radiance import radiance_along
 from simulate.radiance.outdoor import build
 from simulate.radiance.outdoor.built_scene import BuiltScene
-from simulate.radiance.outdoor.description.camera import SceneCamera
-from simulate.radiance.outdoor.description.lamp_placement import LampPlacement
-from simulate.radiance.outdoor.description.material import MaterialSpec
-from simulate.radiance.outdoor.description.objects import Object, Pose
-from simulate.radiance.outdoor.description.scene import OutdoorScene
-from simulate.radiance.outdoor.viewpoint import Viewpoint
-from simulate.radiance.transport.auxiliary_layers import truth
-from simulate.radiance.transport.camera_ray_radiance import radiance_along
-from simulate.radiance.transport.integrator_settings import IntegratorSettings
+from simulate.radiance.outdoor.materials import MaterialSpec
+from simulate.radiance.outdoor.scene import LampPlacement, Object, OutdoorScene, Pose, SceneCamera
 
 NM = np.array([500.0, 600.0])
 
@@ -88,11 +85,11 @@ def test_shared_copies_are_hit_where_copies_of_their_own_are(shared, monkeypatch
 @pytest.mark.parametrize("place", [(503.0, 1.5, 4.0), (500.9, -1.2, 0.05)])
 def test_light_by_way_of_shared_copies_is_that_of_copies_of_their_own(shared, monkeypatch, finish, place):
     """A lamp high above, and one so close to the floor that its patch is looked for from the lamp."""
-    (origin, towards), effort = rays(12_000), IntegratorSettings(bounces=3)
+    (origin, towards), effort = rays(12_000), IntegratorSettings(max_bounces=3)
 
     def seen(seed):
         stage = site(finish, position_m=place, radius_m=0.01).on(NM)
-        light = radiance_along(stage, origin, towards, effort, np.random.default_rng(seed), gathered=4).total()[:, 0]
+        light = radiance_along(stage, origin, towards, effort, np.random.default_rng(seed), gather_rays=4).total()[:, 0]
         return np.minimum(light, np.percentile(light, 99.5))
 
     one = seen(1)
@@ -116,16 +113,21 @@ def test_truth_and_refusals_know_shared_copies(shared):
 
 
 PEAK = """
-from simulate.radiance.outdoor.build import built
-from simulate.radiance.outdoor.description.camera import Camera
-from simulate.radiance.outdoor.description.material import Surface
+from simulate.radiance.outdoor.build import build_surfaces
+from simulate.radiance.outdoor.description.camera import SceneCamera
+from simulate.radiance.outdoor.description.material import MaterialSpec
 from simulate.radiance.outdoor.description.objects import Object, Pose
-from simulate.radiance.outdoor.description.scene import Scene
+from simulate.radiance.outdoor.description.scene import OutdoorScene
+from simulate.radiance.outdoor.build import built
+from simulate.radiance.outdoor.scene import Camera
+from simulate.radiance.outdoor.materials import Surface
+from simulate.radiance.outdoor.scene import Object, Pose
+from simulate.radiance.outdoor.scene import Scene
 
 poses = tuple(Pose(position_m=(3.0 * (i % 150), 3.0 * (i // 150), 1.0), heading_deg=i % 360) for i in range(20_000))
 ball = Object(label="balls", material="grey", shape="sphere", size_m=(1.0,), instances=poses)
-camera = Camera(position_m=(0, -5, 2), look_at_m=(0, 0, 2))
-found = built(Scene(name="balls", camera=camera, material=(Surface(label="grey", reflectance=(0.5,)),), object=(ball,)))
+camera = SceneCamera(position_m=(0, -5, 2), look_at_m=(0, 0, 2))
+found = build_surfaces(OutdoorScene(name="balls", camera=camera, material=(MaterialSpec(label="grey", reflectance=(0.5,)),), object=(ball,)))
 assert len(found.tracer.planes[3]) == 20_000
 print(next(line.split()[1] for line in open("/proc/self/status") if line.startswith("VmHWM")))
 """

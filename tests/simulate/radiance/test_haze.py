@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from simulate.radiance.integrator.integrator_settings import IntegratorSettings
+from simulate.radiance.integrator.outgoing_radiance import radiance_along
 from simulate.radiance.outdoor.built_scene import BuiltScene
 from simulate.radiance.scene import load_scene
-from simulate.radiance.transport.camera_ray_radiance import radiance_along
-from simulate.radiance.transport.integrator_settings import IntegratorSettings
 
 NM = np.array([500.0, 550.0, 600.0])
 AHEAD = np.array([[0.0, 1.0, 0.0]])
@@ -36,8 +36,8 @@ def radiance(folder, range_m, glow=1.0, place="", weather="weather = { visibilit
     path.write_text(SCENE.format(place=place, weather=weather, glow=glow, middle_m=range_m + 0.5))
     stage = BuiltScene(load_scene(path)).on(NM)
     origin = np.array([[0.0, 0.0, 2.0]])
-    effort = IntegratorSettings(bounces=0, hidden_sky=False)
-    return radiance_along(stage, origin, AHEAD, effort, np.random.default_rng(0), gathered=1).total()[0]
+    effort = IntegratorSettings(max_bounces=0, sky_shadowing=False)
+    return radiance_along(stage, origin, AHEAD, effort, np.random.default_rng(0), gather_rays=1).total()[0]
 
 
 @pytest.mark.parametrize("visibility_km", [0.2, 5.0, 23.0])

@@ -5,11 +5,11 @@ import pytest
 
 from labdata.errors import BadInput
 from simulate.iiccd.tube_photometry import JOULE_METRE
-from simulate.radiance.lamps import read_spectrum, spectrum
+from simulate.radiance.integrator.integrator_settings import IntegratorSettings
+from simulate.radiance.integrator.outgoing_radiance import radiance_along
+from simulate.radiance.lamps.spectra import read_spectrum, spectrum
 from simulate.radiance.outdoor.built_scene import BuiltScene
 from simulate.radiance.scene import load_scene
-from simulate.radiance.transport.camera_ray_radiance import radiance_along
-from simulate.radiance.transport.integrator_settings import IntegratorSettings
 
 SCENE = """
 name = "a wall and an illuminator"
@@ -56,7 +56,7 @@ def photons_from_the_wall(scene):
     stage = scene.on(grid)
     ahead, eye = np.array([[0.0, 1.0, 0.0]]), np.array([[0.0, 0.0, 2.0]])
     light = radiance_along(
-        stage, eye, ahead, IntegratorSettings(bounces=0), np.random.default_rng(0), gathered=1
+        stage, eye, ahead, IntegratorSettings(max_bounces=0), np.random.default_rng(0), gather_rays=1
     ).total()[0]
     return float(np.sum(light * np.gradient(grid) * np.interp(grid, NM, per_watt)))
 

@@ -5,19 +5,11 @@ import pytest
 
 from labdata.errors import BadInput
 from simulate.iiccd.tube_photometry import JOULE_METRE, quantum_efficiency
-from simulate.radiance.lamps import (
-    KINDS,
-    Cosine,
-    Isotropic,
-    Lamp,
-    MeasuredDistribution,
-    SpotBeam,
-    read_spectrum,
-    spectrum,
-)
-from simulate.radiance.photometry import luminous_efficiency, planck
-from simulate.radiance.sky.dark_sky import dark_sky
+from simulate.radiance.lamps.distribution import Cosine, Isotropic, Lamp, MeasuredDistribution, SpotBeam
+from simulate.radiance.lamps.spectra import KINDS, read_spectrum, spectrum
 from simulate.radiance.sky.moon import moon_spectrum
+from simulate.radiance.sky.sky_glow import dark_sky
+from simulate.radiance.spectrum import luminous_efficiency, planck
 
 
 def per_lumen(sheet, light):

@@ -5,7 +5,9 @@ import pytest
 
 from labdata.errors import BadInput
 from labdata.serialiser import from_mapping
-from simulate.radiance.brdf import Glossy, Lambert, Metal, Retroreflector
+from simulate.radiance.brdf.glossy import Glossy, Metal
+from simulate.radiance.brdf.protocol import Lambert
+from simulate.radiance.brdf.retroreflector import Retroreflector
 from simulate.radiance.materials import Material, material, material_names
 
 # Reflectance at 450, 550, 700, 850 nm.
@@ -26,7 +28,7 @@ UP = np.array([[0.0, 0.0, 1.0]])
 @pytest.mark.parametrize(("name", "shares"), TABLE.items())
 def test_matt_materials_have_their_spectra(name, shares):
     grid = [450.0, 550.0, 700.0, 850.0]
-    assert material(name).reflected(grid) == pytest.approx(shares)
+    assert material(name).reflectance_at(grid) == pytest.approx(shares)
     assert material(name).brdf().albedo(UP, grid)[:, 0] == pytest.approx(shares)
 
 
@@ -36,7 +38,7 @@ def test_every_material_says_its_source_and_gives_off_no_more_than_it_gets(name)
     assert found.source
     grid = np.linspace(380.0, 1100.0, 40)
     assert (found.brdf().albedo(UP, grid)[:, 0] + found.transmittance_at(grid) <= 1.0 + 1e-9).all()
-    assert (found.reflected(grid) >= 0.0).all()
+    assert (found.reflectance_at(grid) >= 0.0).all()
 
 
 def test_finishes_make_their_surfaces():
@@ -48,7 +50,7 @@ def test_finishes_make_their_surfaces():
 
 def test_leaves_and_dyes_turn_bright_in_the_near_infrared():
     for name in ("green-canopy", "dark-cotton"):
-        green, infrared = material(name).reflected([550.0, 850.0])
+        green, infrared = material(name).reflectance_at([550.0, 850.0])
         assert infrared > 5.0 * green
 
 

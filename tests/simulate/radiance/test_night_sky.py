@@ -8,12 +8,13 @@ import pytest
 from labdata.errors import BadInput
 from simulate.radiance.atmosphere import Atmosphere
 from simulate.radiance.cube import band_widths
-from simulate.radiance.lamps import spectrum
-from simulate.radiance.photometry import luminous_efficiency
-from simulate.radiance.sky import Disc, NightSky, ObserverLocation, TownGlow
-from simulate.radiance.sky.moon import moon_spectrum
+from simulate.radiance.lamps.spectra import spectrum
+from simulate.radiance.sky.ephemeris import ObserverLocation
+from simulate.radiance.sky.moon import Disc, moon_spectrum, sun_spectrum
+from simulate.radiance.sky.night_sky import NightSky
 from simulate.radiance.sky.scattering import NANOLAMBERT_CD_M2, krisciunas_schaefer_nl
-from simulate.radiance.sky.sun import sun_spectrum
+from simulate.radiance.sky.sky_glow import TownGlow
+from simulate.radiance.spectrum import luminous_efficiency
 
 ROCHESTER = ObserverLocation(latitude_deg=43.16, longitude_deg=-77.61, altitude_m=150.0)
 SVALBARD = ObserverLocation(latitude_deg=78.2, longitude_deg=15.6)

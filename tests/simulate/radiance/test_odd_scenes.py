@@ -7,8 +7,7 @@ import pytest
 
 from labdata.conditions import Conditions
 from labdata.sensors import load_camera
-from simulate.cameras import camera_from_description
-from simulate.iiccd.scene_to_photoelectrons import photoelectrons_from_radiance
+from simulate.iiccd.scene_to_photoelectrons import camera_from_description, photoelectrons_from_radiance
 from simulate.outdoor_rendering import OutdoorRendering
 from simulate.radiance.scene import load_scene
 

@@ -9,18 +9,18 @@ import pytest
 
 from labdata.errors import BadInput
 from labdata.serialiser import from_mapping
-from simulate.radiance.materials.pane import clearest, pane_shares
+from simulate.radiance.geometry.shapes import Mesh, shape
+from simulate.radiance.geometry.surfaces import collect_surfaces
+from simulate.radiance.geometry.viewpoint import Viewpoint
+from simulate.radiance.integrator.integrator_settings import IntegratorSettings
+from simulate.radiance.integrator.outgoing_radiance import radiance_along
+from simulate.radiance.integrator.panes import Panes
+from simulate.radiance.integrator.subpixel_sources import add_small_sources
+from simulate.radiance.materials import clearest, pane_shares
 from simulate.radiance.outdoor.built_scene import BuiltScene
-from simulate.radiance.outdoor.description.material import MaterialSpec
-from simulate.radiance.outdoor.description.scene import OutdoorScene
-from simulate.radiance.outdoor.shapes import Mesh, shape
-from simulate.radiance.outdoor.surfaces import collect_surfaces
-from simulate.radiance.outdoor.viewpoint import Viewpoint
+from simulate.radiance.outdoor.materials import MaterialSpec
+from simulate.radiance.outdoor.scene import OutdoorScene
 from simulate.radiance.scene import load_scene
-from simulate.radiance.transport.camera_ray_radiance import radiance_along
-from simulate.radiance.transport.integrator_settings import IntegratorSettings
-from simulate.radiance.transport.panes import Panes
-from simulate.radiance.transport.subpixel_sources import add_small_sources
 from tests.simulate.radiance.staging import NM, UNIFORM, UP, agree, at, disc_light, irradiance, lamp, staged, upright
 
 INDEX = 1.5
@@ -111,7 +111,14 @@ def test_under_an_even_sky_a_pane_takes_nothing_from_a_white_world():
     # Sky above and a floor that reflects all: what the pane mirrors is as bright as what it keeps away.
     stage = glazed(floor(1.0, sky=UNIFORM), [sheet(1.0)])
     for known in (0.0, 1.0):
-        seen = irradiance(stage, np.zeros((2000, 3)), UP, effort=IntegratorSettings(bounces=30), rays=4, known=known)
+        seen = irradiance(
+            stage,
+            np.zeros((2000, 3)),
+            UP,
+            effort=IntegratorSettings(max_bounces=30),
+            rays=4,
+            sky_control_fraction=known,
+        )
         agree(seen, np.pi, 0.01)
 
 
@@ -121,7 +128,9 @@ def test_under_glass_a_black_floor_gets_the_sky_that_the_pane_lets_through():
     through = [textbook(np.rad2deg(angle))[1] for angle in steps]
     expected = np.sum(np.array(through) * 2.0 * np.pi * np.sin(steps) * np.cos(steps)) * np.deg2rad(0.5)
     agree(
-        irradiance(stage, np.zeros((4000, 3)), UP, effort=IntegratorSettings(bounces=1), rays=8), float(expected), 0.01
+        irradiance(stage, np.zeros((4000, 3)), UP, effort=IntegratorSettings(max_bounces=1), rays=8),
+        float(expected),
+        0.01,
     )
 
 
@@ -131,16 +140,16 @@ def test_a_lit_wall_behind_windows_is_seen_weakened_and_the_sky_in_them(count):
     panes = [at(upright(shape("plane", (50.0, 50.0))), 0.0, 5.0 + 0.1 * i, 0.0) for i in range(count)]
     lit = staged([("wall", "grey", wall)], {"grey": 0.5}, lamps=(lamp((0.0, 15.0, 0.0), 100.0),))
     rays = np.zeros((4000, 3)), np.tile([0.0, 1.0, 0.0], (4000, 1))
-    effort = IntegratorSettings(bounces=0, hidden_sky=False)
+    effort = IntegratorSettings(max_bounces=0, sky_shadowing=False)
     bare, behind = (
-        radiance_along(stage, *rays, effort, np.random.default_rng(3), gathered=1).total()[:, 0]
+        radiance_along(stage, *rays, effort, np.random.default_rng(3), gather_rays=1).total()[:, 0]
         for stage in (lit, glazed(lit, panes))
     )
     back, _ = textbook(0.0)
     # Parallel panes together: light goes to and fro between them, and the lamp shines on the wall before them all.
     agree(behind / bare, (1 - back) / (1 + (count - 1) * back))
     sky = staged([("wall", "grey", wall)], {"grey": 1e-6}, sky=lambda way: np.ones((2, 1)) * (way[:, 1] < 0.0))
-    seen = radiance_along(glazed(sky, panes), *rays, effort, np.random.default_rng(4), gathered=1).total()[:, 0]
+    seen = radiance_along(glazed(sky, panes), *rays, effort, np.random.default_rng(4), gather_rays=1).total()[:, 0]
     agree(seen, 1 - (1 - back) / (1 + (count - 1) * back))
 
 
@@ -186,9 +195,9 @@ def test_a_window_is_written_in_a_scene_and_goes_with_it_to_other_processes(tmp_
     grid = np.array([400.0, 550.0, 900.0])
     panes = site.on(grid).bsdfs.panes
     assert panes is not None
-    which, left = panes.left(np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 10.0, 0.0]]), 1.0)
+    which, left = panes.transmittance_along(np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 10.0, 0.0]]), 1.0)
     assert which == [0] and left[0] == pytest.approx([0.5, 0.88, 0.6], rel=1e-5)
-    assert not len(panes.left(np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 4.0, 0.0]]), 1.0)[0])
+    assert not len(panes.transmittance_along(np.array([[0.0, 0.0, 1.0]]), np.array([[0.0, 4.0, 0.0]]), 1.0)[0])
     path.write_text(GLASSHOUSE.replace("position_m = [0, 8, 1]", "position_m = [0, 5.01, 1]"))
     with pytest.raises(BadInput, match="stand clear of surfaces"):
         _ = BuiltScene(cast("OutdoorScene", load_scene(path))).surfaces

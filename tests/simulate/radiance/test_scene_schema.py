@@ -4,11 +4,11 @@ import json
 from importlib import resources
 
 import pytest
-from tests.labdata.test_border import keeps
 from typer.testing import CliRunner
 
 from charact.cli.application import app
 from labdata.serialiser import read_toml
+from tests.labdata.test_serialiser import keeps
 
 
 def schema(kind):
@@ -30,7 +30,7 @@ def test_the_schema_holds_for_a_scene_that_ships(name, kind):
 
 
 def test_the_schema_says_what_a_lamp_may_have_and_in_which_unit():
-    lamp = schema("scene")["$defs"]["LampPost"]
+    lamp = schema("scene")["$defs"]["LampPlacement"]
     assert lamp["additionalProperties"] is False
     assert lamp["properties"]["watts"]["type"] == "number" and "W" in lamp["properties"]["watts"]["description"]
     assert set(lamp["required"]) == {"label", "kind", "position_m"}

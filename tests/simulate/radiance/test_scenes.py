@@ -6,22 +6,21 @@ import numpy as np
 import pytest
 
 from labdata.errors import BadInput
-from simulate.radiance.brdf import Metal
-from simulate.radiance.materials.reflectance import grey
+from simulate.radiance.brdf.glossy import Metal
+from simulate.radiance.brdf.protocol import grey
+from simulate.radiance.geometry.shapes import SIZES, Mesh, box, ground, plane, shape, shed, sphere
+from simulate.radiance.geometry.viewpoint import RasterGeometry, Viewpoint
+from simulate.radiance.integrator.adaptive_sampling import SamplingSettings
+from simulate.radiance.integrator.auxiliary_layers import truth
+from simulate.radiance.integrator.integrator_settings import IntegratorSettings
+from simulate.radiance.integrator.outgoing_radiance import radiance_along
+from simulate.radiance.integrator.render_sensor import RenderSensor
+from simulate.radiance.integrator.renderer import render_scene
 from simulate.radiance.outdoor.build import build_surfaces, place_mesh
 from simulate.radiance.outdoor.built_scene import BuiltScene
-from simulate.radiance.outdoor.description.objects import Pose
-from simulate.radiance.outdoor.description.scene import OutdoorScene
 from simulate.radiance.outdoor.render_settings import choose_render_settings
-from simulate.radiance.outdoor.shapes import SIZES, Mesh, box, ground, plane, shape, shed, sphere
-from simulate.radiance.outdoor.viewpoint import RasterGeometry, Viewpoint
+from simulate.radiance.outdoor.scene import OutdoorScene, Pose
 from simulate.radiance.scene import load_bench, load_scene
-from simulate.radiance.transport.adaptive_sampling import SamplingSettings
-from simulate.radiance.transport.auxiliary_layers import truth
-from simulate.radiance.transport.camera_ray_radiance import radiance_along
-from simulate.radiance.transport.integrator_settings import IntegratorSettings
-from simulate.radiance.transport.render_sensor import RenderSensor
-from simulate.radiance.transport.renderer import render_scene
 from tests.simulate.radiance.staging import NM, UNIFORM, UP, at, disc_light, inside_out, irradiance, lamp, staged
 
 CAMERA = "[camera]\nposition_m = [0, -10, 2]\nlook_at_m = [0, 0, 1]\n"
@@ -144,7 +143,7 @@ def test_the_bench_ships_in_a_dark_room_and_in_a_lit_one():
 def test_a_picture_says_how_long_it_will_take_before_it_begins():
     stage = staged([("floor", "m", plane(40, 40))], {"m": 0.5}, sky=UNIFORM)
     told: list[tuple[str, float]] = []
-    rays = SamplingSettings(allowed=lambda signal: 1e-3 * np.ones_like(signal))
+    rays = SamplingSettings(error_limit=lambda signal: 1e-3 * np.ones_like(signal))
     announce, progress = (lambda value, name=name: told.append((name, value)) for name in ("expected", "done"))
     render_scene(stage, VIEW, rays, IntegratorSettings(), weight=WEIGHT, seed=0, announce=announce, progress=progress)
     assert [name for name, _ in told].index("expected") == 0
@@ -189,11 +188,11 @@ def test_solids_are_closed_and_hold_their_volume():
         mesh = shape(name, size)
         corners = mesh.corners_m
         volume = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6.0
-        assert mesh.closed, name
+        assert mesh.is_closed, name
         assert volume == pytest.approx(volumes.get(name, volume), rel=0.005), name
         assert volume > 0.0
     assert set(SIZES) == {*sizes, "plane", "disc", "ground"}
-    assert not plane(1, 1).closed
+    assert not plane(1, 1).is_closed
     assert ground(1000.0).corners_m[:2].max() <= 32.0
 
 
@@ -249,12 +248,12 @@ def test_shadows_fall_away_from_the_light_and_truth_knows_them():
 def test_choosing_where_to_look_closely_does_not_bend_the_picture(seed):
     parts = [("floor", "m", plane(40, 40)), ("shed", "m", at(shed(6, 5, 3, 4), 0, 4, 0))]
     stage = staged(parts, {"m": 0.5}, sky=UNIFORM, lamps=(lamp((0, 4, 2), 3.0, 0.3),))
-    effort = IntegratorSettings(bounces=1)
-    rays = SamplingSettings(most=64, allowed=lambda signal: (0.02 * signal) ** 2 + 1e-6)
+    effort = IntegratorSettings(max_bounces=1)
+    rays = SamplingSettings(max_rays=64, error_limit=lambda signal: (0.02 * signal) ** 2 + 1e-6)
     found = render_scene(stage, VIEW, rays, effort, weight=WEIGHT, seed=seed)
     rng = np.random.default_rng([seed, 1])
     row, col = 24 * rng.random(40000), 32 * rng.random(40000)
-    every = radiance_along(stage, *VIEW.rays(row, col), effort, rng, gathered=2).total().sum(axis=1)
+    every = radiance_along(stage, *VIEW.rays(row, col), effort, rng, gather_rays=2).total().sum(axis=1)
     error = np.hypot(every.std() / 200.0, np.sqrt(found.variance.sum()) / found.variance.size)
     assert abs(found.signal.mean() - every.mean() - _of_lamp(stage, found)) < 4.0 * error
     assert found.rays.min() == 2 and found.rays.max() > 8
@@ -273,7 +272,7 @@ def _of_lamp(stage, found) -> float:
 
 def test_a_camera_inside_an_object_sees_its_inside():
     stage = staged([("box", "m", at(box(4, 4, 4), 0, -10, 0))], {"m": 0.5}, sky=UNIFORM)
-    found = render_scene(stage, VIEW, SamplingSettings(), IntegratorSettings(bounces=1), weight=WEIGHT, seed=0)
+    found = render_scene(stage, VIEW, SamplingSettings(), IntegratorSettings(max_bounces=1), weight=WEIGHT, seed=0)
     assert np.abs(found.signal).max() < 1e-6
     assert (found.truth.object == 0).all()
 
@@ -283,9 +282,9 @@ def test_of_faces_in_one_plane_the_light_is_that_of_either():
     stage = staged(parts, {"dark": 0.1, "pale": 0.9}, sky=UNIFORM, discs=(disc_light(UP),))
     towards = np.array([[0.0, 0.0, -1.0]] * 500)
     origin = np.random.default_rng(0).random((500, 3)) * [3, 3, 0] + [-1.5, -1.5, 2.0]
-    seen = radiance_along(stage, origin, towards, IntegratorSettings(), np.random.default_rng(1), gathered=2).total()[
-        :, 0
-    ]
+    seen = radiance_along(
+        stage, origin, towards, IntegratorSettings(), np.random.default_rng(1), gather_rays=2
+    ).total()[:, 0]
     bright = 1.0 + 1.0 / np.pi
     assert np.minimum(np.abs(seen - 0.1 * bright), np.abs(seen - 0.9 * bright)).max() < 1e-3
 
@@ -296,7 +295,7 @@ def test_grazing_rays_are_finite():
     towards = np.column_stack([np.ones(300), np.zeros(300), slope])
     towards /= np.linalg.norm(towards, axis=1, keepdims=True)
     origin = np.broadcast_to([0.0, 0.0, 1e-3], towards.shape)
-    seen = radiance_along(stage, origin, towards, IntegratorSettings(), np.random.default_rng(0), gathered=2).total()
+    seen = radiance_along(stage, origin, towards, IntegratorSettings(), np.random.default_rng(0), gather_rays=2).total()
     assert np.isfinite(seen).all() and seen.min() >= -1e-6 and seen.max() < 1.2
 
 
@@ -322,9 +321,9 @@ def test_a_mirror_that_faces_a_mirror_ends():
     parts = [("a", "m", plane(20, 20)), ("b", "m", at(inside_out(plane(20, 20)), 0, 0, 1))]
     stage = staged(parts, {"m": mirror}, sky=UNIFORM)
     towards = np.array([[0.3, 0.0, -1.0]] * 300) / np.hypot(0.3, 1.0)
-    effort = IntegratorSettings(bounces=200, roulette_from=3)
+    effort = IntegratorSettings(max_bounces=200, roulette_depth=3)
     rng = np.random.default_rng(2)
-    seen = radiance_along(stage, np.array([[0.0, 0.0, 0.5]] * 300), towards, effort, rng, gathered=1).total()
+    seen = radiance_along(stage, np.array([[0.0, 0.0, 0.5]] * 300), towards, effort, rng, gather_rays=1).total()
     assert np.isfinite(seen).all()
     assert -0.01 < seen.mean() < 1.1
 
@@ -402,7 +401,7 @@ def test_daylight_starlight_and_sodium_light_are_planned_differently(tmp_path):
     kept = {name: {effect.name for effect in plan.plan.kept} for name, plan in plans.items()}
     assert "sun" in kept["day"] and "bulb" in kept["sodium"] and "hidden sky" in kept["stars"]
     assert "hidden sky" not in kept["sodium"] and "sun" not in kept["stars"]
-    assert plans["day"].effort.bounces > plans["stars"].effort.bounces > 0
+    assert plans["day"].effort.max_bounces > plans["stars"].effort.max_bounces > 0
     bands = {name: len(plan.wavelength_nm) for name, plan in plans.items()}
     assert bands["sodium"] < bands["stars"], "two lines need few bands, airglow many"
     assert any(abs(plans["sodium"].wavelength_nm - 589.0) < 0.1), "the line is on the grid"
@@ -422,7 +421,7 @@ def test_a_lamp_whose_light_arrives_by_reflection_alone_is_kept(tmp_path):
         BuiltScene(scene_of(tmp_path, CAMERA + GREY + parts + shade + lit)), VIEW, eye, 0.1, 1
     )
     kept = {effect.name for effect in plan.plan.kept}
-    assert {"bulb", "bounce 1"} <= kept and "bulb" not in plan.effort.left_out
+    assert {"bulb", "bounce 1"} <= kept and "bulb" not in plan.effort.neglected
 
 
 def test_rays_that_trials_thought_too_few_go_on_until_the_error_is_as_promised(monkeypatch, seed):
@@ -432,20 +431,20 @@ def test_rays_that_trials_thought_too_few_go_on_until_the_error_is_as_promised(m
     stage = staged(parts, {"m": 0.2, "steel": brdf}, lamps=(lamp((2, -6, 5), 1000.0),))
     few = replace(VIEW, shape=(6, 8), focal_px=(10.0, 10.0))
     monkeypatch.setattr(
-        "simulate.radiance.transport.renderer.allocate_samples",
+        "simulate.radiance.integrator.renderer.allocate_samples",
         lambda here, rays, trial, seed: np.full((6, 8), 32, np.int32),
     )
 
     def allowed(signal):
         return np.full_like(signal, 0.05**2)
 
-    many = SamplingSettings(fewest=2, edge=2, most=8192, shared=None, allowed=allowed)
+    many = SamplingSettings(min_rays=2, edge=2, max_rays=8192, cache_rays=None, error_limit=allowed)
     exact = render_scene(
-        stage, few, replace(many, allowed=None), IntegratorSettings(bounces=0), weight=WEIGHT, seed=seed
+        stage, few, replace(many, error_limit=None), IntegratorSettings(max_bounces=0), weight=WEIGHT, seed=seed
     )
     assert exact.rays.max() == 32
     found, again = (
-        render_scene(stage, few, many, IntegratorSettings(bounces=0), weight=WEIGHT, seed=seed + turn)
+        render_scene(stage, few, many, IntegratorSettings(max_bounces=0), weight=WEIGHT, seed=seed + turn)
         for turn in (1, 2)
     )
     assert exact.variance.mean() > 3.0 * 0.05**2, "the rays of the trials do not do"
@@ -471,7 +470,7 @@ def test_a_dim_scene_is_planned_with_less_than_a_bright_one(tmp_path):
         assert plan.plan.influence <= 0.05
         assert len(stage.bsdfs.wavelength_nm) == len(plan.wavelength_nm)
     dim, bright = plans
-    assert dim.effort.bounces < bright.effort.bounces
+    assert dim.effort.max_bounces < bright.effort.max_bounces
     assert len(dim.wavelength_nm) <= len(bright.wavelength_nm)
     assert NM[0] > dim.wavelength_nm[0]
     assert "left out" in dim.text()

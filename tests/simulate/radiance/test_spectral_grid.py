@@ -6,12 +6,11 @@ import pytest
 from labdata.errors import BadInput
 from simulate.iiccd.tube_photometry import JOULE_METRE, detection_weights, quantum_efficiency
 from simulate.radiance.cube import band_widths
-from simulate.radiance.lamps import KINDS, spectrum
-from simulate.radiance.outdoor.render_settings import COARSEST
-from simulate.radiance.sky import NightSky
+from simulate.radiance.lamps.spectra import KINDS, spectrum
+from simulate.radiance.outdoor.render_settings import RENDER_LIMITS
 from simulate.radiance.sky.moon import moon_spectrum
-from simulate.radiance.spectral_grid import spectral_grid
-from simulate.radiance.spectrum import SourceSpectrum, sum_spectra
+from simulate.radiance.sky.night_sky import NightSky
+from simulate.radiance.spectrum import SourceSpectrum, spectral_grid, sum_spectra
 
 
 @pytest.mark.parametrize("kind", [*KINDS, "moon", "dark sky"])
@@ -79,7 +78,7 @@ def detected(light, nm, efficiency):
     """Photons of a rendered light that a detector detects, as lens and detector take them from a picture's bands."""
     fine = np.union1d(nm, np.arange(nm[0], nm[-1], 5.0))
     per_watt = np.interp(fine, nm, efficiency) * fine * 1e-9 / JOULE_METRE
-    grid, _ = spectral_grid([light], fine, per_watt, tolerance=COARSEST)
+    grid, _ = spectral_grid([light], fine, per_watt, tolerance=RENDER_LIMITS.max_spectral_error)
     return light.on(grid) @ detection_weights(grid, nm, efficiency, averaged=True)
 
 
@@ -132,7 +131,7 @@ def test_a_smooth_light_needs_few_bands_and_a_tighter_tolerance_more(sheet):
 def test_spectra_add():
     parts = [spectrum("mercury"), spectrum("low-pressure-sodium", lumens=3.0)]
     assert sum_spectra(parts).lumens == pytest.approx(4.0, rel=1e-3)
-    half = parts[0].filtered(lambda nm: np.full(np.shape(nm), 0.5))
+    half = parts[0].multiply(lambda nm: np.full(np.shape(nm), 0.5))
     assert half.lumens == pytest.approx(0.5)
 
 

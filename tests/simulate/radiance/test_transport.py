@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from simulate.radiance.brdf import Glossy, Metal
-from simulate.radiance.materials.reflectance import grey
-from simulate.radiance.outdoor.shapes import Mesh, box, disc, plane, sphere
-from simulate.radiance.transport.camera_ray_radiance import radiance_along
-from simulate.radiance.transport.integrator_settings import IntegratorSettings
+from simulate.radiance.brdf.glossy import Glossy, Metal
+from simulate.radiance.brdf.protocol import grey
+from simulate.radiance.geometry.shapes import Mesh, box, disc, plane, sphere
+from simulate.radiance.integrator.integrator_settings import IntegratorSettings
+from simulate.radiance.integrator.outgoing_radiance import radiance_along
 from tests.simulate.radiance.staging import (
     OVERCAST,
     UNIFORM,
@@ -23,7 +23,7 @@ from tests.simulate.radiance.staging import (
 )
 
 WIDE = plane(50, 50)
-EXACT = IntegratorSettings(bounces=200, roulette_from=3)
+EXACT = IntegratorSettings(max_bounces=200, roulette_depth=3)
 
 
 def over(x: float, y: float, count: int, seed: int, centre=(0.0, 0.0)) -> np.ndarray:
@@ -89,7 +89,9 @@ def test_a_uniform_sky_lights_a_tilted_surface_by_the_part_of_it_that_it_sees(ti
 def test_an_overcast_sky_lights_the_ground_with_seven_ninths_of_pi(seed):
     stage = staged([("floor", "floor", WIDE)], {"floor": 0.5}, sky=OVERCAST)
     for known in (1.0, 0.0):
-        agree(irradiance(stage, [(0, 0, 0)] * 2000, UP, seed=seed, rays=8, known=known), 7.0 * np.pi / 9.0)
+        agree(
+            irradiance(stage, [(0, 0, 0)] * 2000, UP, seed=seed, rays=8, sky_control_fraction=known), 7.0 * np.pi / 9.0
+        )
 
 
 @pytest.mark.parametrize(("ratio", "exact"), [(0.1, 0.5498), (1.0, 0.8536), (3.0, 0.9743)])
@@ -97,7 +99,7 @@ def test_an_overcast_sky_lights_the_ground_with_seven_ninths_of_pi(seed):
 def test_a_long_wall_hides_the_sky_and_how_it_is_asked_for_does_not_matter(seed, ratio, exact, known):
     wall = at(upright(plane(300, 1)), 0, ratio, 0.5)
     stage = staged([("floor", "floor", WIDE), ("wall", "wall", wall)], {"floor": 0.5, "wall": 0.0}, sky=UNIFORM)
-    agree(irradiance(stage, [(0, 0, 0)] * 3000, UP, seed=seed, rays=8, known=known) / np.pi, exact)
+    agree(irradiance(stage, [(0, 0, 0)] * 3000, UP, seed=seed, rays=8, sky_control_fraction=known) / np.pi, exact)
 
 
 def test_a_street_canyon_as_deep_as_wide(seed):
@@ -159,7 +161,7 @@ def test_an_integrating_sphere_multiplies_its_light(seed, rho, port, rays):
     direction = rng.normal(size=(rays, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     direction = direction[direction[:, 2] < 1.0 - 2.5 * port - 0.01]
-    eye = radiance_along(stage, np.zeros_like(direction), direction, EXACT, rng, gathered=2).total()[:, 0]
+    eye = radiance_along(stage, np.zeros_like(direction), direction, EXACT, rng, gather_rays=2).total()[:, 0]
     exact = 4.0 * np.pi / (np.pi * area.sum()) * rho / (1.0 - rho * (1.0 - hole))
     agree(eye, exact)
 
@@ -172,7 +174,7 @@ def test_following_so_many_bounces_leaves_out_a_power_of_the_reflectance(seed, b
     direction = rng.normal(size=(2000, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     eye = radiance_along(
-        stage, np.zeros_like(direction), direction, IntegratorSettings(bounces=bounces), rng, gathered=2
+        stage, np.zeros_like(direction), direction, IntegratorSettings(max_bounces=bounces), rng, gather_rays=2
     ).total()[:, 0]
     agree(eye, rho / np.pi * (1.0 - rho ** (bounces + 1)) / (1.0 - rho))
 
@@ -203,7 +205,7 @@ def test_in_a_furnace_every_surface_is_as_bright_as_its_glow_over_what_it_does_n
     direction = rng.normal(size=(4000, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     origin = np.broadcast_to([0.1, 0.2, 1.0], direction.shape)
-    agree(radiance_along(stage, origin, direction, EXACT, rng, gathered=4).total()[:, 0], 1.0 / (1.0 - 0.6))
+    agree(radiance_along(stage, origin, direction, EXACT, rng, gather_rays=4).total()[:, 0], 1.0 / (1.0 - 0.6))
 
 
 @pytest.mark.parametrize(
@@ -222,8 +224,8 @@ def test_under_a_uniform_sky_a_gloss_shows_its_albedo(seed, brdf, tilt_deg, hidd
     eye = np.array([[np.sin(tilt), 0.0, np.cos(tilt)]])
     origin, towards = np.repeat(eye, 3000, axis=0), np.repeat(-eye, 3000, axis=0)
     rng = np.random.default_rng([seed, 4])
-    effort = IntegratorSettings(bounces=0, hidden_sky=hidden_sky)
-    seen = radiance_along(stage, origin, towards, effort, rng, gathered=4).total()[:, 0]
+    effort = IntegratorSettings(max_bounces=0, sky_shadowing=hidden_sky)
+    seen = radiance_along(stage, origin, towards, effort, rng, gather_rays=4).total()[:, 0]
     agree(seen, float(brdf.albedo(eye, np.array([500.0]))[0, 0]), relative=0.01)
 
 
@@ -231,7 +233,7 @@ def test_one_lamp_drawn_of_many_gives_the_same_light_as_all(seed):
     lamps = tuple(lamp((x, 0, 1), 1.0 + x * x) for x in (-2.0, 0.0, 1.0, 3.0))
     ceiling = at(inside_out(plane(50, 50)), 0, 0, 2)
     stage = staged([("floor", "m", WIDE), ("ceiling", "m", ceiling)], {"m": 0.5}, lamps=lamps)
-    few = irradiance(stage, [(0, 0, 0)] * 3000, UP, seed=seed, effort=IntegratorSettings(bounces=1), rays=2)
+    few = irradiance(stage, [(0, 0, 0)] * 3000, UP, seed=seed, effort=IntegratorSettings(max_bounces=1), rays=2)
     rng = np.random.default_rng([seed, 3])
     # Where cosine-drawn rays meet the ceiling, all lamps are asked.
     sine, turn = np.sqrt(rng.random(12000)), 2.0 * np.pi * rng.random(12000)

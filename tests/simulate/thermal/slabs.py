@@ -4,11 +4,10 @@ from typing import Any
 
 import numpy as np
 
-from labdata.parameter import Parameter
+from labdata.camera_description import Parameter
 from simulate.radiance.blackbody import STEFAN_BOLTZMANN
-from simulate.radiance.outdoor.description.slab import Layer, Slab
-from simulate.thermal.convection import Exchange
-from simulate.thermal.slab import Forcing
+from simulate.radiance.outdoor.materials import Layer, Slab
+from simulate.thermal.slab import Exchange, Forcing
 
 HOUR, DAY = 3600.0, 86400.0
 CONCRETE, ASPHALT, DRY_SOIL = (1.4, 2300.0, 880.0, 600.0), (0.75, 2120.0, 920.0, 600.0), (0.30, 1600.0, 800.0, 600.0)

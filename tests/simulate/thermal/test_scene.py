@@ -8,15 +8,14 @@ import pytest
 from labdata.errors import BadInput
 from labdata.serialiser import from_mapping
 from simulate.radiance.blackbody import STEFAN_BOLTZMANN
+from simulate.radiance.geometry.viewpoint import Viewpoint
 from simulate.radiance.outdoor.built_scene import BuiltScene
-from simulate.radiance.outdoor.description.scene import OutdoorScene
-from simulate.radiance.outdoor.viewpoint import Viewpoint
+from simulate.radiance.outdoor.scene import OutdoorScene
 from simulate.radiance.scene import load_scene
 from simulate.thermal.balance import Balance
-from simulate.thermal.convection import ZERO_C
 from simulate.thermal.exposure import exposure_of, facets_of
-from simulate.thermal.library import library, slab_of
-from simulate.thermal.temperatures import Temperatures, temperatures_of
+from simulate.thermal.slab import ZERO_C
+from simulate.thermal.temperatures import Temperatures, library, slab_of, temperatures_of
 from simulate.thermal.weather import weather_of
 
 NIGHT = {

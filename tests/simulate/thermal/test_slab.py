@@ -5,8 +5,7 @@ import pytest
 from scipy.special import erfc
 
 from simulate.radiance.blackbody import STEFAN_BOLTZMANN
-from simulate.thermal.convection import vapour_pressure_pa
-from simulate.thermal.slab import CELLS, RATIO, Columns, kernels, march, periodic_start
+from simulate.thermal.slab import CELLS, RATIO, Columns, kernels, march, periodic_start, vapour_pressure_pa
 from tests.simulate.thermal.slabs import (
     ASPHALT,
     CONCRETE,

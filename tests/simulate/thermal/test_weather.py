@@ -7,15 +7,13 @@ import pytest
 
 from labdata.errors import BadInput
 from simulate.radiance.blackbody import STEFAN_BOLTZMANN
-from simulate.radiance.outdoor.description.camera import SceneCamera
-from simulate.radiance.outdoor.description.scene import OutdoorScene
-from simulate.radiance.outdoor.description.surroundings import Weather as State
-from simulate.radiance.outdoor.description.surroundings import Where
+from simulate.radiance.outdoor.scene import OutdoorScene, SceneCamera
+from simulate.radiance.outdoor.surroundings import Weather as State
+from simulate.radiance.outdoor.surroundings import Where
 from simulate.radiance.sky.ephemeris import ObserverLocation
 from simulate.thermal.clear_day import clear_sun, sky_emissivity, sky_radiance, sun_directions
-from simulate.thermal.convection import ZERO_C, dew_point_k, vapour_pressure_pa
-from simulate.thermal.library import library
-from simulate.thermal.slab import Columns, march, periodic_start
+from simulate.thermal.slab import ZERO_C, Columns, dew_point_k, march, periodic_start, vapour_pressure_pa
+from simulate.thermal.temperatures import library
 from simulate.thermal.weather import DAY_STEPS, weather_from_files, weather_of
 from tests.simulate.thermal.slabs import forcing_of
 

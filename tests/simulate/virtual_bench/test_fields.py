@@ -12,9 +12,9 @@ from labdata.instrument_config import InstrumentConfig
 from labdata.sensors import load_sensor
 from labdata.target import Target
 from simulate.virtual_bench.bench import VirtualBench
-from simulate.virtual_bench.fields import Fields
-from simulate.virtual_bench.in_process_camera import InProcessCamera
+from simulate.virtual_bench.in_process import InProcessCamera
 from simulate.virtual_bench.outputs import Outputs
+from simulate.virtual_bench.tube import Fields
 
 FRAMES = 10
 

@@ -7,9 +7,8 @@ import pytest
 from labdata.errors import BadInput
 from labdata.event_log import EventLog
 from labdata.serialiser import from_mapping
-from simulate.virtual_bench.fault_script import FaultScript, ScriptedFault
 from simulate.virtual_bench.faults import Faults
-from simulate.virtual_bench.rehearsal import Rehearsal
+from simulate.virtual_bench.rehearsal import FaultScript, Rehearsal, ScriptedFault
 
 
 class Bench:

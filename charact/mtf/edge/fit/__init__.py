@@ -1,1 +1,1 @@
-"""Forms of the point spread fitted to an edge's profile, and weighed by their evidence."""
+"""Blur models fitted to an oversampled edge profile and averaged by their evidence."""

@@ -1,8 +1,14 @@
-"""Which forms of the point spread an edge's profile asks for: fitted simple ones first, weighed by their evidence."""
+"""Selection of blur models for an edge profile, and their weights by evidence.
 
+Simple cores are fitted first. Extended components are scored to first order and fitted if the score is high enough.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from charact.method import Context
@@ -15,43 +21,209 @@ from charact.mtf.blur_models.one_dimensional import (
     ScatterComponent,
     UnresolvedGlareComponent,
 )
-from charact.mtf.edge.fit.extended_component_score import (
-    ExtendedComponentScore,
-    departure_gain,
-    fit_extended_component,
-    score_extended_components,
-)
+from charact.mtf.edge.fit.gauss_newton import amplitudes, chi2_explained
 from charact.mtf.edge.fit.model_fit import BlurModelFit, BlurModelFitter
 from charact.mtf.edge.forward_model import departure_shapes
-from charact.mtf.edge.pixels.illumination_gradient import EVEN_PER_PX, SLIGHT_PER_PX, UNEVEN_PER_PX
+from charact.mtf.edge.pixels.profile import EVEN_PER_PX, SLIGHT_PER_PX, UNEVEN_PER_PX
+from charact.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.mtf.known_transfer import halo_diameters_px
 
 Array = NDArray[np.float64]
 
+Departures = Callable[[Array, float], NDArray[np.complex128]]
+
+# Fractions over which the evidence is summed, and the largest exponent of a term.
+SHARES, LARGEST = 100, 50.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExtendedComponentScore:
+    """What light beyond a core may gain.
+
+    Parameters
+    ----------
+    core, wide
+        The core as it was fitted, under the prior of the light's slopes that is asked about, and the light beyond it.
+    gains
+        Of chi squared by each size, to first order, shape (size,); light that would have to be taken away gains
+        nothing.
+    odds
+        Evidence for such light of any share and size over that for none, to first order.
+    ln_weight
+        ln of its probability before the data over that of none.
+    points, shares, shapes
+        Where a fit with each size begins: the core's parameters, the share of light and its shape, shapes
+        (size, parameter), (size,) and (size, shape).
+    """
+
+    core: BlurModelFit
+    wide: ExtendedComponent
+    gains: Array
+    odds: float
+    ln_weight: float
+    points: Array
+    shares: Array
+    shapes: Array
+
+    @property
+    def log_evidence(self) -> float:
+        """ln of the evidence of the core with such light, to first order."""
+        return self.core.log_evidence + float(np.log(max(self.odds, ACCURACY.min_bayes_factor))) + self.ln_weight
+
+    def start(self, size: int) -> Array:
+        """Return where a fit with one of the sizes begins."""
+        return np.concatenate([self.points[size], self.shares[size, None], self.shapes[size]])
+
+
+@dataclass(frozen=True, kw_only=True)
+class ComponentFit:
+    """Light beyond the core of some sizes, the same for many edges.
+
+    Parameters
+    ----------
+    wide
+        Its kind.
+    shapes
+        Its sizes and what else shapes it, shape (size, parameter).
+    unit
+        Share of light for a share of one in its parameters, shape (size,).
+    change
+        Its transfer less one, shape (size, node).
+    """
+
+    wide: ExtendedComponent
+    shapes: Array
+    unit: Array
+    change: Array
+
+
+@lru_cache(maxsize=64)
+def trial_components(wide: ExtendedComponent, grid_bytes: bytes) -> ComponentFit:
+    """Return light of some sizes beyond the core, on the nodes of the transfer."""
+    bounds = np.array([bound for _, bound in wide.parameters.values()])
+    sizes = bounds[1, 0] * (bounds[1, 1] / bounds[1, 0]) ** np.linspace(0.05, 0.95, ACCURACY.component_sizes)
+    others = np.array([[0.1], [0.9]]) if len(bounds) > 2 else np.zeros((1, 0))
+    shapes = np.array([[size, *other] for other in others for size in sizes])
+    change = wide.transfer(np.frombuffer(grid_bytes), shapes) - 1.0
+    return ComponentFit(wide=wide, shapes=shapes, unit=wide.share_unit(shapes)[:, 0], change=change)
+
+
+def score_extended_components(
+    fitter: BlurModelFitter,
+    fit: BlurModelFit,
+    components: tuple[ExtendedComponent, ...],
+    least_gains: Mapping[float, float],
+) -> list[ExtendedComponentScore]:
+    """Return what each kind of light beyond a core may gain; before the data all are together as likely as none.
+
+    Parameters
+    ----------
+    least_gains
+        For each prior of the illumination's slopes that is asked about the gain of chi squared that is worth telling.
+    """
+    if not components:
+        return []
+    maps, step = fitter.maps, abs(fitter.profile.step)
+    asked = [trial_components(wide, maps.grid.tobytes()) for wide in components]
+    core = maps.shift_transfers(fit.family.modulus(fit.point[None, 1:], maps.grid), float(fit.point[0]))
+    away = maps.white(core * np.concatenate([one.change for one in asked])) * step
+    return [
+        promise
+        for slope, least_gain in least_gains.items()
+        for promise in _score_components(fitter, fitter.under(fit, slope), asked, away, least_gain)
+    ]
+
+
+def _score_components(
+    fitter: BlurModelFitter, fit: BlurModelFit, asked: Sequence[ComponentFit], away: Array, least_gain: float
+) -> Iterator[ExtendedComponentScore]:
+    """Yield what each kind of light beyond a core gains, where enough, from whitened shapes, shape (size, bin)."""
+    scale = abs(fitter.profile.step) / fit.amplitude[0]
+    amplitude, precision, moved = amplitudes(fit.residual, fit.design, fit.off, fit.precision, away)
+    amplitude, precision = amplitude * scale, precision / scale**2
+    gains = np.where(amplitude > 0, amplitude * (amplitude * precision), 0.0)
+    low, high = fitter.bounds(fit.family).T
+    first = 0
+    for one in asked:
+        own = slice(first, first := first + len(one.shapes))
+        if gains[own].max() < least_gain:
+            continue
+        yield ExtendedComponentScore(
+            core=fit,
+            wide=one.wide,
+            gains=gains[own],
+            odds=ln_bayes_factor_of(one, amplitude[own], precision[own]),
+            ln_weight=-float(np.log(len(asked))),
+            # Half a step of the core: what the light beyond it changes is not small.
+            points=np.clip(fit.point + 0.5 * moved[own], low, high),
+            shares=np.minimum(np.clip(amplitude[own], 0.02, 0.3) / one.unit, one.wide.fraction[1]),
+            shapes=one.shapes,
+        )
+
+
+def ln_bayes_factor_of(light: ComponentFit, amplitude: Array, precision: Array) -> float:
+    """Return the evidence for light beyond the core over that for none: shares and sizes even within their bounds."""
+    sizes = light.shapes[:, 0]
+    return float(_mean_ratios(*light.wide.fraction, light.unit, amplitude, precision) @ sizes) / float(sizes.sum())
+
+
+@njit(cache=True)
+def _mean_ratios(low: float, high: float, unit: Array, amplitude: Array, precision: Array) -> Array:
+    """Return at each size the evidence for light over that for none, its share even between two bounds.
+
+    Notes
+    -----
+    The mean over shares q of exp(a q p - q^2 p / 2), a their Gaussian estimate and p its precision.
+    """
+    out = np.zeros(unit.size)
+    for i in range(unit.size):
+        for k in range(SHARES):
+            share = unit[i] * (low + (high - low) * (k + 0.5) / SHARES)
+            out[i] += np.exp(min(precision[i] * share * (amplitude[i] - 0.5 * share), LARGEST)) / SHARES
+    return out
+
+
+def fit_extended_component(
+    fitter: BlurModelFitter, promise: ExtendedComponentScore, hopeless_cost: float
+) -> BlurModelFit | None:
+    """Fit a core with light beyond it, from the size that promises most and another far from it.
+
+    Returns
+    -------
+    FamilyFit or None
+        The best fit; None where its beginning costs more than is hopeless.
+    """
+    core, wide = promise.core, promise.wide
+    order = np.argsort(-promise.gains)
+    family, slope = BlurModel(core=core.family.core, wide=wide), core.slope_sd_per_px
+    sizes = np.log(promise.shapes[order, 0])
+    apart = order[np.abs(sizes - sizes[0]) > ACCURACY.size_separation]
+    begun = [
+        fitter.optimise(family, promise.start(i), slope, ACCURACY.first_iterations) for i in (order[0], *apart[:1])
+    ]
+    point, reached = min(begun, key=lambda one: one[1][-1])
+    return None if reached[-1] > hopeless_cost else fitter.fit(family, point, slope, promise.ln_weight)
+
+
+def departure_gain(fitter: BlurModelFitter, fit: BlurModelFit, shapes_at: Departures) -> tuple[float, int]:
+    """Return the gain in chi squared from smooth departures of modulus and phase, to first order, and how many.
+
+    Parameters
+    ----------
+    shapes_at
+        Departures of the transfer's logarithm, complex, from frequencies and the half frequency.
+    """
+    maps = fitter.maps
+    transfer = maps.shift_transfers(fit.family.modulus(fit.point[None, 1:], maps.grid), float(fit.point[0]))
+    moved = maps.white(transfer * shapes_at(maps.grid, float(np.exp(fit.point[1])))) * abs(fitter.profile.step)
+    both, none = np.concatenate([fit.design, moved]), np.zeros(len(moved))
+    off, precision = np.concatenate([fit.off, none]), np.concatenate([fit.precision, none])
+    with_them = chi2_explained(fit.residual, both, off, precision)
+    return with_them - chi2_explained(fit.residual, fit.design, fit.off, fit.precision), len(moved)
+
+
 # Cores that are fitted after a Gaussian, each from where the one before led.
 CORES: tuple[Core, ...] = ("exponential", "moffat", "airy")
-# Departures from the likeliest of these, in standard deviations of what noise leaves them, from which on a pupil out of
-# focus or with a hole is fitted.
-PUPIL_SD = 1.0
-# A form this much less probable than the best, as a share, adds nothing to the draws.
-MIN_FRACTION = 0.02
-# Power of the evidence by which forms are weighed: none of them is the blur itself, and the noise is an estimate too
-# (power likelihoods: Gruenwald & van Ommen 2017, doi 10.1214/17-BA1085).
-TEMPERED = 0.7
-# Gain in chi squared from which on wide light is worth a fit of its own, and odds from which on it is with less.
-WORTH_CHI2, WORTH_ODDS = 6.0, 0.6
-# Gain from which on it is worth one where only slopes of the light make room for it.
-WORTH_IN_SLOPES_CHI2 = 3.0
-# Forms within this of the best in ln of the evidence are worth pursuing.
-CLOSE = 8.0
-# Half width from which a window tells a disc of light from the core, and a halo's profile or glare from a disc.
-MIN_FOR_DISC_PX, MIN_FOR_HALO_PX = 6.0, 16.0
-# Light that slopes is tried with forms that would come within this of the best.
-SLOPED = 4.0
-# A fit that began this much worse than the best in chi squared is not carried on.
-HOPELESS = 100.0
-# Chi squared that smooth departures of any size may take, in standard deviations of what noise leaves them.
-DEPARTURE_SD = 4.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,9 +240,9 @@ def candidate_components(context: Context, half_width_px: float, *, transposed: 
         low, high = halo_diameters_px(context, transposed=transposed)
         return (HaloComponent(size_px=(low, high)),) if half_width_px >= 0.6 * high else ()
     found: list[ExtendedComponent] = [UnresolvedGlareComponent(size_px=(0.5 * half_width_px, 4.0 * half_width_px))]
-    if half_width_px >= MIN_FOR_DISC_PX:
+    if half_width_px >= THRESHOLDS.min_window_disc_px:
         found.append(DiscComponent(size_px=(6.0, 2.0 * half_width_px)))
-    if half_width_px >= MIN_FOR_HALO_PX:
+    if half_width_px >= THRESHOLDS.min_window_halo_px:
         found.append(HaloComponent(size_px=(6.0, 2.0 * half_width_px)))
         found.append(ScatterComponent(size_px=(2.0, 0.25 * half_width_px)))
     return tuple(found)
@@ -94,17 +266,22 @@ def _fit_cores_and_components(
     found = _fit_cores(fitter, slope_sd_per_px)
     best = max(found[:2], key=_evidence)
     # Light beyond a Moffat is asked for only where wings are likelier than none: it explains them a second time.
-    wings = best.family.core != "gaussian" and found[2].log_evidence > best.log_evidence - CLOSE
-    lenses = [fit for fit in found[3:] if fit.log_evidence > max(map(_evidence, found)) - CLOSE]
+    wings = (
+        best.family.core != "gaussian"
+        and found[2].log_evidence > best.log_evidence - THRESHOLDS.competitive_ln_evidence
+    )
+    lenses = [
+        fit for fit in found[3:] if fit.log_evidence > max(map(_evidence, found)) - THRESHOLDS.competitive_ln_evidence
+    ]
     pursued = [*(found[:3] if wings else found[:2]), *lenses]
-    least_gains = {UNEVEN_PER_PX: WORTH_IN_SLOPES_CHI2, slope_sd_per_px: 0.0}
+    least_gains = {UNEVEN_PER_PX: THRESHOLDS.component_in_gradient_chi2, slope_sd_per_px: 0.0}
     promised = [one for core in pursued for one in score_extended_components(fitter, core, wide, least_gains)]
     own = _components_worth_fitting([one for one in promised if one.core.slope_sd_per_px == slope_sd_per_px])
     hidden = _components_masked_by_gradients(
         [one for one in promised if one.core.slope_sd_per_px != slope_sd_per_px], own, best
     )
     for promise in sorted([*own, *hidden], key=lambda one: wide.index(one.wide)):
-        fit = fit_extended_component(fitter, promise, min(fit.cost for fit in found) + HOPELESS)
+        fit = fit_extended_component(fitter, promise, min(fit.cost for fit in found) + THRESHOLDS.max_start_chi2)
         found = found if fit is None else [*found, fit]
     return found
 
@@ -116,10 +293,10 @@ def _fit_cores(fitter: BlurModelFitter, slope_sd_per_px: float) -> list[BlurMode
     for core in CORES:
         found.append(_next_core(fitter, core, found[-1], guess))
     best = max(found, key=_evidence)
-    lens_like = found[-1].log_evidence > best.log_evidence - CLOSE
+    lens_like = found[-1].log_evidence > best.log_evidence - THRESHOLDS.competitive_ln_evidence
     return (
         [*found, _next_core(fitter, "pupil", best, guess)]
-        if lens_like or _exceeds_model_by(fitter, best, PUPIL_SD)
+        if lens_like or _exceeds_model_by(fitter, best, THRESHOLDS.pupil_departure_sd)
         else found
     )
 
@@ -140,7 +317,8 @@ def _components_masked_by_gradients(
     return [
         one
         for one in promised
-        if (one.core.family, one.wide) not in already and one.log_evidence > best.log_evidence - CLOSE
+        if (one.core.family, one.wide) not in already
+        and one.log_evidence > best.log_evidence - THRESHOLDS.competitive_ln_evidence
     ]
 
 
@@ -149,15 +327,15 @@ def _components_worth_fitting(promised: list[ExtendedComponentScore]) -> list[Ex
 
     An edge too weak to tell light beyond the core leaves it as likely as it was: one stands for all of that.
     """
-    told = [one for one in promised if one.gains.max() >= WORTH_CHI2]
-    rest = [one for one in promised if one.gains.max() < WORTH_CHI2]
+    measurable = [one for one in promised if one.gains.max() >= THRESHOLDS.component_chi2]
+    rest = [one for one in promised if one.gains.max() < THRESHOLDS.component_chi2]
     best = max((one.core.log_evidence for one in promised), default=0.0)
     likely = np.array([one.odds * np.exp(one.core.log_evidence - best) for one in rest])
-    if not likely.sum() > WORTH_ODDS:
-        return told
+    if not likely.sum() > THRESHOLDS.component_bayes_factor:
+        return measurable
     likeliest = rest[int(np.argmax(likely))]
     stands_for = float(np.log(likely.sum() / likely.max()))
-    return [*told, replace(likeliest, ln_weight=likeliest.ln_weight + stands_for)]
+    return [*measurable, replace(likeliest, ln_weight=likeliest.ln_weight + stands_for)]
 
 
 def _start(core: Core, half_frequency_cy_per_px: float) -> Array:
@@ -198,7 +376,7 @@ def _fits_with_gradients(fitter: BlurModelFitter, found: list[BlurModelFit]) -> 
         for slope in (SLIGHT_PER_PX, UNEVEN_PER_PX)
         if slope != fit.slope_sd_per_px
     ]
-    least = max(map(_evidence, [*found, *asked])) - SLOPED
+    least = max(map(_evidence, [*found, *asked])) - THRESHOLDS.gradient_ln_evidence
     return [
         fitter.fit(one.family, one.point, one.slope_sd_per_px, one.ln_weight)
         for one in asked
@@ -225,18 +403,18 @@ def _fits_with_unresolved_glare(
 
 def _weight_by_evidence(found: list[BlurModelFit]) -> list[EvidenceWeightedModels]:
     evidence = np.array([fit.log_evidence for fit in found])
-    share = np.exp(TEMPERED * (evidence - evidence.max()))
+    share = np.exp(THRESHOLDS.evidence_power * (evidence - evidence.max()))
     share /= share.sum()
     return [
         EvidenceWeightedModels(fit=found[i], share=float(share[i]))
         for i in np.argsort(-share)
-        if share[i] > MIN_FRACTION
+        if share[i] > THRESHOLDS.min_model_weight
     ]
 
 
 def exceeds_model(fitter: BlurModelFitter, fit: BlurModelFit) -> bool:
     """Tell whether smooth departures from the form would take more chi squared than noise leaves them."""
-    return _exceeds_model_by(fitter, fit, DEPARTURE_SD)
+    return _exceeds_model_by(fitter, fit, THRESHOLDS.departure_sd)
 
 
 def _exceeds_model_by(fitter: BlurModelFitter, fit: BlurModelFit, deviations: float) -> bool:

@@ -7,19 +7,16 @@ from numpy.typing import NDArray
 
 from charact.mtf.edge.pixels.bins import bin_pixels
 from charact.mtf.edge.pixels.line import EdgeLine, RowFit, refine
+from charact.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.mtf.mean_frame import OrientedFrame
 from charact.robust import median, robust_sd
 
 Array = NDArray[np.float64]
 
-# A displacement counts from so many standard errors, which few numbers tell, and from this size, px.
-SIGNIFICANT, MIN_PX = 3.5, 0.04
 # Rows of each field that tell where it is, and how far from the edge pixels tell it, px.
-MIN_ROWS, REACH_PX = 6, 16.0
-# Steps over which a profile's slope is told, px, and how many of them are averaged.
+MIN_ROWS = 6
+# Steps over which a profile's slope is estimated, px, and how many of them are averaged.
 STEP_PX, SMOOTH_STEPS = 0.25, 5
-# An edge that moved was first taken at the middle of two places, with a profile smeared over both.
-TURNS, SETTLED_PX = 5, 0.005
 
 # Displacement of the odd lines against the even ones, px, and its standard error.
 Displacement = tuple[float, float]
@@ -28,7 +25,7 @@ Displacement = tuple[float, float]
 def is_significant(displacement: Displacement) -> bool:
     """Tell whether fields lie apart by more than chance, and by enough to matter."""
     apart, error = displacement
-    return bool(abs(apart) > max(SIGNIFICANT * error, MIN_PX))
+    return bool(abs(apart) > max(THRESHOLDS.field_displacement_sd * error, THRESHOLDS.field_displacement_px))
 
 
 def field_displacement_of_rows(picture: OrientedFrame, rows: RowFit) -> Displacement:
@@ -45,7 +42,7 @@ def field_displacement_of_rows(picture: OrientedFrame, rows: RowFit) -> Displace
 def steepness(place: Array, value: Array, distance: Array) -> Array:
     """Return the slope of a profile at distances, DN per px: over even steps, as its bins may lie close together.
 
-    None is told within a pixel of its ends, nor of a profile that is no longer than both.
+    Zero within a pixel of its ends, and for a profile that is too short.
     """
     even = np.arange(place[0], place[-1], STEP_PX)
     if even.size < SMOOTH_STEPS + 6:
@@ -83,11 +80,11 @@ def separate_fields(picture: OrientedFrame, rows: RowFit) -> RowFit:
     moved = _field_displacement(picture, rows)
     if not is_significant(moved):
         return rows
-    for _ in range(TURNS):
+    for _ in range(ACCURACY.field_iterations):
         apart = rows.line.fields_apart_px + moved[0]
         rows = refine(picture, replace(rows.line, fields_apart_px=apart, fields=picture.row_index % 2))
         moved = _field_displacement(picture, rows)
-        if abs(moved[0]) < SETTLED_PX:
+        if abs(moved[0]) < ACCURACY.field_tolerance_px:
             break
     return rows
 
@@ -102,7 +99,7 @@ def _field_displacement(picture: OrientedFrame, rows: RowFit) -> Displacement:
 
 def _field_displacement_along(picture: OrientedFrame, line: EdgeLine) -> Displacement:
     """Return how far fields lie apart whose lines run along the edge."""
-    gathered = bin_pixels(picture, line, REACH_PX, np.zeros(picture.value.shape, bool))
+    gathered = bin_pixels(picture, line, ACCURACY.field_band_px, np.zeros(picture.value.shape, bool))
     mean, count = gathered.means(picture.value)
     filled = count > 0
     place, value = gathered.place[filled], mean[filled]

@@ -7,20 +7,74 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from charact.mtf.edge.pixels.projections import SLOPE_STEP, strongest_step
+from charact.mtf.edge.thresholds import ACCURACY
 from charact.mtf.mean_frame import OrientedFrame
 from charact.robust import NORMAL, median, robust_sd
 
 Array = NDArray[np.float64]
 
-# A picture is looked through at no more than this many pixels a side.
-COARSE_SIZE = 96
-# Steps towards the edge by at most about so many pixels, before one that takes all.
-FINE_FROM, COARSE_PIXELS = 3, 2000
+# Slopes among which the strongest step is looked for, and their distance, px per row.
+SLOPES = np.tan(np.deg2rad(np.arange(-48.0, 49.0, 2.0)))
+# Share of the pixels of a full side that each side of a step must have.
+MIN_SIDE = 0.1
+
+
+def strongest_step(value: Array) -> tuple[float, float, float]:
+    """Return the largest weighted step of the profiles projected along all slopes: signed, its place and its slope."""
+    return _strongest_step(np.ascontiguousarray(value), SLOPES)
+
+
+@njit(cache=True)
+def _strongest_step(value: Array, slopes: Array) -> tuple[float, float, float]:
+    best, place, along = 0.0, 0.0, 0.0
+    for slope in slopes:
+        first, total, count = _running_sums(value, slope)
+        score, cut = _largest_step(total, count, min(value.shape))
+        if abs(score) > abs(best):
+            best, place, along = score, cut - 0.5 + first, slope
+    return best, place, along
+
+
+@njit(cache=True)
+def _running_sums(value: Array, slope: float) -> tuple[float, Array, Array]:
+    """Return the first cell's place, and running sums of the pixels projected along a slope and of their number."""
+    rows, cols = value.shape
+    middle = 0.5 * (rows - 1)
+    first = -abs(slope) * middle
+    size = int(np.rint(cols - 1 - 2.0 * first)) + 1
+    total, count = np.zeros(size + 1), np.zeros(size + 1)
+    for row in range(rows):
+        begin = int(np.rint(-slope * (row - middle) - first)) + 1
+        for col in range(cols):
+            total[begin + col] += value[row, col]
+            count[begin + col] += 1.0
+    for cell in range(size):
+        total[cell + 1] += total[cell]
+        count[cell + 1] += count[cell]
+    return first, total, count
+
+
+@njit(cache=True)
+def _largest_step(total: Array, count: Array, side: int) -> tuple[float, float]:
+    """Return the largest step between neighbouring stretches of a profile, weighted by its pixels, and its cell."""
+    size, reach = total.size - 1, max(3, side // 6)
+    best, at = 0.0, 0.0
+    for cut in range(2, size - 1):
+        low, high = max(cut - reach, 0), min(cut + reach, size)
+        left, right = count[cut] - count[low], count[high] - count[cut]
+        if min(left, right) <= MIN_SIDE * reach * side:
+            continue
+        step = (total[high] - total[cut]) / right - (total[cut] - total[low]) / left
+        score = step * np.sqrt(left * right / (left + right))
+        if abs(score) > abs(best):
+            best, at = score, float(cut)
+    return best, at
+
+
 # How far from the edge a row tells where it is, px.
 ROW_REACH_PX = 14.0
-# Cells of the mean profile against which it is told, and the standard deviation of what smooths it, px.
-CELLS_PER_PX, ROW_BLUR_PX = 4, 0.5
+# Cells of the mean profile with which rows are compared.
+CELLS_PER_PX = 4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +111,7 @@ class EdgeLine:
 
 def find(picture: OrientedFrame) -> tuple[OrientedFrame, EdgeLine]:
     """Find the strongest straight step, turn the picture upright and return both."""
-    factor = max(1, int(np.ceil(max(picture.value.shape) / COARSE_SIZE)))
+    factor = max(1, int(np.ceil(max(picture.value.shape) / ACCURACY.search_size_px)))
     small = _block_means(picture.value, factor)
     ways = [(strongest_step(small.T if transpose else small), transpose) for transpose in (0, 1)]
     (score, place, slope), transpose = max(ways, key=lambda way: abs(way[0][0]))
@@ -91,19 +145,19 @@ def iterate_edge_line(picture: OrientedFrame, line: EdgeLine, iterations: int = 
     """
     rows, cols = picture.value.shape
     row = np.arange(rows) - (rows - 1) / 2
-    wander = 0.5 * rows * SLOPE_STEP
+    slack = 0.5 * rows * ACCURACY.slope_step
     across = line.across((rows, cols))
-    reach = 12.0 + wander
+    reach = 12.0 + slack
     inside = np.nonzero(np.abs(across) < reach)
     every = picture.value[inside], across[inside], row[inside[0]] / rows
     if every[0].size < 16:
         return line
     # The first steps are far from exact: some of the pixels tell them.
-    few = tuple(np.ascontiguousarray(part[:: max(1, every[0].size // COARSE_PIXELS)]) for part in every)
-    shift, turn, width, clip = 0.0, 0.0, max(2.0, wander), np.inf
+    few = tuple(np.ascontiguousarray(part[:: max(1, every[0].size // ACCURACY.coarse_pixels)]) for part in every)
+    shift, turn, width, clip = 0.0, 0.0, max(2.0, slack), np.inf
     last = np.inf
     for iteration in range(iterations):
-        value, distance, height = few if iteration < FINE_FROM else every
+        value, distance, height = few if iteration < ACCURACY.coarse_iterations else every
         place = (distance - shift - turn * height) / width
         design, residual = _step_and_derivatives(value, place, np.tanh(place), height, width)
         if iteration in (3, 6):
@@ -113,7 +167,7 @@ def iterate_edge_line(picture: OrientedFrame, line: EdgeLine, iterations: int = 
         shift, turn = _clamp(shift + step[0], -reach, reach), turn + step[1]
         width = _clamp(width + _clamp(move[2], -0.5 * width, width), 0.4, 20.0)
         size = abs(step[0]) + abs(step[1])
-        if iteration > FINE_FROM and size < 1e-3 and last < 0.1:
+        if iteration > ACCURACY.coarse_iterations and size < 1e-3 and last < 0.1:
             break
         last = size
     return replace(line, position=line.position + shift, slope=line.slope + turn / rows)
@@ -216,7 +270,7 @@ def _row_offsets(picture: OrientedFrame, line: EdgeLine) -> tuple[Array, NDArray
 def _smoothing() -> tuple[Array, Array]:
     """Return the cells of the rows' mean profile, px, and the weights that smooth it, shape (cell, cell)."""
     places = (np.arange(2 * CELLS_PER_PX * int(ROW_REACH_PX)) + 0.5) / CELLS_PER_PX - ROW_REACH_PX
-    return places, np.exp(-0.5 * ((places[:, None] - places) / ROW_BLUR_PX) ** 2)
+    return places, np.exp(-0.5 * ((places[:, None] - places) / ACCURACY.row_profile_blur_px) ** 2)
 
 
 @njit(cache=True)
@@ -275,3 +329,11 @@ def _row_displacements(value: Array, across: Array, places: Array, profile: Arra
         power[row] = scale[0] ** 2 / inverse[0]
         offset[row] = -np.dot(inverse, pull / scale) / scale[0]
     return offset, power
+
+
+def orientation_deg(picture: OrientedFrame, angle_rad: float) -> float:
+    """Return the direction of the edge's normal from the row direction, degrees in [0, 180)."""
+    tilt = float(np.rad2deg(angle_rad))
+    # Upright, the normal stands at -tilt to the columns' direction; mirrored it is turned over, transposed exchanged.
+    tilt = tilt if picture.mirrored else -tilt
+    return (90.0 - tilt if picture.transposed else tilt) % 180.0

@@ -11,17 +11,148 @@ from numba import njit
 from numpy.typing import NDArray
 
 from charact.mtf.edge.pixels.bins import NARROWEST_PX, BinnedPixels
-from charact.mtf.edge.pixels.noise_correlation_model import fit_correlation_model
+from charact.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.robust import median
 
 Array = NDArray[np.float64]
 
+# Lengths along columns and rows, and the exponent of exp(-(r/L)^p): a Gaussian blur leaves 2, tails of tubes less.
+LENGTH_PX, EXPONENT = (0.35, 6.0), (0.7, 2.3)
+EXPONENT_PRIOR = (1.8, 0.3)
+STARTS_PX = (0.7, 1.2, 2.4)
+
+
+def fit_correlation_model(
+    correlation: Array, pairs: Array, across: Array, between: NDArray[np.bool_] | None = None
+) -> tuple[Array, Array]:
+    """Fit the form to a correlation and return it, and what the removal of bin means took from it.
+
+    Parameters
+    ----------
+    correlation
+        At lags of rows and columns, shape (2 R + 1, 2 C + 1), 1 in the middle.
+    pairs
+        Pairs of pixels behind each lag.
+    across
+        Distance across the edge that each lag makes, px.
+    between
+        Which lags lead from one field to the other, whose exposures share less of the noise or none; None: there are
+        no fields.
+
+    Returns
+    -------
+    form, taken
+        Same shape; the form is 1 in the middle and 0 elsewhere where neighbours share nothing.
+
+    Notes
+    -----
+    rho(l) = A exp(-(r(l))^p) - c t(l), c >= 0, for l other than 0: r^2 = (x/Lx)^2 + (y/Ly)^2, and t a triangle,
+    because means of bins take along the same share of all pairs that lie in one bin. Gauss-Newton on Lx, Ly and p with
+    A and c solved at each step.
+    """
+    rows, cols = (np.arange(size) - size // 2 for size in correlation.shape)
+    y, x = np.meshgrid(rows, cols, indexing="ij")
+    strip = np.maximum(1.0 - np.abs(across) / ACCURACY.strip_px, 0.0)
+    # One of each pair of opposite lags, and not the pixel itself.
+    half = (y > 0) | ((y == 0) & (x > 0))
+    near = half & (np.abs(x) <= ACCURACY.correlation_fit_px) & (np.abs(y) <= ACCURACY.correlation_fit_px) & (pairs > 50)
+    telling = near if between is None else near & ~between
+    weight = np.sqrt(pairs[telling])
+    lags = np.stack([x[telling], y[telling]]).astype(float)
+    found = _fit(correlation[telling] * weight, lags, strip[telling], weight)
+    middle = (x == 0) & (y == 0)
+    if found is None:
+        only = weight * strip[telling]
+        taken = min(float(only @ (correlation[telling] * weight) / max(only @ only, 1e-300)), 0.0)
+        return np.where(middle, 1.0, 0.0), np.where(middle, 0.0, taken * strip)
+    theta, (share, taken) = found
+    form = share * _shape(theta[None], np.stack([x.ravel(), y.ravel()]).astype(float)).reshape(x.shape)
+    if between is not None:
+        form = np.where(
+            between, _fraction_across_fields(correlation - taken * strip, form, pairs, near & between) * form, form
+        )
+    return np.where(middle, 1.0, form), np.where(middle, 0.0, taken * strip)
+
+
+def _fraction_across_fields(correlation: Array, form: Array, pairs: Array, lags: NDArray[np.bool_]) -> float:
+    """Return how much of the form there is at some lags, from 0 to 1, by least squares."""
+    weight = pairs[lags] * form[lags]
+    return float(np.clip(weight @ correlation[lags] / max(weight @ form[lags], 1e-300), 0.0, 1.0))
+
+
+@njit(cache=True)
+def _shape(theta: Array, lags: Array) -> Array:
+    """Return exp(-r^p), shape (n, 3) and (2, lag) -> (n, lag)."""
+    out = np.empty((len(theta), lags.shape[1]))
+    for i in range(len(theta)):
+        across, along = np.exp(-2.0 * theta[i, 0]), np.exp(-2.0 * theta[i, 1])
+        for k in range(lags.shape[1]):
+            square = lags[0, k] ** 2 * across + lags[1, k] ** 2 * along
+            out[i, k] = np.exp(-(square ** (0.5 * theta[i, 2])))
+    return out
+
+
+@njit(cache=True)
+def _solve(theta: Array, data: Array, lags: Array, strip: Array, weight: Array) -> tuple[Array, Array]:
+    """Return share and loss, shape (n, 2), and what is left, shape (n, lag + 1), the prior of the exponent last."""
+    found, left = np.empty((len(theta), 2)), np.empty((len(theta), data.size + 1))
+    other, stripped = max(np.dot(strip, strip), 1e-300), np.dot(strip, data)
+    shapes = _shape(theta, lags)
+    for i in range(len(theta)):
+        shape = shapes[i] * weight
+        both = np.dot(shape, strip)
+        own = max(np.dot(shape, shape) - both**2 / other, 1e-300)
+        share = min(max((np.dot(shape, data) - both * stripped / other) / own, 0.0), 1.0)
+        # Means take away and never add.
+        loss = min((stripped - share * both) / other, 0.0)
+        found[i] = share, loss
+        left[i, :-1] = data - share * shape - loss * strip
+        left[i, -1] = (theta[i, 2] - EXPONENT_PRIOR[0]) / EXPONENT_PRIOR[1]
+    return found, left
+
+
+def _fit(data: Array, lags: Array, strip: Array, weight: Array) -> tuple[Array, Array] | None:
+    """Return ln lengths and exponent, share and what bins took; None where the correlation is not worth it."""
+    strip = strip * weight
+    starts = np.array([[np.log(length), np.log(length), EXPONENT_PRIOR[0]] for length in STARTS_PX])
+    start = starts[np.argmin(np.sum(_solve(starts, data, lags, strip, weight)[1] ** 2, axis=1))]
+    theta, amplitude, left = _optimise(start, data, lags, strip, weight)
+    without = data - strip * (strip @ data / max(strip @ strip, 1e-300))
+    worth = float(np.sum(without**2) - np.sum(left**2))
+    return (theta, amplitude) if worth > THRESHOLDS.correlation_chi2 and amplitude[0] > 0 else None
+
+
+def _optimise(theta: Array, data: Array, lags: Array, strip: Array, weight: Array) -> tuple[Array, Array, Array]:
+    """Return the peak near a start by damped Gauss-Newton steps: lengths and exponent, share and loss, what is left."""
+    low = np.array([np.log(LENGTH_PX[0]), np.log(LENGTH_PX[0]), EXPONENT[0]])
+    high = np.array([np.log(LENGTH_PX[1]), np.log(LENGTH_PX[1]), EXPONENT[1]])
+    little = np.concatenate([np.zeros((1, 3)), 1e-4 * np.eye(3)])
+    here, damping = _solve(theta + little, data, lags, strip, weight), ACCURACY.correlation_min_damping
+    for _ in range(ACCURACY.correlation_iterations):
+        left = here[1]
+        slopes = (left[1:] - left[0]) / 1e-4
+        normal = slopes @ slopes.T
+        step = -np.linalg.solve(normal + damping * np.diag(np.diag(normal)) + 1e-12 * np.eye(3), slopes @ left[0])
+        trial = np.clip(theta + np.clip(step, -0.5, 0.5), low, high)
+        there = _solve(trial + little, data, lags, strip, weight)
+        gain = np.sum(left[0] ** 2) - np.sum(there[1][0] ** 2)
+        if gain > 0.0:
+            theta, here, damping = (
+                trial,
+                there,
+                max(damping / ACCURACY.correlation_damping_step, ACCURACY.correlation_min_damping),
+            )
+            if gain < ACCURACY.correlation_min_gain:
+                break
+        else:
+            # Too far along a ridge of lengths and exponent: the next step is shorter and steeper.
+            damping *= ACCURACY.correlation_damping_step
+            if damping > ACCURACY.correlation_max_damping:
+                break
+    return theta, here[0][0], here[1][0]
+
+
 MAX_LAG_PX = 14  # px; correlations beyond are taken as none
-# Standard errors from which on a departure from the smooth form counts, so that chance among hundreds of lags makes one
-# in a thousand pictures, and a correlation where the form does not hold.
-STANDS_OUT, STANDS_OUT_ALONE = 4.7, 2.5
-# Lags that tell best whether the form holds, px, and the mean square of its departures there, in errors, if it does.
-NEAR_PX, MISFIT = 2, 4.0
 # Squared residuals count for no more than so many variances.
 LARGEST_SQUARE = 50.0
 
@@ -150,14 +281,14 @@ def correlation_of(
     left = correlation - form - taken
     # Bartlett: errors of a correlation are tied over lags as the noise itself is.
     error = np.sqrt(np.sum(form**2) / np.maximum(pairs, 1))
-    near = np.maximum(np.abs(take_row)[:, None], np.abs(take_col)) <= NEAR_PX
+    near = np.maximum(np.abs(take_row)[:, None], np.abs(take_col)) <= ACCURACY.correlation_near_px
     tied = np.sqrt(np.sum(_running_mean(form) ** 2) / np.maximum(pairs, 1))
-    formless = np.mean((left / error)[near] ** 2) > MISFIT
+    formless = np.mean((left / error)[near] ** 2) > THRESHOLDS.correlation_misfit
     if formless:
         # No smooth form is that of this noise: what stands out counts as it is.
-        keep = np.abs(_running_mean(correlation - taken)) > STANDS_OUT_ALONE * tied
+        keep = np.abs(_running_mean(correlation - taken)) > THRESHOLDS.correlation_sd * tied
     else:
-        keep = np.abs(_running_mean(left)) > STANDS_OUT * tied
+        keep = np.abs(_running_mean(left)) > THRESHOLDS.correlation_departure_sd * tied
     keep[reach_row, reach_col] = False
     taper = np.outer(_taper(take_row, MAX_LAG_PX), _taper(take_col, MAX_LAG_PX))
     departure = np.where(keep, left, 0.0) * taper

@@ -9,27 +9,135 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.mtf.edge.pixels import line
-from charact.mtf.edge.pixels.extent import MIN_ROWS, edge_extent
 from charact.mtf.edge.pixels.fields import separate_fields, steepness
+from charact.mtf.edge.pixels.line import EdgeLine
 from charact.mtf.edge.pixels.profile import EdgeProfile, centre_line, profile_of
 from charact.mtf.edge.pixels.roughness import roughness_of
-from charact.mtf.mean_frame import OrientedFrame, mean_oriented_frame
-from charact.mtf.noise_reduction_check import SlopeNoise, noise_on_slopes
-from charact.mtf.plateau_noise import Sides, plateau_noise
-from charact.mtf.region import Region
+from charact.mtf.edge.thresholds import ACCURACY, THRESHOLDS
+from charact.mtf.mean_frame import OrientedFrame, Region, mean_oriented_frame
+from charact.mtf.plateau_noise import Sides, SlopeNoise, noise_on_slopes, plateau_noise
 from charact.mtf.target_motion import TargetMotion, measure_line_motion
+from charact.robust import NORMAL, median
 from labdata.frames import FrameStack
 
+Array = NDArray[np.float64]
+
+MIN_ROWS = 12
+
+
+def edge_extent(picture: OrientedFrame, line: EdgeLine) -> Region | None:
+    """Return ROW, COL, HEIGHT, WIDTH of the original frame that hold one edge and its plateaus; None: all of it.
+
+    Rows belong to the edge as long as the step across the line stands there; plateaus end where the mean profile of
+    these rows leaves its level by a third of the step.
+    """
+    rows, cols = picture.value.shape
+    across = line.across((rows, cols))
+    size = max(4, rows // 64)
+    step, error = _steps(picture.value, across, size)
+    reference = _reference(step)
+    if not reference > 0:
+        return None
+    missing = ~np.isfinite(step) | (step < 0.5 * reference - 3.0 * error)
+    first, last = _longest_run(~missing)
+    if (last - first) * size < MIN_ROWS:
+        return None
+    whole_rows = last - first >= len(step) - 1
+    inset = 2 * size + 4
+    top, bottom = (0, rows) if whole_rows else (first * size + inset, min(last * size, rows) - inset)
+    if bottom - top < MIN_ROWS:
+        return None
+    left, right = _plateaus(picture.value[top:bottom], across[top:bottom], reference, error)
+    middle = line.position + line.slope * (np.array([top, bottom - 1]) - (rows - 1) / 2)
+    low = int(np.floor(max(middle.min() - left, 0.0)))
+    high = int(np.ceil(min(middle.max() + right + 1.0, float(cols))))
+    if (top, bottom, low, high) == (0, rows, 0, cols):
+        return None
+    return original_region(picture, (top, low, bottom - top, high - low))
+
+
+def _reference(step: Array) -> float:
+    """Return the usual step of the blocks that hold the edge; 0 where no block brightens."""
+    finite = step[np.isfinite(step)]
+    if not finite.size or not finite.max() > 0:
+        return 0.0
+    return median(finite[finite > 0.5 * finite.max()])
+
+
+def original_region(picture: OrientedFrame, region: Region) -> Region:
+    """Return a region of an upright picture in its original frame."""
+    row, col, height, width = region
+    if picture.mirrored:
+        col = picture.value.shape[1] - col - width
+    return (col, row, width, height) if picture.transposed else (row, col, height, width)
+
+
+def _steps(value: Array, across: Array, size: int) -> tuple[Array, float]:
+    """Return the step of each block of rows and the noise of one, NaN where a side lies outside the frame."""
+    count = len(value) // size
+    sides = []
+    for inside in (
+        (across > ACCURACY.step_near_px) & (across < ACCURACY.step_far_px),
+        (across < -ACCURACY.step_near_px) & (across > -ACCURACY.step_far_px),
+    ):
+        number = inside.sum(axis=1).astype(float)
+        total = np.where(inside, value, 0.0).sum(axis=1)
+        blocks = number[: count * size].reshape(count, size).sum(axis=1)
+        means = total[: count * size].reshape(count, size).sum(axis=1) / np.maximum(blocks, 1.0)
+        sides.append(np.where(blocks >= size * (ACCURACY.step_far_px - ACCURACY.step_near_px - 2.0), means, np.nan))
+    step = sides[0] - sides[1]
+    finite = step[np.isfinite(step)]
+    error = NORMAL * median(np.abs(np.diff(finite))) / np.sqrt(2.0) if finite.size > 3 else 0.0
+    return step, error
+
+
+def _longest_run(good: NDArray[np.bool_]) -> tuple[int, int]:
+    """Return the first and one past the last index of the longest run, single gaps closed."""
+    closed = good.copy()
+    closed[1:-1] |= good[:-2] & good[2:]
+    borders = np.flatnonzero(np.diff(np.concatenate([[0], closed.astype(int), [0]])))
+    starts, ends = borders[::2], borders[1::2]
+    if not starts.size:
+        return 0, 0
+    best = int(np.argmax(ends - starts))
+    return int(starts[best]), int(ends[best])
+
+
+def _plateaus(value: Array, across: Array, step: float, error: float) -> tuple[float, float]:
+    """Return how far both plateaus reach, px; infinite where nothing interrupts them."""
+    cell = np.floor(across / 2.0).astype(np.int64)
+    low = int(cell.min())
+    count = np.bincount((cell - low).ravel())
+    mean = np.bincount((cell - low).ravel(), weights=value.ravel()) / np.maximum(count, 1)
+    enough = count > 0.3 * median(count)
+    reach = []
+    for sign in (-1, 1):
+        places = np.arange(3, 400) * sign - (1 if sign < 0 else 0) - low
+        places = places[(places >= 0) & (places < mean.size)]
+        places = places[enough[places]]
+        if places.size < 6:
+            reach.append(np.inf)
+            continue
+        # The level wanders with the light: it is compared with what it was a little before.
+        levels = mean[places]
+        before = _running_median(levels, 12)
+        away = np.abs(levels - before) > 0.3 * step + 3.0 * error
+        reach.append(2.0 * (3 + int(np.argmax(away)) - 4) if away.any() else np.inf)
+    return reach[0], reach[1]
+
+
+def _running_median(values: Array, back: int) -> Array:
+    """Return the median of each value and of up to so many before it."""
+    windows = np.sort(
+        np.lib.stride_tricks.sliding_window_view(np.concatenate([np.full(back, np.inf), values]), back + 1)
+    )
+    count = np.minimum(np.arange(values.size) + 1, back + 1)
+    each = np.arange(values.size)
+    return 0.5 * (windows[each, (count - 1) // 2] + windows[each, count // 2])
+
+
 WIDEST_PX = 110.0
-# Share of the step up to which a pixel belongs to either side.
-PLATEAU = 0.1
-# Least reach and number of pixels on either side.
-MIN_HALF_WIDTH_PX, MIN_PIXELS = 3.0, 16
 NO_STEP = "no target: no step from dark to bright was found in the region"
-# Least gain in chi squared for an edge to be one: a search of frames of noise finds up to about 40.
-MIN_CHI2 = 90.0
-# What is no edge at all: chi squared per bin, and its share of that without an edge.
-MAX_REDUCED_CHI2, MAX_UNEXPLAINED = 1.5, 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,7 +222,10 @@ class PreparedEdge:
         value[profile.keep] = profile.value
         value = value[profile.gathered.bin_index]
         level = (value - profile.dark) / (profile.step or 1.0)
-        sides = np.where(level < PLATEAU, 1, np.where(level > 1.0 - PLATEAU, 2, 0)) * profile.gathered.used
+        sides = (
+            np.where(level < ACCURACY.plateau_fraction, 1, np.where(level > 1.0 - ACCURACY.plateau_fraction, 2, 0))
+            * profile.gathered.used
+        )
         return value, level, sides
 
 
@@ -160,7 +271,7 @@ def prepare_edge(
         return EdgeRefusal(reason=NO_STEP, where=where)
     rows = replace(rows, line=centre_line(picture, rows.line))
     profile = profile_of(picture, rows.line, WIDEST_PX, quickly=quickly)
-    if not profile.step > 0 or profile.gathered.half_width_px < MIN_HALF_WIDTH_PX:
+    if not profile.step > 0 or profile.gathered.half_width_px < THRESHOLDS.min_half_width_px:
         return EdgeRefusal(reason=NO_STEP, where=where)
     return PreparedEdge(
         used=used,
@@ -193,8 +304,8 @@ def _notes(used: FrameStack, profile: EdgeProfile, edge: line.EdgeLine, *, cut: 
 def _has_both_sides(picture: OrientedFrame, edge: line.EdgeLine) -> bool:
     """Tell whether a line leaves pixels enough on both sides of it: one found in noise may run outside."""
     distance = edge.across(picture.value.shape)
-    sides = (np.count_nonzero((side > 0) & (side < 2 * MIN_HALF_WIDTH_PX)) for side in (distance, -distance))
-    return bool(min(sides) >= MIN_PIXELS)
+    sides = (np.count_nonzero((side > 0) & (side < 2 * THRESHOLDS.min_half_width_px)) for side in (distance, -distance))
+    return bool(min(sides) >= THRESHOLDS.min_side_pixels)
 
 
 def edge_refusal(chi2: float, chi2_without: float, free: int) -> str | None:
@@ -205,12 +316,12 @@ def edge_refusal(chi2: float, chi2_without: float, free: int) -> str | None:
     """
     misfit = max(chi2 / free, 1.0)
     sd = np.sqrt(max((chi2_without - chi2) / misfit, 0.0))
-    if sd**2 < MIN_CHI2:
+    if sd**2 < THRESHOLDS.min_edge_chi2:
         return (
             f"no target: the best step in the region stands {sd:.1f} standard errors out of the noise, fewer than 9.5"
         )
     left = chi2 / chi2_without
-    if misfit > MAX_REDUCED_CHI2 and left > MAX_UNEXPLAINED:
+    if misfit > THRESHOLDS.no_edge_reduced_chi2 and left > THRESHOLDS.no_edge_fraction:
         return f"no target: the best step in the region leaves {100 * left:.0f} % of what varies across it unexplained"
     return None
 

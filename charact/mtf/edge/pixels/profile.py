@@ -4,35 +4,184 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from charact.mtf.edge.fit.esf_from_mtf import edge_weights
 from charact.mtf.edge.fit.sufficient_statistics import ProfileStatistics, profile_statistics
 from charact.mtf.edge.pixels.bins import BinnedPixels, bin_pixels, coarsen
-from charact.mtf.edge.pixels.illumination_gradient import IlluminationGradient, uneven_light
+from charact.mtf.edge.pixels.fields import steepness
 from charact.mtf.edge.pixels.line import EdgeLine
 from charact.mtf.edge.pixels.noise_model import EdgeNoiseModel, bin_covariance, estimate_edge_noise
-from charact.mtf.edge.pixels.plateau_levels import (
-    DEFECT_SD,
-    MIN_DEFECT,
-    find_defects,
-    levels_of,
-    remove_slope,
-    remove_slope_along,
-    residual_of,
-    span,
-)
+from charact.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.mtf.mean_frame import OrientedFrame
-from charact.mtf.nonlinearity_prior import usable_black_level
-from charact.robust import median
+from charact.mtf.nonlinearity import usable_black_level
+from charact.robust import NORMAL, median
 
 Array = NDArray[np.float64]
 
-PLATEAU_FROM_PX = 10.0
-SHADING_LENGTH_PX = 10.0
-MIN_SHADED_PX = 1.4 * SHADING_LENGTH_PX
-# Step over the noise of a pixel below which bins need not be narrow.
-NOISY = 8.0
+DEFECT_SD = 8.0
+
+
+def residual_of(picture: OrientedFrame, gathered: BinnedPixels) -> tuple[Array, Array]:
+    """Return the picture less its own bin means, and the profile from 0 to 1, at every pixel.
+
+    A bin's mean takes part of its pixels' noise with it; the residuals are enlarged for that.
+    """
+    mean, count = gathered.means(picture.value)
+    level = _level(mean, count, gathered)
+    lost = np.sqrt(count / np.maximum(count - 1.0, 0.5))
+    value = (picture.value - _profile_at_pixels(mean, count, gathered)) * lost[gathered.bin_index]
+    value = np.where(gathered.used, value, 0.0)
+    return value, level
+
+
+def _level(mean: Array, count: Array, gathered: BinnedPixels) -> Array:
+    """Return the profile from 0 to 1 at every pixel."""
+    dark, bright = levels_of(mean, count, gathered)
+    return ((mean - dark) / (bright - dark if bright != dark else 1.0))[gathered.bin_index]
+
+
+def span(picture: OrientedFrame, gathered: BinnedPixels) -> float:
+    """Return the step between the outer halves of both sides, DN."""
+    dark, bright = levels_of(*gathered.means(picture.value), gathered)
+    return bright - dark
+
+
+def _profile_at_pixels(mean: Array, count: Array, gathered: BinnedPixels) -> Array:
+    """Return the profile at every pixel: its bin's mean, and its slope for the place within the bin."""
+    filled, rise = count > 0, np.zeros_like(mean)
+    if np.count_nonzero(filled) > 8:
+        rise[filled] = steepness(gathered.place[filled], mean[filled], gathered.place[filled])
+    return gathered.interpolate(mean, rise)
+
+
+def remove_slope_along(picture: OrientedFrame, gathered: BinnedPixels) -> OrientedFrame:
+    """Return the picture less the change of its light along the edge, of which a tilted window would make a slope."""
+    mean, count = gathered.means(picture.value)
+    level = _level(mean, count, gathered)
+    slope = _slope_along(picture.value - _profile_at_pixels(mean, count, gathered), gathered, level)
+    return replace(picture, value=picture.value - slope)
+
+
+def remove_slope(value: Array, gathered: BinnedPixels, level: Array) -> Array:
+    """Return residuals less an illumination slope along the edge, on both sides of it."""
+    return np.where(gathered.used, value - _slope_along(value, gathered, level), value)
+
+
+def _slope_along(value: Array, gathered: BinnedPixels, level: Array) -> Array:
+    """Return the part of residuals that changes evenly along the edge, by its own amount on both sides of it.
+
+    Pixels are compared with those at the same distance: what changes across the edge is the profile's.
+    """
+    along = gathered.along / max(float(np.abs(gathered.along).max()), 1.0)
+    middle = gathered.means(along)[0]
+    sides = _side_equations(value, along, level, gathered.used, gathered.bin_index, middle)
+    bright, dark = np.linalg.lstsq(*sides, rcond=1e-9)[0]
+    return along * (bright * level + dark * (1.0 - level))
+
+
+@njit(cache=True)
+def _side_equations(
+    value: Array, along: Array, level: Array, used: NDArray[np.bool_], index: NDArray[np.int64], middle: Array
+) -> tuple[Array, Array]:
+    """Return the normal equations of values that change evenly along the edge, by their own amount on both sides."""
+    normal, pull = np.zeros((2, 2)), np.zeros(2)
+    for row in range(value.shape[0]):
+        for col in range(value.shape[1]):
+            if used[row, col]:
+                within = along[row, col] - middle[index[row, col]]
+                bright, dark = within * level[row, col], within * (1.0 - level[row, col])
+                normal[0, 0] += bright * bright
+                normal[0, 1] += bright * dark
+                normal[1, 1] += dark * dark
+                pull[0] += bright * value[row, col]
+                pull[1] += dark * value[row, col]
+    normal[1, 0] = normal[0, 1]
+    return normal, pull
+
+
+def levels_of(mean: Array, count: Array, gathered: BinnedPixels) -> tuple[float, float]:
+    """Return dark and bright level: medians of the outer halves of both sides."""
+    middle = 0.5 * (gathered.borders[1:] + gathered.borders[:-1])
+    filled = count > 0
+    left, right = middle < 0.5 * gathered.borders[0], middle > 0.5 * gathered.borders[-1]
+    sides = (side if side.any() else filled for side in (filled & left, filled & right))
+    dark, bright = (median(mean[side]) for side in sides)
+    return dark, bright
+
+
+def find_defects(residual: Array, level: Array, used: NDArray[np.bool_], rounding_sd: float) -> NDArray[np.bool_]:
+    """Tell which pixels the noise of their level cannot explain; none in heavy-tailed noise, where many nearly are."""
+    size = np.where(used, np.abs(residual), 0.0)
+    sides = [used & (level < 0.25), used & (level > 0.75)]
+    dark, bright = (_robust_sd(size[side if side.any() else used], rounding_sd) for side in sides)
+    sd = np.sqrt(dark**2 + np.clip(level, 0.0, 1.0) * (bright**2 - dark**2))
+    far, near = size > DEFECT_SD * sd, np.count_nonzero(size > 5.0 * sd)
+    return far & (sd > 0) if np.count_nonzero(far) > THRESHOLDS.defect_fraction * near else np.zeros_like(used)
+
+
+def _robust_sd(size: Array, rounding_sd: float) -> float:
+    """Return the standard deviation of normal noise whose absolute values have this median."""
+    return max(NORMAL * median(size), rounding_sd)
+
+
+# Share of the step in a pixel by which light slopes on either side: in a good set-up, a fair and a poor one.
+EVEN_PER_PX, SLIGHT_PER_PX, UNEVEN_PER_PX = 4e-5, 3e-4, 2e-3
+
+
+@dataclass(frozen=True, kw_only=True)
+class IlluminationGradient:
+    """The two ways in which the light of an edge slopes.
+
+    Parameters
+    ----------
+    ways
+        Slopes of bright and dark side in each way, unit vectors, shape (way, side).
+    together
+        Whether the first way is that of one light on both sides; otherwise each side slopes by itself.
+    """
+
+    ways: Array
+    together: bool
+
+    def levels(self, distance_px: Array) -> Array:
+        """Return a level and both ways of slopes at distances from the edge, shape (distance, 3), px."""
+        sides = np.stack([np.maximum(distance_px, 0.0), np.minimum(distance_px, 0.0)], axis=1)
+        return np.concatenate([np.ones((distance_px.size, 1)), sides @ self.ways.T], axis=1)
+
+    def slopes_sd(self, slope_sd_per_px: float) -> Array:
+        """Return the deviations of the priors of both ways from that of the bright side's slope, in its unit."""
+        apart = max(THRESHOLDS.gradient_asymmetry * slope_sd_per_px, EVEN_PER_PX) if self.together else slope_sd_per_px
+        return np.array([slope_sd_per_px / self.ways[0, 0], apart])
+
+    def by_side(self, amplitude: Array) -> Array:
+        """Return amplitudes that end with the slopes of bright and dark side for those that end with both ways'."""
+        return np.concatenate([amplitude[:-2], amplitude[-2:] @ self.ways])
+
+
+def uneven_light(dark_dn: float, bright_dn: float, black_dn: float | None) -> IlluminationGradient:
+    """Return how light slopes on an edge between two levels.
+
+    Parameters
+    ----------
+    black_dn
+        Code at no light, as `believed_black` gives it; None: not known, and with it how much light either side gets.
+
+    Notes
+    -----
+    Non-uniform lamps and lens shading multiply the light: sides a and b above black slope by the same fraction of a and
+    of b.
+    """
+    if black_dn is None or not bright_dn > max(dark_dn, black_dn):
+        return IlluminationGradient(ways=np.eye(2), together=False)
+    bright, dark = bright_dn - black_dn, max(dark_dn - black_dn, 0.0)
+    return IlluminationGradient(
+        ways=np.array([[bright, dark], [-dark, bright]]) / np.hypot(bright, dark), together=True
+    )
+
+
+MIN_SHADED_PX = 1.4 * ACCURACY.shading_length_px
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,12 +286,12 @@ def profile_of(picture: OrientedFrame, line: EdgeLine, half_width_px: float, *, 
     residual, level = residual_of(picture, gathered)
     rounding_sd = 0.3 / np.sqrt(picture.frames) if picture.whole_codes else 0.0
     spread = abs(span(picture, gathered))
-    masked = find_defects(residual, level, gathered.used, max(rounding_sd, MIN_DEFECT * spread / DEFECT_SD))
+    masked = find_defects(residual, level, gathered.used, max(rounding_sd, THRESHOLDS.min_defect * spread / DEFECT_SD))
     defects = int(masked.sum())
     if defects:
         gathered = bin_pixels(picture, line, half_width_px, masked)
         residual, level = residual_of(picture, gathered)
-    if quickly and spread < NOISY * np.std(residual[gathered.used]):
+    if quickly and spread < THRESHOLDS.noisy_step_sd * np.std(residual[gathered.used]):
         gathered = coarsen(gathered)
     return _assemble(picture, line, gathered, residual, level, defects)
 
@@ -240,16 +389,16 @@ def _shading_covariance(place: Array, sd: float) -> Array | float:
     """Return the covariance of slow undulations at some places, shape (place, place); 0 where there are none."""
     if sd == 0:
         return 0.0
-    return sd**2 * np.exp(-0.5 * ((place[:, None] - place) / SHADING_LENGTH_PX) ** 2)
+    return sd**2 * np.exp(-0.5 * ((place[:, None] - place) / ACCURACY.shading_length_px) ** 2)
 
 
 def _shading_sd(profile: EdgeProfile, left_over: Array) -> float:
     """Return the standard deviation by which the plateaus undulate beyond the noise of wide bins.
 
-    In a plateau not much longer than an undulation all but a thousandth of it is bend, of which nothing is told.
+    A plateau not much longer than the correlation length is fitted by a parabola within a thousandth: no estimate.
     """
     excess, weight, scatter = 0.0, 0.0, 0.0
-    for side in (profile.distance < -PLATEAU_FROM_PX, profile.distance > PLATEAU_FROM_PX):
+    for side in (profile.distance < -ACCURACY.plateau_from_px, profile.distance > ACCURACY.plateau_from_px):
         place = profile.distance[side]
         if place.size < 12 or np.ptp(place) < MIN_SHADED_PX:
             continue

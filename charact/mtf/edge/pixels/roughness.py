@@ -1,7 +1,7 @@
-"""An edge that is rough along its length: where its rows stand, beside what the noise of its plateaus makes of that.
+"""Edge roughness: displacements of the rows, compared with those that noise alone causes.
 
-Each row's place is a weighed sum of its pixels. The same weights, put on the plateaus, tell how far noise alone moves
-it: all of that noise, frames' and fixed patterns', tied from row to row or not.
+The displacement of a row is a weighted sum of its pixels. The same weights, applied to the plateaus, give the
+displacements by noise: temporal and fixed-pattern noise, correlated between rows or not.
 """
 
 import numpy as np
@@ -10,18 +10,15 @@ from numpy.typing import NDArray
 
 from charact.mtf.edge.pixels.fields import steepness
 from charact.mtf.edge.pixels.profile import EdgeProfile
+from charact.mtf.edge.thresholds import ACCURACY
 from charact.mtf.mean_frame import OrientedFrame
-from charact.mtf.rounding import QUANTISATION_DN2
+from charact.mtf.quantisation_checks import QUANTISATION_DN2
 from charact.mtf.target_motion import TargetMotion
 
 Array = NDArray[np.float64]
 
-# Share of the squares of the profile's slope that the pixels hold which tell a place, and their least and most reach.
-SLOPE_FRACTION, MIN_REACH_PX, MAX_REACH_PX = 0.95, 3.0, 10.0
 # Least rows that tell, least places on a plateau, and rows over which noise ties places.
-MIN_ROWS, MIN_PLACES, CORRELATED_ROWS = 16, 30, 4
-# Terms of the series of what rounding to whole codes leaves in a mean.
-TERMS = 6
+MIN_ROWS = 16
 # Step of the distances at which the profile's slope is looked at, px.
 STEP_PX = 0.25
 
@@ -40,44 +37,48 @@ def roughness_of(picture: OrientedFrame, profile: EdgeProfile) -> TargetMotion:
     reach = _half_width(profile)
     places, squares = _positions_of(picture, profile, reach)
     edge = places[:, 0]
-    told = np.flatnonzero(np.isfinite(edge))
-    beside = [_plateau_scatter(side) for side in np.split(places[:, 1:], 2, axis=1)]
-    if told.size < MIN_ROWS or min(one[1] for one in beside) < MIN_PLACES:
+    valid = np.flatnonzero(np.isfinite(edge))
+    plateaus = [_plateau_scatter(side) for side in np.split(places[:, 1:], 2, axis=1)]
+    if valid.size < MIN_ROWS or min(one[1] for one in plateaus) < ACCURACY.min_plateau_positions:
         return TargetMotion()
-    left = edge[told] - np.polyval(np.polyfit(told, edge[told], 1), told)
+    left = edge[valid] - np.polyval(np.polyfit(valid, edge[valid], 1), valid)
     # Of each pixel the profile holds as much as one of its bin's pixels weighs.
     held = float(np.mean(1.0 / profile.count[np.abs(profile.distance) < reach]))
-    square = float(left @ left) / (told.size - 2) / max(1.0 - held, 0.5)
-    noise = 0.5 * sum(one[0] for one in beside) + _rounding(picture, profile) * float(np.mean(squares[told]))
+    square = float(left @ left) / (valid.size - 2) / max(1.0 - held, 0.5)
+    noise = 0.5 * sum(one[0] for one in plateaus) + _rounding(picture, profile) * float(np.mean(squares[valid]))
     if not square > noise > 0:
         return TargetMotion()
-    tied = 0.5 * sum(one[2] for one in beside)
+    tied = 0.5 * sum(one[2] for one in plateaus)
     # Of a mean of two squares (Satterthwaite); windows that overlap by half count for half.
-    freedom = 0.5 * 4.0 * noise**2 / sum(one[0] ** 2 * tied / one[1] for one in beside)
-    chance = float(fdtrc(told.size / tied, freedom, square / noise))
+    freedom = 0.5 * 4.0 * noise**2 / sum(one[0] ** 2 * tied / one[1] for one in plateaus)
+    chance = float(fdtrc(valid.size / tied, freedom, square / noise))
     return TargetMotion(rms_px=float(np.sqrt(square - noise)), chance=chance)
 
 
 def _rounding(picture: OrientedFrame, profile: EdgeProfile) -> float:
     """Return the mean square that rounding to whole codes leaves in means of pixels at any level, DN^2.
 
-    All pixels of a plateau have it alike, those near an edge each its own. The sawtooth of `charact.mtf.rounding`.
+    All pixels of a plateau have it alike, those near an edge each its own. The sawtooth of `charact.mtf.quantisation_checks`.
     """
     if not picture.whole_codes:
         return 0.0
     sides = np.array([profile.grain.dark_variance, profile.grain.bright_variance])
     variance = np.maximum(sides * picture.frames - QUANTISATION_DN2, 0.0)
-    turn = np.pi * np.arange(1, TERMS + 1)[:, None]
+    turn = np.pi * np.arange(1, ACCURACY.rounding_terms + 1)[:, None]
     return float(np.mean(np.sum(np.exp(-4.0 * turn**2 * variance) / (2.0 * turn**2), axis=0)))
 
 
 def _half_width(profile: EdgeProfile) -> float:
     """Return how far from the edge pixels tell where it is, px."""
-    distance = np.arange(0.0, MAX_REACH_PX, STEP_PX)
+    distance = np.arange(0.0, ACCURACY.max_row_window_px, STEP_PX)
     steep = sum(steepness(profile.distance, profile.value, sign * distance) ** 2 for sign in (-1.0, 1.0))
     held = np.cumsum(steep)
-    reach = distance[int(np.searchsorted(held, SLOPE_FRACTION * held[-1]))] if held[-1] > 0 else MIN_REACH_PX
-    return max(float(reach) + STEP_PX, MIN_REACH_PX)
+    reach = (
+        distance[int(np.searchsorted(held, ACCURACY.slope_fraction * held[-1]))]
+        if held[-1] > 0
+        else ACCURACY.min_row_window_px
+    )
+    return max(float(reach) + STEP_PX, ACCURACY.min_row_window_px)
 
 
 def _positions_of(picture: OrientedFrame, profile: EdgeProfile, reach: float) -> tuple[Array, Array]:
@@ -167,7 +168,7 @@ def _plateau_scatter(places: Array) -> tuple[float, int, float]:
         return 0.0, number, 1.0
     shared = [
         float(np.sum(values[lag:] * values[:-lag])) / max(np.count_nonzero(good[lag:] & good[:-lag]), 1) / square
-        for lag in range(1, CORRELATED_ROWS + 1)
+        for lag in range(1, ACCURACY.roughness_lags + 1)
     ]
     heavy = max(float(np.sum(values**4)) / number / square**2 - 1.0, 2.0) / 2.0
     return square, number, heavy + 2.0 * float(np.sum(np.square(shared)))

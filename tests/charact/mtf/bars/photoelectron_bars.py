@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from charact.study.bars.scene import spectrum_of_bars
 from charact.study.edge.scene import TrueBlur
-from charact.study.photoelectron_targets import FINER, PhotoelectronTarget
+from tests.charact.mtf.photoelectron_targets import FINER, PhotoelectronTarget
 
 Array = NDArray[np.floating]
 

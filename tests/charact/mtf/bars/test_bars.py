@@ -149,7 +149,8 @@ def test_the_chain_agrees_with_the_curvature(seed: int) -> None:
 def test_a_gaussian_and_its_halo_are_one_blur(seed: int) -> None:
     """A halo of 7 % beside a Gaussian is two Gaussians nearly: its light is counted, quick and in full."""
     scene = BarScene(
-        blur=TrueBlur(sigma_px=1.17, halo_share=0.07, halo_px=30.0), frequency_cy_per_px=0.075, bars=3, frames=1, snr=37.0,
+        blur=TrueBlur(sigma_px=1.17, halo_share=0.07, halo_px=30.0),
+        frequency_cy_per_px=0.075, bars=3, frames=1, snr=37.0,
         rows=200, cols=210, pedestal_dn=500.0, level_dn=1000.0, black_dn=100.0, full_scale_dn=4095.0, shot_share=0.0,
     )  # fmt: skip
     asked = {"bars": scene.bars, "frequency_cy_per_px": scene.frequency_cy_per_px, "method": "bars-forward"}

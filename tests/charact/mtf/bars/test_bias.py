@@ -8,10 +8,9 @@ from bar_frames import STEP_DN, frames_of, gaussian, strip, tube
 from numpy.typing import NDArray
 
 from charact.mtf.bars.bar_image_model import BarLikelihood, initial_parameters
-from charact.mtf.bars.bias import mtf_bias
-from charact.mtf.bars.fit import BarFit, fit_bars
+from charact.mtf.bars.detection import strip_of
+from charact.mtf.bars.fit import BarFit, fit_bars, mtf_bias
 from charact.mtf.bars.noise import BarWindowNoise
-from charact.mtf.bars.strip_location import strip_of
 
 PAIRS, ANGLE_DEG, PHASE_PX = 80, 3.0, 0.2
 Fits = Callable[[NDArray, dict[str, float] | None], tuple[BarFit, BarLikelihood]]

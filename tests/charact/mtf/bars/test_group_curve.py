@@ -1,4 +1,4 @@
-"""Groups of bars together tell one curve; Coltman's series and readings tell what they are known to."""
+"""Groups of bars together tell one curve; Coltman's readings have their known bias."""
 
 from dataclasses import replace
 
@@ -8,7 +8,6 @@ from bar_frames import frames_of, gaussian, mtf_of, strip, tube
 from test_strip import read
 
 from charact.method import Context
-from charact.mtf.bars.coltman import series
 from charact.mtf.bars.group_curve import fit_group_curve
 from labdata.errors import BadInput
 from labdata.measurement import measurement_from_sd
@@ -63,18 +62,6 @@ def test_one_group_is_no_curve_and_directions_do_not_mix() -> None:
     assert fit_group_curve([one], context=context).measurements[0].status == "refused"
     with pytest.raises(BadInput, match="degrees"):
         fit_group_curve([one, reading(0.2, 0.5, 0.01, angle_deg=90.0)], context=context)
-
-
-def test_coltmans_series_inverts_square_waves() -> None:
-    """C(f) = (4/pi) sum (-1)^k M((2k+1) f)/(2k+1) of an infinite square wave."""
-    core = gaussian(0.8)
-    orders = np.arange(1, 200, 2)
-    signs = (-1.0) ** ((orders - 1) // 2)
-    frequencies = np.round(np.arange(0.01, 1.6, 0.002), 6)
-    wave = {float(f): float(4 / np.pi * np.sum(signs * core(orders * f) / orders)) for f in frequencies}
-    found = series(wave)
-    for f in (0.01, 0.03, 0.05, 0.1, 0.2):
-        assert found[f] == pytest.approx(float(core(np.array([f]))[0]), abs=1e-4)
 
 
 def test_coltmans_first_term_is_low_where_harmonics_are_and_always_suspect(seed: int) -> None:

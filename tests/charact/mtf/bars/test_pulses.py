@@ -30,7 +30,8 @@ def test_the_mean_is_that_of_bars_in_closed_form(seed):
     pulsed = PulsedBars(blur=TrueBlur(sigma_px=0.8), pulse_px=0.6, dark_share=0.2, frames=40, **place, **BRIGHT)
     drawn = pulsed.frames_drawn(np.random.default_rng(seed)).data.astype(float)
     closed = BarScene(
-        blur=TrueBlur(sigma_px=1.0), black_dn=1000.0, pedestal_dn=7000.0, level_dn=24000.0, full_scale_dn=65535.0, **place
+        blur=TrueBlur(sigma_px=1.0), black_dn=1000.0, pedestal_dn=7000.0, level_dn=24000.0,
+        full_scale_dn=65535.0, **place
     )  # fmt: skip
     error = drawn.std(axis=0, ddof=1) / np.sqrt(len(drawn))
     assert np.all(np.abs(drawn.mean(axis=0) - closed.mean()) < 5.0 * error + 0.002 * 24000.0)
@@ -54,7 +55,8 @@ def test_its_fundamental_over_noise_is_that_of_sums(seed):
 def test_a_tube_behind_a_gaussian_is_no_tube_and_told_rightly(frequency, seed):
     """The product of both forms is of neither: 0.3 to 1.2 % high, and `processed`, where one exponent must hold it."""
     scene = PulsedBars(
-        blur=TrueBlur(form="exponential", frequency_cy_per_px=0.3, exponent=1.15), pulse_px=0.8, dark_share=0.1, frames=4,
+        blur=TrueBlur(form="exponential", frequency_cy_per_px=0.3, exponent=1.15),
+        pulse_px=0.8, dark_share=0.1, frames=4,
         frequency_cy_per_px=frequency, rows=160, cols=170, **BRIGHT,
     )  # fmt: skip
     one = found(scene, np.random.default_rng(seed))
@@ -76,7 +78,8 @@ def test_bars_that_wide_sums_hide_in_noise_are_measured(seed):
 def test_one_frame_of_much_light_is_told_in_full_as_quickly(frequency, seed):
     """Noise looked for in what a rough first fit left over was no noise: 3 to 56 % off in full, or a traceback."""
     scene = BarScene(
-        blur=TrueBlur(sigma_px=1.0), frequency_cy_per_px=frequency, frames=1, snr=300.0, level_dn=3000.0, pedestal_dn=300.0,
+        blur=TrueBlur(sigma_px=1.0), frequency_cy_per_px=frequency,
+        frames=1, snr=300.0, level_dn=3000.0, pedestal_dn=300.0,
         black_dn=100.0, full_scale_dn=4095.0, rows=160, cols=180, angle_deg=4.0,
     )  # fmt: skip
     stack = scene.frames_drawn(np.random.default_rng(seed))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import j1
 
-from charact.mtf.blur_models.diffraction import pupil
+from charact.mtf.blur_models.pupil_table import pupil
 
 RATIO = np.linspace(0.0, 1.2, 61)
 

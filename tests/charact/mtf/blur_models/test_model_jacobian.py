@@ -5,9 +5,8 @@ import pytest
 from scipy.optimize import brentq
 from scipy.special import gamma, j1, kv, sici
 
-from charact.mtf.blur_models import extended_component_tables
+from charact.mtf.blur_models import transfer
 from charact.mtf.blur_models.model_jacobian import kind_of, model_and_jacobian, tables
-from charact.mtf.blur_models.moffat_table import moffat
 from charact.mtf.blur_models.one_dimensional import (
     BlurModel,
     DiscComponent,
@@ -15,6 +14,7 @@ from charact.mtf.blur_models.one_dimensional import (
     ScatterComponent,
     UnresolvedGlareComponent,
 )
+from charact.mtf.blur_models.transfer import moffat
 from charact.mtf.edge.fit.gauss_newton import linearise, transfer_and_jacobian
 from charact.mtf.edge.fit.model_fit import _flat
 
@@ -54,14 +54,14 @@ def test_a_form_alone_is_the_form_of_many_points_and_its_slopes_are_differences(
 
 def test_si_and_the_disc_are_those_of_scipy_near_and_far():
     x = np.concatenate([np.linspace(1e-6, 399.9, 5000), np.linspace(400.1, 3000.0, 500)])
-    assert extended_component_tables.sine_integral(x) == pytest.approx(sici(x)[0], abs=2e-5)
-    assert extended_component_tables.disc_from_table(x) == pytest.approx(2.0 * j1(x) / x, abs=1e-8)
+    assert transfer.sine_integral(x) == pytest.approx(sici(x)[0], abs=2e-5)
+    assert transfer.disc_from_table(x) == pytest.approx(2.0 * j1(x) / x, abs=1e-8)
 
 
 def test_a_halo_is_made_of_scipys_sines():
     x, share = np.linspace(1e-6, 399.9, 3000)[None], 0.3
     expected = share * np.sin(x) / x + (1.0 - share) * sici(x)[0] / x
-    assert extended_component_tables.halo_from_table(x, np.array([share])) == pytest.approx(expected, abs=2e-5)
+    assert transfer.halo_from_table(x, np.array([share])) == pytest.approx(expected, abs=2e-5)
 
 
 @pytest.mark.parametrize("exponent", [1.3, 1.5, 2.5, 6.0])

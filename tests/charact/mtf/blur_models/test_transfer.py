@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from charact.mtf.blur_models import extended_component_tables, transfer
+from charact.mtf.blur_models import transfer
+from charact.mtf.blur_models import transfer as extended_component_tables
 from charact.mtf.edge.fit import esf_from_mtf
 
 ERF = np.vectorize(math.erf)

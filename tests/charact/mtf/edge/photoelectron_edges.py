@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.study.edge.scene import TrueBlur, distance_across, edge_spread, level_crossing
-from charact.study.photoelectron_targets import PhotoelectronTarget
+from tests.charact.mtf.photoelectron_targets import PhotoelectronTarget
 
 Array = NDArray[np.floating]
 

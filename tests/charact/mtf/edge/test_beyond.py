@@ -8,17 +8,18 @@ from scipy.integrate import quad
 from scipy.special import ndtri
 from scipy.stats import lognorm
 
+from benchmarks.studies.edge_map import case_of, cell_of
 from charact.method import Context
 from charact.mtf.blur_models.one_dimensional import BlurModel, DiscComponent, ScatterComponent, UnresolvedGlareComponent
 from charact.mtf.edge import result as edge_result
-from charact.mtf.edge.fit import extended_component_score as edge_beyond
+from charact.mtf.edge.fit import model_selection as edge_beyond
 from charact.mtf.edge.fit import model_selection as edge_forms
 from charact.mtf.edge.fit.model_fit import BlurModelFitter
 from charact.mtf.edge.parametric import edge_parametric
-from charact.mtf.edge.pixels.illumination_gradient import EVEN_PER_PX, UNEVEN_PER_PX
 from charact.mtf.edge.pixels.prepare_edge import prepare_edge
+from charact.mtf.edge.pixels.profile import EVEN_PER_PX, UNEVEN_PER_PX
+from charact.mtf.edge.thresholds import THRESHOLDS
 from charact.mtf.known_transfer import known_transfer
-from charact.study.edge.map import case_of, cell_of
 from charact.study.edge.scene import EdgeScene, TrueBlur
 
 QUICK = Context(quick=True)
@@ -75,8 +76,8 @@ def test_a_halo_that_noise_hides_stays_possible(monkeypatch):
     cell = cell_of(3332)
     stack = case_of(cell, cell.scene.truth_mtf50, 14).drawn()
     reach = {}
-    for odds in (edge_forms.WORTH_ODDS, np.inf):
-        monkeypatch.setattr(edge_forms, "WORTH_ODDS", odds)
+    for odds in (THRESHOLDS.component_bayes_factor, np.inf):
+        monkeypatch.setattr(edge_forms, "THRESHOLDS", replace(THRESHOLDS, component_bayes_factor=odds))
         found = edge_parametric(stack, context=QUICK).find("mtf50")[0]
         beyond = sum(share for name, share in found.provenance.settings["forms"].items() if "+" in name)
         reach[odds] = found.interval95[1] - found.value
@@ -97,11 +98,11 @@ def test_a_halo_much_like_wings_is_not_ruled_out_by_evidence_alone(monkeypatch):
     stack = case_of(cell, truth, 16).drawn()
 
     def away(power, black_dn):
-        monkeypatch.setattr(edge_forms, "TEMPERED", power)
+        monkeypatch.setattr(edge_forms, "THRESHOLDS", replace(THRESHOLDS, evidence_power=power))
         found = edge_parametric(replace(stack, black_level_dn=black_dn), context=QUICK).find("mtf50")[0]
         return (truth - found.value) / (found.interval95[1] - found.value)
 
-    tempered = edge_forms.TEMPERED
+    tempered = THRESHOLDS.evidence_power
     assert 0 < away(tempered, None) < 1.2
     assert away(tempered, None) < away(1.0, None) < 1.5
     assert 0 < away(tempered, 200.0) < away(1.0, 200.0) < 1.5
@@ -117,7 +118,7 @@ def test_a_halo_and_light_that_slopes_do_not_hide_each_other(monkeypatch):
     stack = case_of(cell, truth, 14).drawn()
     away = {}
     for least in (edge_forms.WORTH_IN_SLOPES_CHI2, np.inf):
-        monkeypatch.setattr(edge_forms, "WORTH_IN_SLOPES_CHI2", least)
+        monkeypatch.setattr(edge_forms, "THRESHOLDS", replace(THRESHOLDS, component_in_gradient_chi2=least))
         found = edge_parametric(stack, context=QUICK).find("mtf50")[0]
         assert found.status == "ok"
         away[least] = (found.value - truth) / (found.value - found.interval95[0])
@@ -148,9 +149,11 @@ def test_wings_stay_possible_beside_a_gaussian_that_noise_cannot_tell_from_them(
         forms = edge_parametric(stack, context=QUICK).find("mtf50")[0].provenance.settings["forms"]
         shares.append([forms.get(core, 0.0) for core in ("gaussian", "exponential", "moffat")])
     gaussian, exponential, moffat = np.mean(shares, axis=0)
-    assert gaussian > moffat > 5 * edge_forms.MIN_FRACTION and gaussian > exponential > 5 * edge_forms.MIN_FRACTION
+    assert (
+        gaussian > moffat > 5 * THRESHOLDS.min_model_weight and gaussian > exponential > 5 * THRESHOLDS.min_model_weight
+    )
     assert np.min(shares, axis=0).max() > 0.0 and np.all(
-        np.sum(np.array(shares)[:, 1:], axis=1) > edge_forms.MIN_FRACTION
+        np.sum(np.array(shares)[:, 1:], axis=1) > THRESHOLDS.min_model_weight
     )
 
 
@@ -162,8 +165,8 @@ def test_forms_are_weighed_by_their_evidence_to_a_power():
     fits = [replace(core, log_evidence=core.log_evidence - less) for less in (3.0, 0.0, 1.0, 9.0)]
     best, second, third = edge_forms._weight_settings(fits)
     assert best.fit is fits[1]
-    assert best.share / second.share == pytest.approx(np.exp(edge_forms.TEMPERED))
-    assert best.share / third.share == pytest.approx(np.exp(3.0 * edge_forms.TEMPERED))
+    assert best.share / second.share == pytest.approx(np.exp(THRESHOLDS.evidence_power))
+    assert best.share / third.share == pytest.approx(np.exp(3.0 * THRESHOLDS.evidence_power))
 
 
 def test_what_stands_for_all_that_cannot_be_told_weighs_as_much_as_all_of_it():

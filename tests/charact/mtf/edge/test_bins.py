@@ -10,6 +10,7 @@ from charact.mtf.edge.parametric import edge_parametric
 from charact.mtf.edge.pixels import profile
 from charact.mtf.edge.pixels.bins import coarsen
 from charact.mtf.edge.pixels.prepare_edge import PreparedEdge, prepare_edge
+from charact.mtf.edge.thresholds import THRESHOLDS
 from charact.study.edge.scene import EdgeScene, TrueBlur
 
 QUICK = Context(quick=True)
@@ -57,9 +58,9 @@ def test_wider_bins_move_a_noisy_edge_by_a_small_part_of_its_error(seed, monkeyp
     moved = []
     for number in range(10):
         stack = drawn(6.0, 100 * seed + number)
-        monkeypatch.setattr(profile, "NOISY", 8.0)
+        monkeypatch.setattr(profile, "THRESHOLDS", replace(THRESHOLDS, noisy_step_sd=8.0))
         wide = edge_parametric(stack, context=QUICK).find("mtf50")[0]
-        monkeypatch.setattr(profile, "NOISY", 0.0)
+        monkeypatch.setattr(profile, "THRESHOLDS", replace(THRESHOLDS, noisy_step_sd=0.0))
         narrow = edge_parametric(stack, context=QUICK).find("mtf50")[0]
         half = (narrow.interval68[1] - narrow.interval68[0]) / 2
         moved.append((wide.value - narrow.value) / half)

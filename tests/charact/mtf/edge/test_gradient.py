@@ -4,11 +4,11 @@ import edges
 import numpy as np
 import pytest
 
+from benchmarks.studies.edge_coverage import measure_mixed_scene
+from benchmarks.studies.edge_peers import answers
 from charact import mtf
 from charact.method import Context
 from charact.mtf.edge import gradient as edge_gradient
-from charact.study.edge.coverage import measure_mixed_scene
-from charact.study.edge.peers import answers
 from labdata.frames import FrameStack
 
 QUICK = Context(quick=True)

@@ -6,9 +6,10 @@ import pytest
 
 from charact import mtf
 from charact.method import Context
-from charact.mtf.edge.pixels.noise_correlation_model import fit_correlation_model
+from charact.mtf.edge.pixels.noise_model import fit_correlation_model
 from charact.mtf.edge.pixels.prepare_edge import prepare_edge
-from charact.mtf.edge.pixels.profile import PLATEAU_FROM_PX, SHADING_LENGTH_PX, with_shading
+from charact.mtf.edge.pixels.profile import with_shading
+from charact.mtf.edge.thresholds import ACCURACY
 from labdata.frames import FrameStack
 
 QUICK = Context(quick=True)
@@ -142,11 +143,11 @@ def test_undulations_are_what_a_bend_and_the_noise_leave_over(seed):
     profile = prepare_edge(FrameStack(data=frame[None]), None, QUICK).profile
     waves = 45.0 * np.sin(2 * np.pi * profile.distance / 40.0)
     excess = weight = 0.0
-    for side in (profile.distance < -PLATEAU_FROM_PX, profile.distance > PLATEAU_FROM_PX):
+    for side in (profile.distance < -ACCURACY.plateau_from_px, profile.distance > ACCURACY.plateau_from_px):
         place = profile.distance[side]
         bend = np.vander(place, 3)
         rest = np.eye(place.size) - bend @ np.linalg.pinv(bend)
-        undulating = np.exp(-0.5 * ((place[:, None] - place) / SHADING_LENGTH_PX) ** 2)
+        undulating = np.exp(-0.5 * ((place[:, None] - place) / ACCURACY.shading_length_px) ** 2)
         excess += waves[side] @ rest @ waves[side] - np.trace(rest @ profile.covariance[np.ix_(side, side)] @ rest)
         weight += np.trace(rest @ undulating)
     assert with_shading(profile, waves).shading_sd == pytest.approx(np.sqrt(excess / weight), rel=1e-6)

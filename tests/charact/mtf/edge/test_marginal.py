@@ -6,10 +6,8 @@ from scipy.stats import multivariate_normal
 
 from charact.method import Context
 from charact.mtf.blur_models.one_dimensional import BlurModel
-from charact.mtf.edge.fit.marginal import Marginal
-from charact.mtf.edge.fit.model_fit import BLOCK, BlurModelFitter
-from charact.mtf.edge.fit.phases import apply_phases
-from charact.mtf.edge.fit.transfer_to_bins import EdgeMaps
+from charact.mtf.edge.fit.model_fit import BLOCK, BlurModelFitter, EdgeMaps
+from charact.mtf.edge.fit.sufficient_statistics import Marginal, apply_phases
 from charact.mtf.edge.pixels.prepare_edge import PreparedEdge, prepare_edge
 from charact.mtf.known_transfer import known_transfer
 from charact.study.edge.scene import EdgeScene

@@ -1,15 +1,18 @@
 """The edge methods that know forms, and the one that knows none: no bias, errors at the bound, honest intervals."""
 
+from dataclasses import replace
+
 import edges
 import numpy as np
 import pytest
 
+from benchmarks.studies.cramer_rao import least_relative_sd
+from benchmarks.studies.edge_coverage import measure_mixed_scene
+from benchmarks.studies.edge_peers import answers, row, scene_of
 from charact import mtf
 from charact.method import Context
 from charact.mtf.edge import parametric as edge_parametric
-from charact.study.edge.coverage import measure_mixed_scene
-from charact.study.edge.cramer_rao import least_relative_sd
-from charact.study.edge.peers import answers, row, scene_of
+from charact.mtf.edge.thresholds import THRESHOLDS
 from labdata.frames import FrameStack
 
 QUICK = Context(quick=True)
@@ -179,8 +182,8 @@ def test_a_surer_edge_has_the_skew_of_its_posterior_from_the_curvature_alone(see
     for one in range(8):
         noisy = frame + 300.0 * np.random.default_rng([seed, one]).standard_normal(frame.shape)
         both = []
-        for unsure in (edge_parametric.UNSURE, 0.005):
-            monkeypatch.setattr(edge_parametric, "UNSURE", unsure)
+        for unsure in (THRESHOLDS.skewed_sd, 0.005):
+            monkeypatch.setattr(edge_parametric, "THRESHOLDS", replace(THRESHOLDS, skewed_sd=unsure))
             both.append(measured(noisy, "edge-parametric").find("mtf50")[0])
         assert [found.posterior.sampler for found in both] == ["laplace", "importance"]
         skew.append([(found.interval95[1] - found.value) / (found.value - found.interval95[0]) for found in both])

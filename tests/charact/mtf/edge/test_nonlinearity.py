@@ -6,13 +6,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from benchmarks.studies.edge_map import case_of, cell_of
 from charact.method import Context
-from charact.mtf import nonlinearity_prior as of_response
+from charact.mtf import nonlinearity as of_response
 from charact.mtf.edge import nonlinearity as edge_response
 from charact.mtf.edge.nonlinearity import EITHER_WAY, FLATTENING, STEEPENING, marginalise_nonlinearity
 from charact.mtf.edge.parametric import edge_parametric
-from charact.mtf.nonlinearity_prior import CURVED, CURVED_SD
-from charact.study.edge.map import case_of, cell_of
+from charact.mtf.nonlinearity import CURVED, CURVED_SD
 from charact.study.edge.scene import EdgeScene, TrueBlur
 from labdata.measurement import Posterior
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from charact.method import Context
-from charact.mtf.edge.photon_transfer import growth_of
+from charact.mtf.edge.nonlinearity import growth_of
 from charact.mtf.edge.pixels.prepare_edge import prepare_edge
-from charact.mtf.photon_transfer_check import (
+from charact.mtf.nonlinearity import (
     BENDING,
     MAX_LN_BAYES_FACTOR,
     READ_OUT,

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.studies.consistency_scenes import TrueCameraChain
 from charact import mtf
 from charact.method import Context
 from charact.mtf.edge.checks import _has_bow
 from charact.study.edge.scene import TrueBlur, edge_spread
-from charact.study.session.consistency_scenes import TrueCameraChain
 from tests.charact.mtf.edge.photoelectron_edges import PulseEdge
 
 SCENE = PulseEdge(

@@ -7,8 +7,9 @@ import pytest
 
 from charact.method import Context
 from charact.mtf.edge.parametric import edge_parametric
-from charact.mtf.edge.pixels.illumination_gradient import APART, EVEN_PER_PX, UNEVEN_PER_PX, uneven_light
-from charact.mtf.nonlinearity_prior import usable_black_level
+from charact.mtf.edge.pixels.profile import EVEN_PER_PX, UNEVEN_PER_PX, uneven_light
+from charact.mtf.edge.thresholds import THRESHOLDS
+from charact.mtf.nonlinearity import usable_black_level
 from charact.study.edge.scene import EdgeScene, TrueBlur
 
 DISTANCE = np.linspace(-30.0, 40.0, 141)
@@ -33,8 +34,8 @@ def test_the_bright_side_slopes_as_much_as_asked_and_the_dark_one_with_it():
     variance = light.slopes_sd(UNEVEN_PER_PX) ** 2
     covariance = light.ways.T @ np.diag(variance) @ light.ways
     ratio = (DARK - BLACK) / (BRIGHT - BLACK)
-    assert np.sqrt(covariance[0, 0]) == pytest.approx(UNEVEN_PER_PX, rel=APART**2)
-    assert covariance[0, 1] / covariance[0, 0] == pytest.approx(ratio, rel=2 * APART**2)
+    assert np.sqrt(covariance[0, 0]) == pytest.approx(UNEVEN_PER_PX, rel=THRESHOLDS.gradient_asymmetry**2)
+    assert covariance[0, 1] / covariance[0, 0] == pytest.approx(ratio, rel=2 * THRESHOLDS.gradient_asymmetry**2)
     correlation = covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1])
     assert 0.7 < correlation < 0.99
 
@@ -58,7 +59,7 @@ def test_a_black_well_above_the_dark_side_is_none(black_dn, believed):
 def test_a_dark_side_without_light_hardly_slopes():
     light = uneven_light(BLACK - 1.0, BRIGHT, BLACK)
     assert np.array_equal(light.ways, np.eye(2))
-    assert light.slopes_sd(UNEVEN_PER_PX)[1] == pytest.approx(APART * UNEVEN_PER_PX)
+    assert light.slopes_sd(UNEVEN_PER_PX)[1] == pytest.approx(THRESHOLDS.gradient_asymmetry * UNEVEN_PER_PX)
     assert light.slopes_sd(EVEN_PER_PX) == pytest.approx([EVEN_PER_PX, EVEN_PER_PX])
 
 

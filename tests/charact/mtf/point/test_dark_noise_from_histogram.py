@@ -5,7 +5,7 @@ import pytest
 
 from charact import mtf
 from charact.method import Context
-from charact.mtf.point.dark_noise_from_histogram import is_clipped_at_black
+from charact.mtf.point.parametric_noise import is_clipped_at_black
 from charact.study.point.scene import PointScene
 
 PIXELS = (8, 4000)

@@ -11,8 +11,7 @@ from scipy.special import erf, j1
 from charact.method import Context
 from charact.mtf.point import forward
 from charact.mtf.point.forward import point_forward
-from charact.mtf.point.forward_model import KnownPointOptics, PointModel
-from charact.mtf.point.forward_prior import priors_of
+from charact.mtf.point.forward_model import KnownPointOptics, PointModel, priors_of
 from charact.mtf.point.source_window import window_of
 from charact.mtf.point.spot_transform import point_spread
 from charact.posterior import sampling
@@ -168,7 +167,7 @@ def test_draws_by_importance_say_the_same_as_a_markov_chain(number, monkeypatch)
     assert picked.posterior.sampler == quick.posterior.sampler == "importance"
     assert picked.posterior.effective_sample_size.min() >= 2000
     monkeypatch.setattr(sampling, "ENOUGH", np.inf)
-    monkeypatch.setattr(forward, "MAX_STEPS", 16000)
+    monkeypatch.setattr(forward, "ACCURACY", replace(forward.ACCURACY, forward_chain_steps=16000))
     chained = measured()
     assert chained.posterior.sampler == "emcee"
     width = np.diff(chained.interval68)
@@ -213,7 +212,7 @@ def test_light_of_the_model_is_one_however_it_is_blurred():
     )
     x, y = np.arange(-19.0, 20.0), context.pitch_ratio * np.arange(-16.0, 17.0)
     model = PointModel(optics=optics, prior=prior, x=x, y=y, ring_px=np.empty((0, 1)))
-    start = prior.centre[prior.chosen].copy()
+    start = prior.centre[prior.free_index].copy()
     start[prior.free.index("halo_deviate")] = -3.0  # nearly no halo, which would reach beyond these pixels
     light = model.core(start[None])[0].sum() * context.pitch_ratio
     share = float(prior.halo_fraction(np.array([-3.0]))[0])
@@ -224,7 +223,7 @@ def test_halo_is_as_wide_as_the_description_allows():
     sensor = load_sensor("pulnix-ag5745ef3")
     (prior,) = priors_of(Context(sensor=sensor, interlaced=True), halo_seen=True)
     gap, at = sensor.photocathode.gap_mm, prior.free.index("halo_diameter_px")
-    peak = prior.centre[prior.chosen]
+    peak = prior.centre[prior.free_index]
     for end in (gap.low, gap.high):
         assert end is not None
         there = peak.copy()

@@ -8,8 +8,9 @@ import pytest
 
 from charact.method import Context
 from charact.mtf.point.forward import point_forward
-from charact.mtf.point.nonlinearity import LIT, fit_nonlinearity, power_log_likelihoods
+from charact.mtf.point.nonlinearity import fit_nonlinearity, power_log_likelihoods
 from charact.mtf.point.parametric import point_parametric
+from charact.mtf.point.thresholds import ACCURACY
 from charact.study.edge.scene import TrueBlur
 from charact.study.point.scene import PointScene
 from tests.charact.mtf.point.photon_spots import Spot, SpotCamera
@@ -25,7 +26,7 @@ def noise(power, samples, rng):
     near = np.exp(-0.25 * ((x[:, None] - x) ** 2 + (y[:, None] - y) ** 2) / 0.5**2)
     pulses = 50.0 * near * np.sqrt(np.outer(mean, mean))
     dark = 0.2 * np.eye(mean.size)
-    shown = np.maximum(mean, LIT) ** (0.5 * power)
+    shown = np.maximum(mean, ACCURACY.min_light_fraction) ** (0.5 * power)
     whole = pulses * np.outer(shown, shown) + dark
     return rng.multivariate_normal(np.zeros(mean.size), whole, size=samples), mean, pulses, dark
 

@@ -9,8 +9,8 @@ from scipy.special import erf, log_ndtr
 from charact.method import Context
 from charact.mtf.point import parametric
 from charact.mtf.point.blur_models_2d import BlurModel2D
-from charact.mtf.point.censored import Censored
 from charact.mtf.point.forward import point_forward
+from charact.mtf.point.model_fit import Censored
 from charact.mtf.point.model_selection import fit_sources
 from charact.mtf.point.parametric import point_parametric
 from charact.mtf.point.parametric_noise import measure_surroundings_noise, pulse_covariances
@@ -82,7 +82,10 @@ def test_intervals_hold_the_truth_also_of_cores_beyond_full_scale(seed, full_sca
 def test_a_core_at_full_scale_is_counted_and_told(seed):
     stack = SpotCamera(full_scale_dn=110.0).taken(Spot(width=1.2), np.random.default_rng(seed))
     cut = np.count_nonzero((stack.data >= 0.97 * 110.0).any(axis=0))
-    assert f"{cut} pixels at full scale count as at least that." in level(point_parametric(stack, context=QUICK)).notes
+    assert (
+        f"{cut} pixels at full scale are treated as lower limits."
+        in level(point_parametric(stack, context=QUICK)).notes
+    )
 
 
 def test_pixels_of_which_only_a_least_value_is_known_weigh_by_the_tail_beyond_it():

@@ -21,8 +21,8 @@ def _result(rng: np.random.Generator, *, edge_offset: float = 0.0, edge_angle_de
         )
 
     bars = [
-        measurement_from_sd("mtf", "1", float(np.exp(-((f / 0.3) ** 1.3)) + 0.01 * rng.standard_normal()), 0.01, method="fake",
-                stack=f"b{n}", frequency_cy_per_px=f, orientation_deg=4.0)
+        measurement_from_sd("mtf", "1", float(np.exp(-((f / 0.3) ** 1.3)) + 0.01 * rng.standard_normal()), 0.01,
+                method="fake", stack=f"b{n}", frequency_cy_per_px=f, orientation_deg=4.0)
         for n, f in enumerate(FREQUENCIES, 1)
     ]  # fmt: skip
     tilt = measurement_from_sd("mtf50", "cy/px", 0.2, 0.01, method="fake", stack="a", orientation_deg=edge_angle_deg)

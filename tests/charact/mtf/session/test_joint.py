@@ -8,16 +8,14 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from charact.fit.mtf_observations import mtf_observations
+from charact.fit.observations import mtf_observations
 from charact.method import Context
 from charact.mtf.bars.group_curve import session_curves
 from charact.mtf.curve import FINE, REPORTED, crossing_frequency, curve_of
-from charact.mtf.session.consistency import mtf_consistency
+from charact.mtf.session.consistency import mtf_consistency, mtf_uniformity
 from charact.mtf.session.constraints import constraints_from
-from charact.mtf.session.joint import fit_joint_mtf
-from charact.mtf.session.joint_fit import JointLikelihood
+from charact.mtf.session.joint import JointLikelihood, fit_joint_mtf
 from charact.mtf.session.joint_model import JointBlurModel, KnownCameraTransfer
-from charact.mtf.session.uniformity import mtf_uniformity
 from labdata.conditions import Conditions
 from labdata.measurement import Curve, Result, measurement_from_draws, measurement_from_sd
 from labdata.sensor import Sensor
@@ -52,8 +50,8 @@ def target(rng, label, *, half=0.22, exponent=1.4, half_sd=0.003, exponent_sd=0.
 
 def bars(rng, *, half=0.22, sd=0.008) -> Result:
     return Result(measurements=tuple(
-        measurement_from_sd("mtf", "1", float(mtf(f, half)) + sd * rng.standard_normal(), sd, method="fake", stack=label,
-                frequency_cy_per_px=f, orientation_deg=3.0)
+        measurement_from_sd("mtf", "1", float(mtf(f, half)) + sd * rng.standard_normal(), sd, method="fake",
+                stack=label, frequency_cy_per_px=f, orientation_deg=3.0)
         for label, f in BARS.items()
     ))  # fmt: skip
 
@@ -91,7 +89,7 @@ def test_all_targets_together_know_the_mtf_better_than_the_best_of_them(seed: in
 @pytest.mark.parametrize("half", [0.19, 0.25])
 def test_an_edge_out_of_focus_is_found_and_named_and_the_joint_number_is_suspect(half: float, seed: int) -> None:
     found = fit_joint_mtf(session(np.random.default_rng(seed), half=half), KINDS, context=QUICK)
-    test = found.evidence["fit_joint_mtf MTF"]
+    test = found.evidence["joint MTF"]
     assert not test["inside_joint_95_percent_region"]
     assert test["differs_most"] == "e"
     assert all("model-misfit" in m.flags for m in found.measurements)
@@ -194,7 +192,7 @@ def test_draws_are_those_of_the_posterior(seed: int) -> None:
     if posterior.names != tuple(form.parameters):
         pytest.skip("another form explains this session better")
     grid = np.stack(np.meshgrid(np.linspace(-1.75, -1.25, 300), np.linspace(1.0, 2.0, 300)), axis=-1).reshape(-1, 2)
-    density = JointLikelihood(form=form, told=sound).log_probability(grid)
+    density = JointLikelihood(form=form, constraints=sound).log_probability(grid)
     weight = np.exp(density - density.max())
     mean = weight @ grid / weight.sum()
     sd = np.sqrt(weight @ (grid - mean) ** 2 / weight.sum())

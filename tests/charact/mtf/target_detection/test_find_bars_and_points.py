@@ -160,7 +160,7 @@ def test_a_spot_just_below_what_is_needed_is_said_to_be_below() -> None:
     spot = np.exp(-0.5 * (row**2 + col**2) / 1.5**2)
     sentences = [source.detect_source((ground + height * spot)[None], 1.0) for height in np.linspace(2.0, 8.0, 1200)]
     below = [sentence for sentence in sentences if isinstance(sentence, str)]
-    assert "stands 8.9 standard deviations out of 9 needed" in below[-1]
+    assert "is 8.9 standard deviations; at least 9 are required" in below[-1]
     assert not any("stands 9.0" in sentence for sentence in below)
 
 

@@ -115,7 +115,7 @@ def test_every_mtf50_lies_in_its_interval_as_often_as_promised() -> None:
     assert misses <= 2
     named = {name for name in result.curves if name.startswith("mtf:")}
     assert len(named) == 8
-    best = [m for m in found if any("known best" in note for note in m.notes)]
+    best = [m for m in found if any("most precise" in note for note in m.notes)]
     assert len(best) == 1
     own = result.curves["mtf:" + ",".join(str(number) for number in best[0].region or ())]
     assert np.array_equal(own.value, result.curves["mtf"].value)
@@ -127,7 +127,7 @@ def test_what_is_left_out_is_said() -> None:
         "edge", FrameStack(data=picture[None]), method="edge-slanted", at_most=2, context=Context(quick=True)
     )
     assert len({m.region for m in result.measurements}) == 2
-    assert any("18 more edges were found and left out" in note for m in result.measurements for note in m.notes)
+    assert any("18 further edges were not measured" in note for m in result.measurements for note in m.notes)
 
 
 def test_a_frame_with_one_edge_is_measured_as_before() -> None:

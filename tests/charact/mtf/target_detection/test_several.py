@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from charact.mtf.multiple_targets import LocatedTarget, spread_over_frame
+from charact.mtf.dispatch import LocatedTarget, spread_over_frame
 
 SHAPE = (400, 600)
 

@@ -1,0 +1,365 @@
+"""Checks of this machine: versions, disk, cameras, ports, permissions and network, each with its fix."""
+
+import grp
+import os
+import re
+import shutil
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import MappingProxyType
+
+import numpy as np
+
+from drivers.cameras.aravis.capture import SOCKET_BUFFER_BYTES
+from labdata.capture import Frame
+from labdata.conditions import Conditions
+from labdata.errors import BadInput
+from labdata.store import SessionWriter
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """Result of one check.
+
+    Parameters
+    ----------
+    area
+        Subject, such as "disk".
+    says
+        The finding, in a sentence.
+    fix
+        The remedy; None if ok.
+    core
+        Whether measuring needs it.
+    """
+
+    area: str
+    says: str
+    fix: str | None = None
+    core: bool = False
+
+    @property
+    def ok(self) -> bool:
+        """Whether there is nothing to fix."""
+        return self.fix is None
+
+
+# Name, least version and extra, as in: starlette>=0.46; extra == "live"
+_REQUIREMENT = re.compile(r"^([\w.-]+)\s*(?:>=\s*([0-9.]+))?.*?(?:;.*extra\s*==\s*['\"]([\w-]+)['\"])?$")
+
+
+def software_findings() -> Iterator[Finding]:
+    """Yield findings on Python, the required packages, and each extra."""
+    yield python_finding(sys.version_info[:3])
+    try:
+        requires = metadata.requires("charact") or []
+    except metadata.PackageNotFoundError:
+        yield Finding(
+            area="packages", says="charact is not installed, its requirements are unknown", fix="pip install charact"
+        )
+        return
+    yield from package_findings(requires, _version_of)
+
+
+def python_finding(version: tuple[int, ...]) -> Finding:
+    """Return whether the Python version is sufficient."""
+    text = ".".join(str(part) for part in version)
+    fix = None if version >= (3, 11) else "install Python 3.11 or later"
+    return Finding(area="python", says=f"Python {text}", fix=fix, core=True)
+
+
+def package_findings(requires: Iterable[str], installed: Callable[[str], str | None]) -> Iterator[Finding]:
+    """Yield one finding for the required packages, and one for each extra.
+
+    Parameters
+    ----------
+    requires
+        Requirements in the format of package metadata.
+    installed
+        Returns the version of a package, None if it is not installed.
+    """
+    wanting: dict[str | None, list[str]] = {}
+    for requirement in requires:
+        if (parsed := _REQUIREMENT.match(requirement.strip())) is None:
+            continue
+        name, least, extra = parsed.groups()
+        wanting.setdefault(extra, [])
+        if lack := _lack(name, least, installed(name)):
+            wanting[extra].append(lack)
+    for extra, lacks in sorted(wanting.items(), key=lambda pair: pair[0] or ""):
+        of, suffix = ("packages", "") if extra is None else (f"extra {extra}", f"[{extra}]")
+        yield Finding(
+            area=of,
+            says=", ".join(lacks) or "all installed",
+            fix=f"pip install --upgrade 'charact{suffix}'" if lacks else None,
+            core=extra is None,
+        )
+
+
+def _lack(name: str, least: str | None, version: str | None) -> str | None:
+    if version is None:
+        return f"{name} is not installed"
+    if least is not None and _numbers(version) < _numbers(least):
+        return f"{name} must be {least} or later, got {version}"
+    return None
+
+
+def _numbers(version: str) -> tuple[int, ...]:
+    """Return the release numbers of a version, so that 1.10 is later than 1.9."""
+    parts = re.match(r"[0-9]+(?:\.[0-9]+)*", version)
+    return tuple(int(part) for part in parts.group().split(".")) if parts else ()
+
+
+def _version_of(name: str) -> str | None:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+SHAPE, DTYPE = (493, 768), np.uint16
+VIDEO_HZ = 30.0
+TRIED_FRAMES, TOGETHER = 32, 8
+
+
+def disk_findings(folder: Path) -> Iterator[Finding]:
+    """Yield the write rate of the disk, measured as in an acquisition, and its free space."""
+    try:
+        rate_hz = write_rate_hz(folder)
+    except (OSError, BadInput) as error:
+        why = error.strerror if isinstance(error, OSError) else error
+        yield Finding(area="disk", says=f"{folder} is not writable: {why}", fix="choose another folder", core=True)
+        return
+    yield speed_finding(folder, rate_hz)
+    yield room_finding(folder, shutil.disk_usage(folder).free)
+
+
+def write_rate_hz(folder: Path) -> float:
+    """Return the rate of frames written and synchronised to disk in groups, Hz."""
+    frame = np.random.default_rng(0).integers(0, 4096, SHAPE).astype(DTYPE)
+    with TemporaryDirectory(dir=folder, prefix=".charact-doctor-") as made:
+        session = Path(made) / "session"
+        with (
+            SessionWriter.create(session, name="doctor") as writer,
+            writer.begin_stack("flat", "flat", SHAPE, DTYPE, Conditions()) as stack,
+        ):
+            stack.append(frame, 0.0, 0)
+            began = time.perf_counter()
+            for first in range(1, TRIED_FRAMES, TOGETHER):
+                numbers = range(first, first + TOGETHER)
+                stack.extend([Frame(pixels=frame, number=number, time_s=float(number)) for number in numbers])
+            return TRIED_FRAMES / (time.perf_counter() - began)
+
+
+def speed_finding(folder: Path, rate_hz: float) -> Finding:
+    """Return whether a write rate is sufficient for video, Hz."""
+    rate = f"{folder}: {rate_hz:.1f} frames/s of {SHAPE[1]} x {SHAPE[0]} px, 16 bit, synchronised to disk"
+    if rate_hz >= 2.0 * VIDEO_HZ:
+        return Finding(area="disk", says=rate)
+    return Finding(
+        area="disk", says=f"{rate}; video needs {VIDEO_HZ:g}, and a margin of as many", fix="choose a faster disk"
+    )
+
+
+def room_finding(folder: Path, free_bytes: int) -> Finding:
+    """Return whether the free space is sufficient."""
+    minutes = free_bytes / (np.prod(SHAPE) * np.dtype(DTYPE).itemsize * VIDEO_HZ) / 60.0
+    space = f"{folder}: {free_bytes / 1e9:.3g} GB free, {minutes:.0f} minutes of video"
+    fix = None if minutes >= 10.0 else "free disk space, or choose another disk"
+    return Finding(area="disk", says=space, fix=fix)
+
+
+def device_finding(area: str, path: Path, title: str) -> Finding:
+    """Return whether this user may open a device file."""
+    if os.access(path, os.R_OK | os.W_OK):
+        return Finding(area=area, says=f"{path}: {title}")
+    group = group_of(path)
+    return Finding(
+        area=area,
+        says=f"{path}: {title}; this user may not open it",
+        fix=f"sudo usermod -a -G {group} $USER, then log in again" if group else f"change the permissions of {path}",
+    )
+
+
+def group_of(path: Path) -> str | None:
+    """Return the group of a file; None for root's."""
+    try:
+        group = path.stat().st_gid
+        return None if group == 0 else grp.getgrgid(group).gr_name
+    except (OSError, KeyError):
+        return None
+
+
+def is_member(group: str) -> bool | None:
+    """Whether this user is in a group, or is root; None if there is no such group."""
+    try:
+        known = grp.getgrnam(group)
+    except KeyError:
+        return None
+    return os.geteuid() == 0 or known.gr_gid in {os.getegid(), *os.getgroups()}
+
+
+def camera_findings() -> Iterator[Finding]:
+    """Yield the cameras of Aravis, then the V4L2 devices."""
+    yield from aravis_cameras()
+    yield from video_devices(offered=_capture_formats())
+
+
+def aravis_cameras() -> Iterator[Finding]:
+    """Yield the cameras that Aravis lists, or a finding on the library."""
+    from drivers.cameras.aravis.connection import list_cameras
+    from drivers.errors import BenchError
+
+    try:
+        found = list_cameras()
+    except BenchError as error:
+        yield Finding(area="aravis", says=str(error), fix="apt-get install libaravis-0.8-0 (Debian)")
+        return
+    for camera in found:
+        yield Finding(area="aravis", says=f"{camera.identifier}: {camera.model}, {camera.serial}, at {camera.address}")
+    if not found:
+        yield Finding(
+            area="aravis",
+            says="the library is installed; no GigE Vision or USB3 Vision camera answers",
+            fix="connect a camera and switch it on; its address must be in the subnet of its network port",
+        )
+
+
+def video_devices(
+    devices: Path = Path("/dev"),
+    kernel: Path = Path("/sys/class/video4linux"),
+    offered: Mapping[str, str] = MappingProxyType({}),
+) -> Iterator[Finding]:
+    """Yield the V4L2 devices with their names.
+
+    Parameters
+    ----------
+    devices, kernel
+        Folders of the device files and of their kernel attributes.
+    offered
+        Inputs and formats of capture devices, by device file.
+    """
+    paths = sorted(devices.glob("video[0-9]*"), key=lambda path: int(path.name.removeprefix("video")))
+    for path in paths:
+        formats = offered.get(str(path), "no readable capture format")
+        yield device_finding("video", path, f"{_name(kernel / path.name / 'name')}, {formats}")
+    if not paths:
+        yield Finding(area="video", says="no video device", fix="connect a capture card, for analog video")
+    if is_member("video") is False:
+        yield Finding(
+            area="video",
+            says="this user is not in the group video",
+            fix="sudo usermod -a -G video $USER, then log in again",
+        )
+
+
+def _capture_formats() -> dict[str, str]:
+    """Return inputs and readable pixel formats of each device that can capture."""
+    from drivers.cameras.v4l2.listing import list_devices
+
+    offers = {}
+    for one in list_devices():
+        formats = ", ".join(dict.fromkeys(offer.name for offer in one.formats if offer.name)) or "no readable format"
+        inputs = ", ".join(f"#{entry.number} {entry.name}" for entry in one.inputs)
+        offers[one.path] = f"inputs {inputs or 'none'}; {formats}"
+    return offers
+
+
+def _name(path: Path) -> str:
+    try:
+        return path.read_text(errors="replace").strip() or "nameless"
+    except OSError:
+        return "nameless"
+
+
+def port_findings() -> Iterator[Finding]:
+    """Yield the serial ports and whether this user may open them."""
+    from serial.tools.list_ports import comports
+
+    yield from serial_ports((Path(port.device), port.description or "nameless") for port in comports())
+
+
+def serial_ports(ports: Iterable[tuple[Path, str]]) -> Iterator[Finding]:
+    """Yield whether this user may open ports, given as (device file, description)."""
+    found = sorted(ports)
+    for path, title in found:
+        yield device_finding("serial", path, "serial port" if title == "n/a" else title)
+    if not found:
+        yield Finding(area="serial", says="no serial port", fix="connect an adapter, for instruments")
+    if is_member("dialout") is False:
+        yield Finding(
+            area="serial",
+            says="this user is not in the group dialout",
+            fix="sudo usermod -a -G dialout $USER, then log in again",
+        )
+
+
+def network_findings() -> Iterator[Finding]:
+    """Yield the limit of the socket buffer, and the packet size of each active interface."""
+    yield socket_buffer(Path("/proc/sys/net/core"))
+    yield from packet_sizes(Path("/sys/class/net"))
+
+
+def socket_buffer(limits: Path) -> Finding:
+    """Return whether the socket buffer of the kernel is sufficient for a frame; `limits`: folder of its limits."""
+    try:
+        granted = int((limits / "rmem_max").read_text())
+    except (OSError, ValueError):
+        return Finding(area="network", says="the kernel does not state the limit of the socket buffer")
+    size = f"socket buffer of at most {granted / 2**20:.3g} MiB"
+    if granted >= SOCKET_BUFFER_BYTES:
+        return Finding(area="network", says=size)
+    return Finding(
+        area="network",
+        says=f"{size}; a camera at full rate needs {SOCKET_BUFFER_BYTES / 2**20:.3g} MiB, or packets are lost",
+        fix=f"sudo sysctl -w net.core.rmem_max={SOCKET_BUFFER_BYTES} (and keep it in /etc/sysctl.d/)",
+    )
+
+
+def packet_sizes(interfaces: Path) -> Iterator[Finding]:
+    """Yield the packet size of each active interface but the loopback; `interfaces`: folder of their attributes."""
+    for interface in sorted(interfaces.glob("*")):
+        if interface.name == "lo" or _read(interface / "operstate") != "up":
+            continue
+        bytes_ = int(_read(interface / "mtu") or 0)
+        size = f"{interface.name}: packets of {bytes_} bytes"
+        if bytes_ < 1500:  # plain Ethernet
+            yield Finding(area="network", says=size, fix=f"sudo ip link set dev {interface.name} mtu 1500")
+        else:
+            more = "" if bytes_ >= 9000 else "; use 9000 (jumbo frames) for cameras of many megapixels"
+            yield Finding(area="network", says=size + more)
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_text().strip()
+    except OSError:
+        return ""
+
+
+__all__ = ["Finding", "can_work", "examine"]
+
+
+def examine(folder: Path) -> Iterator[Finding]:
+    """Yield the findings one by one; nothing is changed and no instrument is contacted.
+
+    Parameters
+    ----------
+    folder
+        Folder for sessions; test frames are written there and removed.
+    """
+    yield from software_findings()
+    yield from disk_findings(folder)
+    yield from camera_findings()
+    yield from port_findings()
+    yield from network_findings()
+
+
+def can_work(found: tuple[Finding, ...]) -> bool:
+    """Whether all core findings are ok."""
+    return all(one.ok for one in found if one.core)

@@ -1,1 +1,0 @@
-"""Scenes whose light is rendered by plan and in full."""

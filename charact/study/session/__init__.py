@@ -1,1 +1,0 @@
-"""Sessions of several targets of one camera: how often they agree."""

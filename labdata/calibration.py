@@ -1,0 +1,342 @@
+"""Calibrations of a bench: luminous gain against voltage, illuminance against lamp current."""
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labdata.conditions import Conditions
+from labdata.errors import BadInput
+
+
+@dataclass(frozen=True, kw_only=True)
+class RisingTable:
+    """Pairs of two positive numbers that increase together.
+
+    Parameters
+    ----------
+    of
+        Name of the table in messages, such as "gain table".
+    names
+        Names of the two columns, with their units.
+    first, second
+        The columns.
+    relative_sd
+        Relative standard uncertainty of the second column, dimensionless.
+
+    Raises
+    ------
+    BadInput
+        If there are fewer than two complete rows, or a column does not increase.
+
+    Notes
+    -----
+    Interpolation is linear in the logarithms. The change of the power from one interval to the next gives the
+    uncertainty of the interpolation, which is added to that of the calibration in quadrature.
+    """
+
+    of: str
+    names: tuple[str, str]
+    first: tuple[float, ...]
+    second: tuple[float, ...]
+    relative_sd: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        columns = (self.first, self.second, self.relative_sd)
+        if len({len(column) for column in columns}) != 1 or len(self.first) < 2:
+            raise BadInput(f"a {self.of} must have at least two whole rows, got {[len(each) for each in columns]}")
+        if not all(np.isfinite(column).all() for column in columns) or not min(self.relative_sd) >= 0:
+            raise BadInput(f"a {self.of} must hold finite numbers and uncertainties of at least 0, got others")
+        for name, column in zip(self.names, (self.first, self.second), strict=True):
+            if not (column[0] > 0 and all(after > before for before, after in pairwise(column))):
+                raise BadInput(f"{name} of a {self.of} must rise from above 0, got {column}")
+
+    def second_at(self, first: float, *, beyond: float = 0.0) -> tuple[float, float]:
+        """Return the second column at a value of the first, and its relative standard uncertainty.
+
+        Parameters
+        ----------
+        first
+            Value of the first column.
+        beyond
+            Tolerance outside the table, for the resolution of a read-back.
+
+        Raises
+        ------
+        BadInput
+            If it lies further outside.
+        """
+        nearest = min(max(first, self.first[0]), self.first[-1])
+        if not abs(first - nearest) <= beyond:
+            self._check_within(self.names[0], first, self.first)
+        place = np.log(nearest)
+        second = float(np.exp(np.interp(place, np.log(self.first), np.log(self.second))))
+        relative_sd = float(np.hypot(np.interp(place, np.log(self.first), self.relative_sd), self._bend(place)))
+        return second * (first / nearest) ** float(self._powers()[self._interval(place)]), relative_sd
+
+    def first_for(self, second: float) -> float:
+        """Return the first column at a value of the second; a value outside the table is BadInput."""
+        self._check_within(self.names[1], second, self.second)
+        return float(np.exp(np.interp(np.log(second), np.log(self.second), np.log(self.first))))
+
+    def _bend(self, place: float) -> float:
+        """Return the relative interpolation error: zero at the points, largest in the centre of an interval."""
+        places, powers, interval = np.log(self.first), self._powers(), self._interval(place)
+        others = (other for other in (interval - 1, interval + 1) if 0 <= other < len(powers))
+        changes = [abs(powers[other] - powers[interval]) for other in others]
+        width = places[interval + 1] - places[interval]
+        fraction = (place - places[interval]) / width
+        return max(changes, default=0.0) * width * fraction * (1.0 - fraction)
+
+    def _powers(self) -> NDArray[np.float64]:
+        """Return the exponent of the power law of each interval."""
+        return np.diff(np.log(self.second)) / np.diff(np.log(self.first))
+
+    def _interval(self, place: float) -> int:
+        return int(np.clip(np.searchsorted(np.log(self.first), place) - 1, 0, len(self.first) - 2))
+
+    def _check_within(self, name: str, value: float, column: tuple[float, ...]) -> None:
+        if not column[0] <= value <= column[-1]:
+            raise BadInput(f"{name} must lie within the {self.of}, {column[0]:g} to {column[-1]:g}, got {value:g}")
+
+
+SETTABLE_A = 1e-3
+"""Current step that every LED driver can set, A."""
+
+SPARE_A = 1e-3
+"""Margin of the driver's own limit above the end of the calibration, A: a driver at its limit reports an error."""
+
+SAME_DENSITY = 1e-3
+
+
+@dataclass(frozen=True, kw_only=True)
+class LampSetting:
+    """Lamp and filter setting of one illuminance.
+
+    Parameters
+    ----------
+    current_a
+        Current through the lamp, A.
+    position
+        Position of the filter wheel, counted from 1.
+    read
+        Resulting light: illuminance with uncertainty, filter and current.
+    """
+
+    current_a: float
+    position: int
+    read: Conditions
+
+
+@dataclass(frozen=True, kw_only=True)
+class LampCalibration:
+    """Calibration of the lamp and its filters.
+
+    Parameters
+    ----------
+    source
+        Origin of the calibration: who measured it, how and when.
+    current_a
+        Currents through the lamp, A, increasing.
+    illuminance_lux
+        Illuminance on the photocathode at each, without filter, lux, increasing.
+    relative_sd
+        Relative standard uncertainty of each illuminance, dimensionless.
+    filter_density
+        Optical densities of the filters by wheel position; a bench without a wheel has the single density of
+        its fixed filter.
+    filter_density_sd
+        Standard uncertainty of a density that is not 0.
+
+    Raises
+    ------
+    BadInput
+        If the table is not a monotonic calibration, or a density is negative or repeated.
+
+    Notes
+    -----
+    E = E0(I) 10^-D.
+    """
+
+    source: str
+    current_a: tuple[float, ...]
+    illuminance_lux: tuple[float, ...]
+    relative_sd: tuple[float, ...]
+    filter_density: tuple[float, ...] = (0.0,)
+    filter_density_sd: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not self.source.strip():
+            raise BadInput("the calibration of a lamp must say its source, got none")
+        if not self.filter_density or not all(0.0 <= one < math.inf for one in self.filter_density):
+            raise BadInput(f"filter densities must be numbers of at least 0, got {self.filter_density}")
+        if len(set(self.filter_density)) < len(self.filter_density):
+            raise BadInput(f"every filter of a wheel must have a density of its own, got {self.filter_density}")
+        if not 0.0 <= self.filter_density_sd < math.inf:
+            raise BadInput(f"filter_density_sd must be at least 0, got {self.filter_density_sd:g}")
+        self._table()
+
+    @property
+    def provenance(self) -> str:
+        """Where an illuminance by this calibration comes from, in a sentence."""
+        span = f"{self.current_a[0]:g} to {self.current_a[-1]:g} A"
+        return f"Illuminance by calibration of the lamp: {self.source}; {len(self.current_a)} points, {span}."
+
+    @property
+    def limit_a(self) -> float:
+        """Current that the lamp's driver must itself refuse to exceed, A."""
+        return math.ceil(round(self.current_a[-1] / SETTABLE_A, 6)) * SETTABLE_A + SPARE_A
+
+    def setting(self, illuminance_lux: float, filter_density: float | None = None) -> LampSetting:
+        """Return how to make an illuminance.
+
+        Parameters
+        ----------
+        illuminance_lux
+            Illuminance on the photocathode, lux.
+        filter_density
+            The filter; None: the densest through which the lamp is bright enough, whose current is set most finely.
+
+        Raises
+        ------
+        BadInput
+            If there is no such filter, or the lamp cannot reach that light behind it.
+        """
+        for position in self._positions(illuminance_lux, filter_density):
+            bare_lux = illuminance_lux * 10.0 ** self.filter_density[position - 1]
+            current_a = round(self._table().first_for(bare_lux) / SETTABLE_A) * SETTABLE_A
+            if self.current_a[0] <= current_a <= self.current_a[-1]:
+                return LampSetting(current_a=current_a, position=position, read=self.light_at(current_a, position))
+        dimmest, brightest = self._reach(filter_density)
+        raise BadInput(
+            f"illuminance_lux must lie within the range of the lamp, {dimmest:.3g} to {brightest:.3g}, "
+            f"got {illuminance_lux:g}"
+        )
+
+    def light_at(self, current_a: float, position: int, *, beyond_a: float = SETTABLE_A) -> Conditions:
+        """Return the light at a lamp current, A, behind the filter at a position.
+
+        Raises
+        ------
+        BadInput
+            If the current lies outside the calibration by more than `beyond_a`, A.
+        """
+        density = self.filter_density[position - 1]
+        bare_lux, relative_sd = self._table().second_at(current_a, beyond=beyond_a)
+        filter_sd = math.log(10.0) * self.filter_density_sd if density else 0.0
+        return Conditions(
+            illuminance_lux=bare_lux * 10.0**-density,
+            illuminance_relative_sd=math.hypot(relative_sd, filter_sd),
+            filter_density=density,
+            lamp_a=current_a,
+        )
+
+    def position_of(self, filter_density: float) -> int:
+        """Return the position of a filter, counted from 1; an unknown density is BadInput."""
+        for position, density in enumerate(self.filter_density, 1):
+            if abs(density - filter_density) < SAME_DENSITY:
+                return position
+        densities = ", ".join(f"{density:g}" for density in self.filter_density)
+        raise BadInput(f"filter_density must be one of the wheel's {densities}, got {filter_density:g}")
+
+    def _positions(self, illuminance_lux: float, filter_density: float | None) -> list[int]:
+        """Return the positions that allow an illuminance, the densest filter first."""
+        if filter_density is not None:
+            fitting = [self.position_of(filter_density)]
+        else:
+            densest_first = sorted(range(len(self.filter_density)), key=lambda place: -self.filter_density[place])
+            fitting = [place + 1 for place in densest_first]
+        low, high = self.illuminance_lux[0], self.illuminance_lux[-1]
+        return [one for one in fitting if low <= illuminance_lux * 10.0 ** self.filter_density[one - 1] <= high]
+
+    def _reach(self, filter_density: float | None) -> tuple[float, float]:
+        densities = self.filter_density if filter_density is None else (filter_density,)
+        return self.illuminance_lux[0] * 10.0 ** -max(densities), self.illuminance_lux[-1] * 10.0 ** -min(densities)
+
+    def _table(self) -> RisingTable:
+        return RisingTable(
+            of="calibration of the lamp",
+            names=("current_a", "illuminance_lux"),
+            first=self.current_a,
+            second=self.illuminance_lux,
+            relative_sd=self.relative_sd,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class GainTable:
+    """A calibration of one tube.
+
+    Parameters
+    ----------
+    source
+        Origin of the calibration: who measured it, how and when.
+    tube
+        Name of the tube; None: not stated.
+    mcp_v
+        Voltages across the MCP, V, increasing.
+    luminous_gain
+        Luminous gain at each, lm/lm or in the unit of the calibration, increasing.
+    relative_sd
+        Relative standard uncertainty of each gain, dimensionless.
+
+    Raises
+    ------
+    BadInput
+        If the table is not a monotonic calibration of at least two points, or has no source.
+
+    Notes
+    -----
+    MCP gain is a power of the voltage (J. L. Wiza, Nucl. Instrum. Methods 162 (1979) 587); for the interpolation see
+    `RisingTable`.
+    """
+
+    source: str
+    tube: str | None = None
+    mcp_v: tuple[float, ...]
+    luminous_gain: tuple[float, ...]
+    relative_sd: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        if not self.source.strip():
+            raise BadInput("a gain table must say its source, got none")
+        self._table()
+
+    @property
+    def provenance(self) -> str:
+        """One sentence on the origin of the gains of this table."""
+        of = f" of tube {self.tube}" if self.tube else ""
+        span = f"{self.mcp_v[0]:g} to {self.mcp_v[-1]:g} V"
+        return f"Luminous gain by calibration{of}: {self.source}; {len(self.mcp_v)} points, {span}."
+
+    def gain_at(self, mcp_v: float, *, beyond_v: float = 0.0) -> tuple[float, float]:
+        """Return the luminous gain at a voltage, V, and its relative standard uncertainty.
+
+        Parameters
+        ----------
+        mcp_v
+            Voltage across the MCP, V.
+        beyond_v
+            Tolerance outside the table, V, for the read-back of a supply set to the end of the table.
+
+        Raises
+        ------
+        BadInput
+            If the voltage lies further outside.
+        """
+        return self._table().second_at(mcp_v, beyond=beyond_v)
+
+    def volts_for(self, luminous_gain: float) -> float:
+        """Return the voltage of a luminous gain, V; a gain outside the table is BadInput."""
+        return self._table().first_for(luminous_gain)
+
+    def _table(self) -> RisingTable:
+        return RisingTable(
+            of="gain table",
+            names=("mcp_v", "luminous_gain"),
+            first=self.mcp_v,
+            second=self.luminous_gain,
+            relative_sd=self.relative_sd,
+        )

@@ -1,0 +1,98 @@
+"""Atomic writes, and the requirement that files named by a user are regular."""
+
+import os
+import stat
+import uuid
+from pathlib import Path
+
+from labdata.errors import BadInput
+
+
+def write_atomically(path: str | Path, data: bytes | bytearray | memoryview) -> None:
+    """Write a file atomically: after a crash or power cut it has its old or its new content.
+
+    Parameters
+    ----------
+    path
+        The file; its folder must exist.
+    data
+        All of its bytes.
+    """
+    path = Path(path)
+    partial = path.with_name(f".{path.name}.{uuid.uuid4().hex}.partial")
+    try:
+        with open(partial, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(partial, path)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        # The caller knows the file, not its temporary name.
+        raise OSError(error.errno, error.strerror, str(path)) from None
+    except BaseException:
+        partial.unlink(missing_ok=True)
+        raise
+    sync_folder(path.parent)
+
+
+def sync_folder(folder: Path) -> None:
+    """Sync a folder, so that a rename in it survives a power cut."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def write_whole(descriptor: int, data: bytes | memoryview) -> None:
+    """Write all bytes; a disk that accepts only part of them raises at the next attempt."""
+    left = memoryview(data)
+    while len(left):
+        left = left[os.write(descriptor, left) :]
+
+
+def ends_mid_line(descriptor: int) -> bool:
+    """Return whether the last line of an open file is incomplete; reads the last byte only."""
+    size = os.fstat(descriptor).st_size
+    return size > 0 and os.pread(descriptor, 1, size - 1) != b"\n"
+
+
+_KINDS = {
+    stat.S_IFIFO: "a named pipe",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+    stat.S_IFDIR: "a folder",
+}
+
+
+def require_regular(path: str | Path, what: str = "a file") -> None:
+    """Require a path to be a regular file, or a link to one, before it is opened.
+
+    Parameters
+    ----------
+    path
+        The file.
+    what
+        Name of the file in the message, such as "a file of frames".
+
+    Raises
+    ------
+    BadInput
+        If the path does not exist or is not a regular file.
+    """
+    try:
+        mode = os.stat(path).st_mode
+    except (OSError, ValueError):  # ValueError: a name that no file system accepts
+        raise BadInput(f"{what} must exist to be read, got {path}") from None
+    if not stat.S_ISREG(mode):
+        kind = _KINDS.get(stat.S_IFMT(mode), "something else")
+        raise BadInput(f"{what} must be a regular file, got {kind}, {path}: copy its content into a file first")
+
+
+def require_regular_parts(folder: Path, what: str) -> None:
+    """Require a folder to contain only folders and regular files."""
+    for part in folder.rglob("*"):
+        if not part.is_dir():
+            require_regular(part, f"a part of {what}")

@@ -1,0 +1,1 @@
+"""Triangle meshes, ray tracing and camera geometry."""

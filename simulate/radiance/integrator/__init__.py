@@ -1,0 +1,1 @@
+"""Monte Carlo integrator: light transport from lamps and sky over surfaces to a camera."""

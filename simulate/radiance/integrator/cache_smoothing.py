@@ -1,0 +1,261 @@
+"""Smoothing and interpolation of the irradiance cache: local plane fits along smooth surfaces."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from simulate.radiance.geometry.embree import COMPILED, INLINED, without_reference_count
+from simulate.radiance.geometry.ray_tracer import NOTHING
+from simulate.radiance.integrator.integrator_settings import Run
+
+# Neighbours belong to one smooth surface if their normals differ by less than acos(0.98) = 11 degrees, and if neither
+# deviates from the other's plane by more than this fraction of their distance, or by the single-precision error.
+SAME_NORMAL, OFF_PLANE, LEAST_OFF_M = 0.98, 0.05, 1e-5
+# A plane fit needs at least this many nodes, else the mean is used.
+ENOUGH = 4
+
+
+# Rows of nodes in one job.
+STRIP = 16
+
+
+@dataclass(frozen=True)
+class Nodes:
+    """A grid of surface points in view of a camera.
+
+    Parameters
+    ----------
+    row, col
+        Indices of the nodes that see a surface, shape (node,).
+    place_m, normal
+        Positions, m, and unit normals, shape (row, col, 3).
+    face
+        Triangles, -1 where there is no surface, shape (row, col).
+    """
+
+    row: NDArray[np.int64]
+    col: NDArray[np.int64]
+    place_m: NDArray[np.float64]
+    normal: NDArray[np.float64]
+    face: NDArray[np.int64]
+
+    @classmethod
+    def of(
+        cls,
+        row: NDArray[np.int64],
+        col: NDArray[np.int64],
+        shape: tuple[int, int],
+        place_m: NDArray[np.floating],
+        normal: NDArray[np.floating],
+        face: NDArray[np.int64],
+    ) -> "Nodes":
+        """Return a grid of positions and normals (node, 3) and triangles (node,) at rows and columns (node,)."""
+        grid = cls(row, col, np.zeros((*shape, 3)), np.zeros((*shape, 3)), np.full(shape, NOTHING))
+        grid.place_m[row, col], grid.normal[row, col], grid.face[row, col] = place_m, normal, face
+        return grid
+
+    @property
+    def there(self) -> NDArray[np.bool_]:
+        """Whether there is a surface, shape (row, col)."""
+        return self.face != NOTHING
+
+    def spread(self, values: NDArray) -> NDArray:
+        """Return values (node, ...) on the grid, zero without a surface."""
+        grid = np.zeros((*self.there.shape, *values.shape[1:]), values.dtype)
+        grid[self.row, self.col] = values
+        return grid
+
+    def near(self, values: NDArray[np.floating], reach: int) -> NDArray[np.floating]:
+        """Return means of values (row, col) over squares of nodes around each."""
+        from scipy.ndimage import uniform_filter
+
+        size = 2 * reach + 1
+        share = uniform_filter(self.there.astype(float), size, mode="constant")
+        total = uniform_filter(np.where(self.there, values, 0.0), size, mode="constant")
+        return np.divide(total, share, out=np.zeros_like(total), where=share > 1e-9)
+
+    def smooth(self, values: NDArray[np.floating], width: NDArray[np.int64], run: Run) -> NDArray[np.floating]:
+        """Return values (row, col, band) smoothed over windows of half widths (row, col), nodes."""
+        found, rows = np.zeros_like(values), len(values)
+
+        def strip(first: int) -> None:
+            _fit(values, self.place_m, self.normal, self.face, width, first, min(first + STRIP, rows), found)
+
+        list(run(strip, list(range(0, rows, STRIP))))
+        return found
+
+    def between(
+        self,
+        values: NDArray[np.float32],
+        row: NDArray[np.floating],
+        col: NDArray[np.floating],
+        place_m: NDArray[np.floating],
+        normal: NDArray[np.floating],
+    ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        """Interpolate values (row, col, band) at points; return also which points had a node on their surface.
+
+        Parameters
+        ----------
+        values
+            Values of the nodes.
+        row, col
+            Coordinates of the points, integers at nodes, shape (point,).
+        place_m, normal
+            Positions and normals of the points, shape (point, 3).
+        """
+        found, has = np.zeros((len(row), values.shape[2]), np.float32), np.zeros(len(row), np.bool_)
+        _interpolate(values, self.place_m, self.normal, self.face, row, col, place_m, normal, found, has)
+        return found, has
+
+
+def all_alike(
+    place_m: NDArray[np.floating],
+    normal: NDArray[np.floating],
+    other_place_m: NDArray[np.floating],
+    other_normal: NDArray[np.floating],
+) -> NDArray[np.bool_]:
+    """Return which pairs of points (pair, 3), with unit normals, lie on one smooth surface, shape (pair,)."""
+    found = np.empty(len(place_m), np.bool_)
+    _all_alike(place_m, normal, other_place_m, other_normal, found)
+    return found
+
+
+@numba.njit(**INLINED)
+def alike(place: Any, normal: Any, other_place: Any, other_normal: Any) -> bool:
+    """Return whether two points lie on one smooth surface."""
+    facing, off, off_other, square = 0.0, 0.0, 0.0, 0.0
+    for axis in range(3):
+        step = other_place[axis] - place[axis]
+        facing += normal[axis] * other_normal[axis]
+        off += normal[axis] * step
+        off_other += other_normal[axis] * step
+        square += step * step
+    limit = OFF_PLANE * np.sqrt(square) + LEAST_OFF_M
+    return facing > SAME_NORMAL and abs(off) < limit and abs(off_other) < limit
+
+
+@numba.njit(**COMPILED)
+def _all_alike(place: Any, normal: Any, other_place: Any, other_normal: Any, found: Any) -> None:
+    place, normal, other_place, other_normal = without_reference_count((place, normal, other_place, other_normal))
+    for pair in range(len(found)):
+        found[pair] = alike(place[pair], normal[pair], other_place[pair], other_normal[pair])
+
+
+@numba.njit(**COMPILED)
+def _fit(values: Any, place: Any, normal: Any, face: Any, width: Any, first: int, last: int, found: Any) -> None:
+    """Fit a plane over row and column to the values in the window of each node, and store its value at the centre.
+
+    Parameters
+    ----------
+    values
+        Shape (row, col, band).
+    place, normal
+        Positions and normals of the nodes, shape (row, col, 3).
+    face
+        Triangle of each node, -1 without values, shape (row, col).
+    width
+        Half width of each node's window, nodes, shape (row, col).
+    first, last
+        Range of rows.
+    found
+        Output, shape (row, col, band).
+    """
+    values, found, face, width = (
+        without_reference_count(values),
+        without_reference_count(found),
+        without_reference_count(face),
+        without_reference_count(width),
+    )
+    place, normal = without_reference_count(place), without_reference_count(normal)
+    rows, columns, bands = values.shape
+    plane = np.zeros((3, bands))
+    for r in range(first, last):
+        for c in range(columns):
+            here = face[r, c]
+            if here == NOTHING:
+                continue
+            h = width[r, c]
+            n, x1, y1, xx, xy, yy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            plane[:] = 0.0
+            for i in range(max(r - h, 0), min(r + h + 1, rows)):
+                for j in range(max(c - h, 0), min(c + h + 1, columns)):
+                    # Nodes on one triangle are on one surface.
+                    if face[i, j] != here and (
+                        face[i, j] == NOTHING or not alike(place[r, c], normal[r, c], place[i, j], normal[i, j])
+                    ):
+                        continue
+                    x, y = float(j - c), float(i - r)
+                    n += 1.0
+                    x1 += x
+                    y1 += y
+                    xx += x * x
+                    xy += x * y
+                    yy += y * y
+                    for b in range(bands):
+                        value = values[i, j, b]
+                        plane[0, b] += value
+                        plane[1, b] += value * x
+                        plane[2, b] += value * y
+            # Constant of the normal equations, by Cramer's rule.
+            a, p, q = xx * yy - xy * xy, xy * y1 - x1 * yy, x1 * xy - xx * y1
+            whole = n * a + x1 * p + y1 * q
+            flat = n < ENOUGH or whole < 1e-6 * n * max(xx * yy, 1e-30)
+            for b in range(bands):
+                if flat:
+                    found[r, c, b] = plane[0, b] / n
+                else:
+                    found[r, c, b] = (plane[0, b] * a + plane[1, b] * p + plane[2, b] * q) / whole
+
+
+@numba.njit(**COMPILED)
+def _interpolate(
+    values: Any, place: Any, normal: Any, face: Any, row: Any, col: Any, at: Any, facing: Any, found: Any, has: Any
+) -> None:
+    """Interpolate nodes at points between them, among nodes on the same surface.
+
+    Parameters
+    ----------
+    values, place, normal, face
+        As of `_fit`.
+    row, col
+        Coordinates, integers at nodes, shape (ray,).
+    at, facing
+        Positions and normals, shape (ray, 3).
+    found, has
+        Output values, shape (ray, band), and whether there were any, shape (ray,).
+    """
+    values, found, face, has = (
+        without_reference_count(values),
+        without_reference_count(found),
+        without_reference_count(face),
+        without_reference_count(has),
+    )
+    place, normal, at, facing = (
+        without_reference_count(place),
+        without_reference_count(normal),
+        without_reference_count(at),
+        without_reference_count(facing),
+    )
+    rows, columns, bands = values.shape
+    for ray in range(len(row)):
+        top, left = int(np.floor(row[ray])), int(np.floor(col[ray]))
+        total = 0.0
+        for reach in range(2):
+            for i in range(max(top - reach, 0), min(top + 2 + reach, rows)):
+                for j in range(max(left - reach, 0), min(left + 2 + reach, columns)):
+                    if face[i, j] == NOTHING or not alike(at[ray], facing[ray], place[i, j], normal[i, j]):
+                        continue
+                    span = 1.0 + reach
+                    weight = max(span - abs(row[ray] - i), 0.0) * max(span - abs(col[ray] - j), 0.0) + 1e-6
+                    total += weight
+                    for b in range(bands):
+                        found[ray, b] += weight * values[i, j, b]
+            if total > 0.0:
+                break
+        has[ray] = total > 0.0
+        if total > 0.0:
+            for b in range(bands):
+                found[ray, b] /= total

@@ -1,0 +1,177 @@
+"""Environment map of the sky, and the unoccluded irradiance of surfaces by their normal."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulate.radiance.integrator.integrator_settings import LIMITS
+from simulate.radiance.integrator.low_discrepancy import fraction
+
+Array = NDArray[np.floating]
+# Cells of the radiance table, in height and azimuth; step between the normals of the irradiance table.
+HEIGHTS, AROUND, NORMAL_STEP_DEG = 90, 120, 4.0
+
+
+@dataclass(frozen=True)
+class EnvironmentMap:
+    """Radiance of the sky above the horizon; zero below it.
+
+    Parameters
+    ----------
+    radiance_table
+        Spectral radiance at heights (rows) from horizon to zenith and azimuths (columns) from east by north, both ends
+        of each included, shape (height, azimuth, band), W m-2 sr-1 nm-1.
+    irradiance_table
+        Irradiance of surfaces without obstacles, by the angle of their normal from the zenith (rows) and its azimuth
+        (columns), both ends included, shape (angle, azimuth, band), W m-2 nm-1.
+    """
+
+    radiance_table: NDArray[np.float32]
+    irradiance_table: NDArray[np.float32]
+
+    @property
+    def dark(self) -> bool:
+        """Whether it emits no light."""
+        return not self.radiance_table.any()
+
+    def radiance(self, direction: Array) -> NDArray[np.float32]:
+        """Return spectral radiance from unit directions (ray, 3), shape (ray, band)."""
+        height = np.arcsin(np.clip(direction[:, 2], -1.0, 1.0)) / (0.5 * np.pi)
+        found = _interpolate(self.radiance_table, np.maximum(height, 0.0), azimuth_turns(direction))
+        found[direction[:, 2] < 0.0] = 0.0
+        return found
+
+    def irradiance(self, normal: Array) -> NDArray[np.float32]:
+        """Return the unoccluded irradiance of surfaces with unit normals (point, 3), shape (point, band)."""
+        return _interpolate(
+            self.irradiance_table, np.arccos(np.clip(normal[:, 2], -1.0, 1.0)) / np.pi, azimuth_turns(normal)
+        )
+
+
+def environment_map(sky: Callable[[Array], Array]) -> EnvironmentMap:
+    """Return the map of a sky: a function of unit directions (n, 3), z up, that gives radiance (band, n)."""
+    height = np.linspace(0.0, 0.5 * np.pi, HEIGHTS + 1)
+    azimuth = np.linspace(0.0, 2.0 * np.pi, AROUND + 1)
+    table = np.asarray(sky(_directions(height, azimuth)), np.float32).T
+    table = np.ascontiguousarray(table).reshape(HEIGHTS + 1, AROUND + 1, -1)
+    return EnvironmentMap(table, _irradiance(table))
+
+
+def sphere(light: Callable[[Array], Array]) -> EnvironmentMap:
+    """Tabulate a function of unit directions (n, 3) over the full sphere, for `EnvironmentMap.irradiance`."""
+    table = np.asarray(light(_directions(*_normals())), np.float32).T
+    tilts, turns = (len(axis) for axis in _normals())
+    return EnvironmentMap(
+        np.zeros((2, 2, table.shape[1]), np.float32), np.ascontiguousarray(table).reshape(tilts, turns, -1)
+    )
+
+
+def black(bands: int) -> EnvironmentMap:
+    """Return a sky without light."""
+    return EnvironmentMap(np.zeros((2, 2, bands), np.float32), np.zeros((2, 2, bands), np.float32))
+
+
+def _irradiance(table: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Integrate the interpolated radiance table over the hemisphere of each normal.
+
+    Height is sampled in equal steps of its sine, so that all samples have the same solid angle.
+    """
+    bands = table.shape[2]
+    if not table.any():
+        return np.zeros((2, 2, bands), np.float32)
+    rows, columns = HEIGHTS, AROUND
+    sine = (np.arange(rows) + 0.5) / rows
+    directions = _directions(np.arcsin(sine), 2.0 * np.pi * (np.arange(columns) + 0.5) / columns)
+    sample_sr = 2.0 * np.pi / len(directions)
+    radiance = _interpolate(table, np.arcsin(directions[:, 2]) / (0.5 * np.pi), azimuth_turns(directions)) * sample_sr
+    tilt, turn = _normals()
+    normals = _directions(tilt, turn).astype(np.float32)
+    towards = directions.T.astype(np.float32)
+    found = [np.maximum(part @ towards, 0.0) @ radiance for part in np.array_split(normals, 16)]
+    return np.concatenate(found).reshape(len(tilt), len(turn), bands)
+
+
+def _normals() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Heights and azimuths of the irradiance table."""
+    tilts, turns = round(180.0 / NORMAL_STEP_DEG) + 1, round(360.0 / NORMAL_STEP_DEG) + 1
+    return 0.5 * np.pi - np.linspace(0.0, np.pi, tilts), np.linspace(0.0, 2.0 * np.pi, turns)
+
+
+def _directions(height: Array, azimuth: Array) -> NDArray[np.float64]:
+    up, turn = np.meshgrid(height, azimuth, indexing="ij")
+    flat = np.cos(up)
+    return np.stack([flat * np.cos(turn), flat * np.sin(turn), np.sin(up)], axis=-1).reshape(-1, 3)
+
+
+def azimuth_turns(direction: Array) -> Array:
+    """Return the azimuth from east by north as a fraction of a turn, 0 to 1."""
+    return fraction(np.arctan2(direction[:, 1], direction[:, 0]) / (2.0 * np.pi))
+
+
+def _interpolate(table: NDArray[np.float32], down: Array, across: Array) -> NDArray[np.float32]:
+    """Interpolate a table (row, col, band) linearly at fractions of its height and width, shape (point, band)."""
+    rows, columns, bands = table.shape
+    row, col = down * (rows - 1), across * (columns - 1)
+    top, left = np.minimum(row.astype(np.int64), rows - 2), np.minimum(col.astype(np.int64), columns - 2)
+    below, right = ((place - cell).astype(np.float32)[:, None] for place, cell in ((row, top), (col, left)))
+    flat, first = table.reshape(-1, bands), top * columns + left
+    upper = flat[first]
+    upper += right * (flat[first + 1] - upper)
+    lower = flat[first + columns]
+    lower += right * (flat[first + columns + 1] - lower)
+    lower -= upper
+    lower *= below
+    upper += lower
+    return upper
+
+
+@dataclass(frozen=True)
+class SkyImportance:
+    """Sampling probabilities of the cells of the environment map, by their light.
+
+    Parameters
+    ----------
+    cumulated
+        Cumulative probability of the cells, height by height, shape (cell,).
+    per_sr
+        Density in each, sr-1, shape (height, azimuth).
+    """
+
+    cumulated: NDArray[np.float64]
+    per_sr: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, environment: EnvironmentMap) -> "SkyImportance | None":
+        """Return the sampling probabilities of a sky, or None where it is too uniform to gain from them."""
+        if environment.dark:
+            return None
+        corners = environment.radiance_table.sum(axis=2, dtype=np.float64)
+        mean = 0.25 * (corners[:-1, :-1] + corners[1:, :-1] + corners[:-1, 1:] + corners[1:, 1:])
+        sine = np.sin(np.linspace(0.0, 0.5 * np.pi, len(mean) + 1))
+        cell_sr = np.broadcast_to(np.diff(sine)[:, None] * 2.0 * np.pi / mean.shape[1], mean.shape)
+        light = mean * cell_sr
+        if 2.0 * np.pi * (mean * light).sum() < LIMITS.min_sky_contrast * light.sum() ** 2:
+            return None
+        chance = light / light.sum()
+        return cls(np.cumsum(chance.ravel()), chance / cell_sr)
+
+    def draw(self, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
+        """Draw unit directions, uniform over the solid angle of each cell, shape (count, 3)."""
+        heights, around = self.per_sr.shape
+        cell = np.minimum(np.searchsorted(self.cumulated, rng.random(count), side="right"), self.per_sr.size - 1)
+        sine = np.sin(np.linspace(0.0, 0.5 * np.pi, heights + 1))
+        row, col = np.divmod(cell, around)
+        up = sine[row] + rng.random(count) * (sine[row + 1] - sine[row])
+        turn = 2.0 * np.pi * (col + rng.random(count)) / around
+        flat = np.sqrt(np.maximum(1.0 - up**2, 0.0))
+        return np.column_stack([flat * np.cos(turn), flat * np.sin(turn), up])
+
+    def density(self, direction: Array) -> NDArray[np.float64]:
+        """Return the density of `draw` in unit directions (ray, 3), sr-1, zero below the horizon."""
+        heights, around = self.per_sr.shape
+        row = np.arcsin(np.clip(direction[:, 2], 0.0, 1.0)) / (0.5 * np.pi) * heights
+        col = azimuth_turns(direction) * around
+        cell = np.minimum(row.astype(np.int64), heights - 1), np.minimum(col.astype(np.int64), around - 1)
+        return np.where(direction[:, 2] >= 0.0, self.per_sr[cell], 0.0)

@@ -1,0 +1,325 @@
+"""Irradiance cache of diffuse surfaces: computed at nodes of the frame, smoothed and interpolated.
+
+Indirect irradiance varies slowly along a surface. Nodes, one for four pixels or one for each, gather it in two
+independent halves of rays, minus the unoccluded sky irradiance, which is exact. Each half is smoothed by local plane
+fits; the window of a node is the one in which each half best predicts the other. Contact shadows thus keep their shape
+while large walls lose their noise, and the prediction error is an error estimate: nodes above the limit gather more
+rays. The mean that noise-dependent windows lose is restored with the largest window (twicing).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import gcd
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulate.radiance.geometry.viewpoint import Viewpoint
+from simulate.radiance.integrator.cache_smoothing import Nodes, all_alike
+from simulate.radiance.integrator.integrator_settings import LIMITS, IntegratorSettings, Run
+from simulate.radiance.integrator.low_discrepancy import R2, SequenceSlice, fraction, low_discrepancy_points
+from simulate.radiance.integrator.outgoing_radiance import lamp_and_disc_radiance, surroundings_radiance
+from simulate.radiance.integrator.shading_points import ShadingPoints
+from simulate.radiance.integrator.spectral_scene import SpectralScene
+
+Array = NDArray[np.floating]
+
+
+@dataclass(frozen=True, kw_only=True)
+class IrradianceCache:
+    """Irradiance of diffuse surfaces in a frame, without lamps and discs.
+
+    Parameters
+    ----------
+    stage
+        The scene.
+    nodes
+        Points at which it is computed.
+    change
+        Irradiance minus that of an unoccluded sky, shape (row, col, band), W m-2 nm-1.
+    variance
+        Estimated squared error of the signal of a white surface, shape (row, col).
+    rays
+        Gather rays of each node, shape (row, col).
+    fine
+        Whether each pixel is a node.
+    """
+
+    stage: SpectralScene
+    nodes: Nodes
+    change: NDArray[np.float32]
+    variance: NDArray[np.float64]
+    rays: NDArray[np.int64]
+    fine: bool = False
+
+    def at(self, points: ShadingPoints, row: Array, col: Array) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+        """Return which points have a cached irradiance, and that irradiance, shape (cached point, band).
+
+        Parameters
+        ----------
+        points
+            Points that rays meet.
+        row, col
+            Image coordinates of those rays, shape (point,), integers at the corners of pixels.
+        """
+        at = (
+            (np.floor(row), np.floor(col))
+            if self.fine
+            else (row / LIMITS.cache_step_px - 0.5, col / LIMITS.cache_step_px - 0.5)
+        )
+        light, has = self.nodes.between(self.change, *at, points.place_m, points.normal)
+        shares = np.flatnonzero(has & points.is_diffuse)
+        light = light[shares]
+        if not self.stage.lighting.environment_map.dark:
+            light += self.stage.lighting.environment_map.irradiance(points.normal[shares])
+        return shares, light
+
+
+def build_irradiance_cache(
+    stage: SpectralScene,
+    view: Viewpoint,
+    effort: IntegratorSettings,
+    sky_control_fraction: Array,
+    *,
+    rays: int,
+    max_rays: int,
+    error_limit: Callable[[Array], Array] | None,
+    weight: Array,
+    seed: int,
+    run: Run,
+    fine: bool = False,
+) -> IrradianceCache:
+    """Return the irradiance cache of a frame.
+
+    Parameters
+    ----------
+    stage, view, effort
+        Scene, camera and integrator settings.
+    sky_control_fraction
+        Control-variate fraction of the sky of each pixel, see `ShadingPoints`, shape (row, col).
+    rays, max_rays
+        First and most rays of each node.
+    error_limit
+        Allowed variance of a pixel's signal, as a function of the signal: the mean of variance over limit is 1 over the
+        nodes. None: no node gets more rays.
+    weight
+        Signal of each band's radiance, shape (band,).
+    seed, run
+        Seed, and the runner of jobs.
+    fine
+        Whether each pixel is a node with ray origins spread over the pixel: for shadows narrower than two pixels.
+    """
+    step = 1 if fine else LIMITS.cache_step_px
+    seen = _trace_nodes(stage, view, sky_control_fraction, step)
+    white = seen.points.on_white_surface()
+    places = _Places(stage, view, seen, white, fine)
+    grid = Nodes.of(seen.row, seen.col, seen.shape, white.place_m, white.normal, white.face)
+    budget = None if error_limit is None else _Budget.of(stage, seen.points, effort, error_limit, weight)
+    light = np.zeros((2, len(white), stage.bands), np.float32)
+    sent, half, turn = np.zeros(len(white), np.int64), np.full(len(white), max(rays // 2, 1)), 0
+    while True:
+        for part in (0, 1):
+            for many in np.unique(half[half > 0]).tolist():
+                which, seeds = np.flatnonzero(half == many), [[seed, kind, turn, part, many] for kind in (5, 6)]
+                even = low_discrepancy_points(seen.row[which], seen.col[which], many, seeds[0])
+                found = _gather(stage, places, which, effort, even, seeds[1], run)
+                share = (many / (sent[which] + many)).astype(np.float32)[:, None]
+                light[part, which] += share * (found - light[part, which])
+        sent += half
+        signals = np.stack([grid.spread(part @ weight) for part in light], axis=2).astype(np.float64)
+        width, variance, smooth = _windows(grid, signals, run)
+        turn += 1
+        if budget is None or turn == LIMITS.max_cache_turns:
+            break
+        excess = budget.excess(smooth[seen.row, seen.col], variance[seen.row, seen.col])
+        half = _further(grid, excess, sent, max_rays // 2)
+        if not half.any():
+            break
+    change = _smooth(grid, grid.spread(light.mean(axis=0)), width, run)
+    return IrradianceCache(
+        stage=stage, nodes=grid, change=change, variance=variance, rays=grid.spread(2 * sent), fine=fine
+    )
+
+
+@dataclass(frozen=True)
+class _NodePoints:
+    """Points on diffuse surfaces, and the rows and columns of their nodes."""
+
+    points: ShadingPoints
+    row: NDArray[np.int64]
+    col: NDArray[np.int64]
+    shape: tuple[int, int]
+
+
+def _trace_nodes(stage: SpectralScene, view: Viewpoint, sky_control_fraction: Array, step: int) -> _NodePoints:
+    """Trace the centres of nodes."""
+    shape = (-(-view.shape[0] // step), -(-view.shape[1] // step))
+    row, col = (axis.ravel() for axis in np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"))
+    origin, towards = view.rays(step * (row + 0.5), step * (col + 0.5))
+    hit = stage.surfaces.tracer.hits(origin, towards)
+    met = hit.met
+    share = sky_control_fraction[
+        np.minimum(step * row[met], view.shape[0] - 1), np.minimum(step * col[met], view.shape[1] - 1)
+    ]
+    points = stage.points(hit, origin, towards, met, share)
+    kept = np.flatnonzero(points.is_diffuse)
+    return _NodePoints(points.some(kept), row[met[kept]], col[met[kept]], shape)
+
+
+@dataclass(frozen=True)
+class _Places:
+    """Ray origins of nodes: their centres or, for fine nodes, points spread over their pixels."""
+
+    stage: SpectralScene
+    view: Viewpoint
+    seen: _NodePoints
+    white: ShadingPoints
+    fine: bool
+
+    def each(self, rays: int) -> int:
+        """Return the number of origins of a node's rays."""
+        return gcd(rays, max(LIMITS.min_ray_origins, rays // LIMITS.max_rays_per_origin)) if self.fine else 1
+
+    def of(self, nodes: NDArray[np.int64], each: int, rng: np.random.Generator) -> ShadingPoints:
+        """Return `each` origins of some nodes, node by node; the centre where another surface is met."""
+        start = rng.random((2, len(nodes), 1))
+        nodes = np.repeat(nodes, each)
+        middle = self.white.some(nodes)
+        if not self.fine:
+            return middle
+        at = fraction(start + R2[:, None, None] * np.arange(each)).reshape(2, -1)
+        origin, towards = self.view.rays(self.seen.row[nodes] + at[0], self.seen.col[nodes] + at[1])
+        hit = self.stage.surfaces.tracer.hits(origin, towards)
+        met = hit.met
+        place = origin[met] + hit.range_m[met, None] * towards[met]
+        face = hit.face[met]
+        normal, _ = self.stage.surfaces.tracer.facing(face, towards[met])
+        same = all_alike(middle.place_m[met], middle.normal[met], place, normal)
+        for values, found in ((middle.place_m, place), (middle.face, face), (middle.normal, normal)):
+            values[met[same]] = found[same]
+        return middle
+
+
+@dataclass(frozen=True)
+class _Budget:
+    """Error limit of the nodes' signal, from their reflectance and direct light."""
+
+    error_limit: Callable[[Array], Array]
+    reflected: Array
+    besides: Array
+
+    @classmethod
+    def of(
+        cls,
+        stage: SpectralScene,
+        points: ShadingPoints,
+        effort: IntegratorSettings,
+        error_limit: Callable[[Array], Array],
+        weight: Array,
+    ) -> "_Budget":
+        # Mean reflectance over the sensor's weights, in which the cache's errors are stated.
+        reflected = stage.bsdfs.diffuse_brdf(points) @ weight / max(float(weight.sum()), 1e-30)
+        sky = (
+            0.0
+            if stage.lighting.environment_map.dark
+            else stage.lighting.environment_map.irradiance(points.normal) @ weight
+        )
+        direct = lamp_and_disc_radiance(stage, points, effort, np.random.default_rng(0)).total() @ weight
+        return cls(error_limit, reflected, direct + reflected * sky)
+
+    def excess(self, change: Array, variance: Array) -> Array:
+        """Return the variances of nodes over their limit, given the signal of their irradiance change."""
+        signal = np.maximum(self.besides + self.reflected * change, 0.0)
+        spread, limit = self.reflected**2 * variance, self.error_limit(signal)
+        # Where the limit is zero, as in the dark, no number of rays reaches it: none are requested.
+        return np.divide(spread, limit, out=np.zeros_like(spread), where=limit > 0.0)
+
+
+def _further(grid: Nodes, excess: Array, sent: NDArray[np.int64], max_rays: int) -> NDArray[np.int64]:
+    """Return the additional rays of each node, a power of two or zero.
+
+    Parameters
+    ----------
+    grid
+        The nodes.
+    excess
+        Variance of each node over its limit, shape (node,).
+    sent, max_rays
+        Rays of each node so far, shape (node,), and most rays.
+
+    Notes
+    -----
+    n proportional to the root of the single-ray variance v brings the mean of v/n to 1 with the fewest rays (Neyman,
+    1934). The estimate of v from few rays is used for at most `LIMITS.max_cache_growth` times as many. The excess of
+    nodes at the limit of rays is not compensated by other nodes. A node uses at least the mean variance of its
+    neighbourhood, because its rays may have missed rare bright light.
+    """
+    # Running sums leave small negative values where nothing varies.
+    single = np.clip(excess * sent, 0.0, max_rays)
+    single = np.maximum(single, grid.near(grid.spread(single), LIMITS.variance_half_width)[grid.row, grid.col])
+    if not sent.size or (single / sent).mean() <= 1.0:
+        return np.zeros_like(sent)
+    wanted = np.minimum(np.sqrt(single) * np.sqrt(single).mean(), np.minimum(LIMITS.max_cache_growth * sent, max_rays))
+    more = wanted - sent
+    step = 2 ** np.round(np.log2(np.maximum(more, 1.0))).astype(np.int64)
+    return np.where(more >= 0.5 * sent, np.where(sent + step > max_rays, step // 2, step), 0)
+
+
+def _gather(
+    stage: SpectralScene,
+    start_from: _Places,
+    nodes: NDArray[np.int64],
+    effort: IntegratorSettings,
+    even: SequenceSlice,
+    seed: list[int],
+    run: Run,
+) -> NDArray[np.float32]:
+    """Gather at nodes: irradiance minus that of an unoccluded sky, shape (node, band)."""
+    sky, places = stage.lighting.environment_map, start_from.each(even.rays)
+
+    def gather_part(start: int) -> NDArray[np.float32]:
+        part = np.arange(start, min(start + count, len(nodes)))
+        rng = np.random.default_rng([*seed, start])
+        here, shared = start_from.of(nodes[part], places, rng), even.some(part).divide(places)
+        light = surroundings_radiance(stage, here, effort, rng, rays=shared.rays, even=shared).total()
+        light *= np.float32(np.pi)
+        if not sky.dark:
+            light -= sky.irradiance(here.normal)
+        return light.reshape(len(part), places, -1).mean(axis=1)
+
+    count = max(1, LIMITS.cache_batch_rays // even.rays)
+    found = list(run(gather_part, list(range(0, len(nodes), count))))
+    return np.concatenate(found) if found else np.zeros((0, stage.bands), np.float32)
+
+
+def _smooth(grid: Nodes, values: NDArray[np.float32], width: NDArray[np.int64], run: Run) -> NDArray[np.float32]:
+    """Return values of nodes smoothed over their windows, plus the smoothed residual.
+
+    Notes
+    -----
+    Windows chosen from noisy values avoid rare bright light, which biases the mean. The residual, smoothed over the
+    largest window, restores it (twicing, Tukey 1977).
+    """
+    evened = grid.smooth(values, width, run).astype(np.float32)
+    evened += grid.smooth(values - evened, np.full(width.shape, LIMITS.smoothing_half_widths[-1]), run)
+    return evened
+
+
+def _windows(
+    grid: Nodes, signals: NDArray[np.float64], run: Run
+) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    """Choose each node's window by cross-validation of the two halves; return it, its squared error and the fit.
+
+    Notes
+    -----
+    (A - B)^2 / 2 is the variance of a half; a fit of A deviates from B by its error and by B's noise. The mean of both
+    halves has half of the error, and at least the noise of a mean over the window.
+    """
+    noise = grid.near(0.5 * (signals[..., 0] - signals[..., 1]) ** 2, LIMITS.error_half_width)
+    best, width, fit = np.full(noise.shape, np.inf), np.zeros(noise.shape, np.int64), np.zeros(noise.shape)
+    for half_width in LIMITS.smoothing_half_widths:
+        smooth = grid.smooth(signals, np.full(noise.shape, half_width), run) if half_width else signals
+        missed = grid.near(0.5 * ((smooth - signals[..., ::-1]) ** 2).sum(axis=-1), LIMITS.error_half_width) - noise
+        better = missed < best
+        best[better], width[better], fit[better] = missed[better], half_width, smooth[better].mean(axis=-1)
+    return width, 0.5 * np.maximum(best, noise / (2.0 * width + 1.0) ** 2), fit

@@ -1,0 +1,299 @@
+"""Next-event estimation at the path vertices of a wave: compiled loops over sky, discs, lamps and panels."""
+
+from typing import Any
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from simulate.radiance.geometry.embree import (
+    COMPILED,
+    INLINED,
+    PACKET,
+    ROW,
+    is_ray_occluded,
+    new_packets,
+    plane_of,
+    set_ray,
+    trace_occlusion,
+    without_reference_count,
+)
+from simulate.radiance.geometry.ray_tracer import RayTracer
+from simulate.radiance.integrator.compiled_light_sources import (
+    SHORT,
+    bright_density,
+    bright_way,
+    lamp_factor,
+    sky_irradiance,
+    sky_light,
+    towards_lamp,
+)
+from simulate.radiance.integrator.environment_map import EnvironmentMap
+from simulate.radiance.integrator.light_tracing import light_tracing_weight
+from simulate.radiance.integrator.low_discrepancy import SequenceSlice
+from simulate.radiance.integrator.path_states import by_cosine, first_even, next_even, set_ray_start, uniform
+from simulate.radiance.integrator.shading_points import ShadingPoints
+
+
+@numba.njit(**COMPILED)
+def add_known_sky(
+    irradiance: Any, lanes: Any, many: int, sky_control_fraction: Any, sky_shadowing: bool, found: Any
+) -> None:
+    """Add the control variate of the sky at path vertices."""
+    for k in range(many):
+        lane = lanes.active[k]
+        i, up = lanes.point[lane], lanes.normal[lane]
+        share = float(sky_control_fraction[i]) if sky_shadowing else 1.0
+        if share != 0.0:
+            sky_irradiance(irradiance, up[0], up[1], up[2], share, lanes.throughput[lane], found[i])
+
+
+@numba.njit(**COMPILED)
+def add_discs(scene: Any, discs: Any, packets: Any, lanes: Any, many: int, state: Any, found: Any) -> None:
+    """Add light of sun and moon at path vertices."""
+    axes, least, light = discs
+    for disc in range(len(least)):
+        asked = 0
+        for k in range(many):
+            lane = lanes.active[k]
+            up, turn = 1.0 - uniform(state) * (1.0 - least[disc]), 2.0 * np.pi * uniform(state)
+            flat = np.sqrt(max(1.0 - up * up, 0.0))
+            u, v, factor = flat * np.cos(turn), flat * np.sin(turn), 0.0
+            for axis in range(3):
+                way = u * axes[disc, 0, axis] + v * axes[disc, 1, axis] + up * axes[disc, 2, axis]
+                lanes.direction[lane, axis] = way
+                factor += way * lanes.normal[lane, axis]
+            if factor > 0.0:
+                lanes.chosen[lane], lanes.factor[lane], lanes.shadow_rays[asked] = disc, factor, lane
+                set_ray(packets, asked, scene[1], lanes.start[lane], lanes.direction[lane], np.inf)
+                asked += 1
+        _add_unless_stopped(scene[0], packets, lanes, asked, light, found)
+
+
+@numba.njit(**COMPILED)
+def add_lamps(scene: Any, lamps: Any, beams: Any, most: int, packets: Any, lanes: Any, many: int, state: Any, found: Any
+              ) -> None:  # fmt: skip
+    """Add light of lamps at path vertices, less the light-traced part: of all lamps if few, else of one drawn."""
+    draws = len(lamps[0]) > most
+    for lamp in range(1 if draws else len(lamps[0])):
+        _choose(lamps, lamp, draws, lanes, many, state)
+        if len(beams[0]):
+            _leave_to_light(scene, lamps, beams, packets, lanes, many)
+        asked = 0
+        for k in range(many):
+            lane = lanes.active[k]
+            if lanes.factor[lane] > 0.0:
+                lanes.shadow_rays[asked] = lane
+                towards_lamp(lamps, lanes.chosen[lane], lanes.place[lane], state, lanes.direction[lane])
+                set_ray(packets, asked, scene[1], lanes.start[lane], lanes.direction[lane], SHORT)
+                asked += 1
+        _add_unless_stopped(scene[0], packets, lanes, asked, lamps[2], found)
+
+
+@numba.njit(**COMPILED)
+def _choose(lamps: Any, lamp: int, draws: bool, lanes: Any, many: int, state: Any) -> None:
+    """Set the lamp that each path vertex samples, and its unoccluded irradiance."""
+    for k in range(many):
+        lane = lanes.active[k]
+        one, chance = lamp, 1.0
+        if draws:
+            one, chance = _draw_lamp(lamps, lanes.place[lane], lanes.normal[lane], uniform(state))
+        might = lamp_factor(lamps, one, lanes.place[lane], lanes.normal[lane]) if chance > 0.0 else 0.0
+        lanes.chosen[lane], lanes.factor[lane] = one, might / chance if might > 0.0 else 0.0
+
+
+@numba.njit(**COMPILED)
+def _leave_to_light(scene: Any, lamps: Any, beams: Any, packets: Any, lanes: Any, many: int) -> None:
+    """Remove the light-traced part (`add_light_traced_paths`) at vertices that the lamp's centre sees."""
+    asked = 0
+    for k in range(many):
+        lane = lanes.active[k]
+        if lanes.factor[lane] <= 0.0:
+            continue
+        lamp, place = lanes.chosen[lane], lanes.place[lane]
+        if light_tracing_weight(beams, lamps, lamp, place, lanes.normal[lane], lanes.by_ray[lane]) > 0.0:
+            for axis in range(3):
+                lanes.direction[lane, axis] = lamps[0][lamp, axis] - lanes.start[lane, axis]
+            lanes.shadow_rays[asked] = lane
+            set_ray(packets, asked, scene[1], lanes.start[lane], lanes.direction[lane], SHORT)
+            asked += 1
+    trace_occlusion(scene[0], packets, asked)
+    for slot in range(asked):
+        if not is_ray_occluded(packets, slot):
+            lane = lanes.shadow_rays[slot]
+            lamp, place = lanes.chosen[lane], lanes.place[lane]
+            share = light_tracing_weight(beams, lamps, lamp, place, lanes.normal[lane], lanes.by_ray[lane])
+            lanes.factor[lane] *= 1.0 - share
+
+
+@numba.njit(**COMPILED)
+def add_panels(scene: Any, panels: Any, packets: Any, lanes: Any, many: int, state: Any, found: Any) -> None:
+    """Add light of an emitting surface at path vertices, from a point drawn by power, as `direct.from_panels`."""
+    address, centre, _, clearance = scene
+    cumulated, faces, corners, normals, per_m2, kind, spectra = panels
+    asked = 0
+    for k in range(many):
+        lane = lanes.active[k]
+        panel = min(np.searchsorted(cumulated, uniform(state), side="right"), len(cumulated) - 1)
+        root, v, face, way = np.sqrt(uniform(state)), uniform(state), faces[panel], lanes.direction[lane]
+        square, cosine, leaving = 0.0, 0.0, 0.0
+        for axis in range(3):
+            a, b, c = corners[panel, 0, axis], corners[panel, 1, axis], corners[panel, 2, axis]
+            way[axis] = (1.0 - root) * a + root * ((1.0 - v) * b + v * c)
+            off = way[axis] - lanes.place[lane, axis]
+            square += off * off
+            cosine += off * lanes.normal[lane, axis]
+            leaving -= off * normals[panel, axis]
+        if cosine <= 0.0 or leaving <= 0.0:
+            continue
+        distance = np.sqrt(square)
+        cosine /= distance
+        lanes.chosen[lane] = kind[face]
+        lanes.factor[lane] = cosine / (per_m2[face] * square * distance / leaving + cosine / np.pi)
+        set_ray_start(clearance, centre, face, way, normals[panel], way)
+        for axis in range(3):
+            way[axis] -= lanes.start[lane, axis]
+        lanes.shadow_rays[asked] = lane
+        set_ray(packets, asked, centre, lanes.start[lane], way, SHORT)
+        asked += 1
+    _add_unless_stopped(address, packets, lanes, asked, spectra, found)
+
+
+@numba.njit(**COMPILED)
+def add_glow(panels: Any, planes: Any, lanes: Any, many: int, sent: int, found: Any) -> None:
+    """Add the emission of what rays have met with its multiple-importance weight: the counterpart of `add_panels`.
+
+    `sent` rays left the vertex where each started, by the cosine law.
+    """
+    per_m2, kind, spectra = panels[4], panels[5], panels[6]
+    for k in range(many):
+        lane = lanes.active[k]
+        face = lanes.face[lane]
+        if kind[face & ROW] < 0:
+            continue
+        normal = plane_of(planes, face)[1]
+        square, leaving = 0.0, 0.0
+        for axis in range(3):
+            square += (lanes.place[lane, axis] - lanes.start[lane, axis]) ** 2
+            leaving -= lanes.direction[lane, axis] * normal[axis]
+        if leaving <= 0.0:
+            continue
+        own = sent * lanes.cosine[lane] / np.pi
+        share = own / (own + per_m2[face & ROW] * square / leaving)
+        for band in range(found.shape[1]):
+            found[lanes.point[lane], band] += share * lanes.weight[lane, band] * spectra[kind[face & ROW], band]
+
+
+@numba.njit(**COMPILED)
+def _add_unless_stopped(address: Any, packets: Any, lanes: Any, asked: int, spectra: Any, found: Any) -> None:
+    """Add light of the chosen sources along shadow rays that are not occluded."""
+    trace_occlusion(address, packets, asked)
+    for slot in range(asked):
+        if not is_ray_occluded(packets, slot):
+            lane = lanes.shadow_rays[slot]
+            owner, chosen, factor = lanes.point[lane], lanes.chosen[lane], lanes.factor[lane]
+            for band in range(found.shape[1]):
+                found[owner, band] += lanes.throughput[lane, band] * factor * spectra[chosen, band]
+
+
+@numba.njit(**COMPILED)
+def add_bright(
+    scene: Any, sky: Any, packets: Any, lanes: Any, many: int, sky_control_fraction: Any, state: Any, found: Any
+) -> None:
+    """Add the importance-sampled part of the sky, as `final_gather.add_bright_sky`."""
+    radiance, _, _, cumulated, per_sr, sines = sky
+    asked = 0
+    for k in range(many):
+        lane = lanes.active[k]
+        way, up = lanes.direction[lane], lanes.normal[lane]
+        bright_way(cumulated, sines, uniform(state), uniform(state), uniform(state), way)
+        cosine = way[0] * up[0] + way[1] * up[1] + way[2] * up[2]
+        if cosine > 0.0:
+            lanes.factor[lane] = cosine / (cosine / np.pi + bright_density(per_sr, way[0], way[1], way[2]))
+            lanes.shadow_rays[asked] = lane
+            set_ray(packets, asked, scene[1], lanes.start[lane], way, np.inf)
+            asked += 1
+    trace_occlusion(scene[0], packets, asked)
+    for slot in range(asked):
+        lane = lanes.shadow_rays[slot]
+        i, way = lanes.point[lane], lanes.direction[lane]
+        share = (
+            -float(sky_control_fraction[i]) if is_ray_occluded(packets, slot) else 1.0 - float(sky_control_fraction[i])
+        )
+        sky_light(radiance, way[0], way[1], way[2], share * lanes.factor[lane], lanes.throughput[lane], found[i])
+
+
+@numba.njit(**INLINED)
+def _draw_lamp(lamps: Any, place: Any, normal: Any, even: float) -> tuple[int, float]:
+    """Draw one lamp by its unoccluded irradiance, and return it with its probability; zero if no lamp gives light."""
+    sums, total = lamps[3], 0.0
+    for lamp in range(len(sums)):
+        total += lamp_factor(lamps, lamp, place, normal) * sums[lamp]
+    if not total > 0.0:
+        return 0, 0.0
+    so_far, might, chosen = 0.0, 0.0, 0
+    for lamp in range(len(sums)):
+        this = lamp_factor(lamps, lamp, place, normal) * sums[lamp]
+        if this > 0.0:
+            chosen, might = lamp, this
+        so_far += this
+        if so_far > even * total:
+            break
+    return chosen, might / total
+
+
+def sky_residual_irradiance(
+    points: ShadingPoints, even: SequenceSlice, environment: EnvironmentMap, tracer: RayTracer
+) -> NDArray[np.float32]:
+    """Return the irradiance of the sky minus its control variate, shape (point, band).
+
+    Half the time of the path tracer, for scenes in which only sky shadowing is computed.
+
+    Parameters
+    ----------
+    points
+        Points, with their control-variate fraction of the sky.
+    even
+        Two quasi-random numbers for each ray of each point: directions follow by the cosine law.
+    environment_map, tracer
+        The sky, and what may hide it.
+
+    Notes
+    -----
+    pi/rays times the sum of (1 - c) L over visible directions and of -c L over occluded ones, c the fraction.
+    """
+    bands = environment.radiance_table.shape[2]
+    found = np.zeros((len(points), bands), np.float32)
+    if tracer.scene is not None:
+        start = tracer.above(points.face, points.place_m, points.normal)
+        room = (new_packets(PACKET), np.zeros(PACKET, np.int64), np.zeros((PACKET, 3)), np.ones(bands, np.float32))
+        scene, here = (tracer.scene.address, tracer.scene.centre_m), (start, points.normal, points.sky_control_fraction)
+        _add_sky(scene, here, (even.start, even.rays), environment.radiance_table, room, found)
+    return found
+
+
+@numba.njit(**COMPILED)
+def _add_sky(scene: Any, points: Any, even: Any, table: Any, room: Any, found: Any) -> None:
+    address, centre = scene
+    place, normal, sky_control_fraction = without_reference_count(points)
+    begin, each = without_reference_count(even)
+    table, found = without_reference_count(table), without_reference_count(found)
+    packets, owner, ways, whole = without_reference_count(room)
+    i, ray, now = 0, 0, (0.0, 1.0, 0.0)
+    # Rays of consecutive points share packets, so that packets are full however few rays each point has.
+    while i < len(place):
+        asked = 0
+        while asked < PACKET and i < len(place):
+            now = next_even(now) if ray else first_even(begin[i])
+            by_cosine(normal[i], now, ways[asked])
+            if ways[asked, 2] >= 0.0:
+                owner[asked] = i
+                set_ray(packets, asked, centre, place[i], ways[asked], np.inf)
+                asked += 1
+            i, ray = (i, ray + 1) if ray + 1 < each else (i + 1, 0)
+        trace_occlusion(address, packets, asked)
+        for slot in range(asked):
+            one, way = owner[slot], ways[slot]
+            share = -sky_control_fraction[one] if is_ray_occluded(packets, slot) else 1.0 - sky_control_fraction[one]
+            if share != 0.0:
+                sky_light(table, way[0], way[1], way[2], share * np.pi / each, whole, found[one])

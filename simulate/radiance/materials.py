@@ -1,0 +1,214 @@
+"""Materials: spectral reflectance and transmittance, BRDF, the shipped library, and panes of glass."""
+
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from labdata.errors import BadInput
+from labdata.serialiser import from_toml
+from simulate.radiance.brdf.microfacet import dielectric, dielectric_polarised
+from simulate.radiance.brdf.protocol import Reflectance
+
+if TYPE_CHECKING:
+    from simulate.radiance.brdf.protocol import Brdf
+
+
+Finish = Literal["matt", "glossy", "metal", "retroreflective"]
+# Parameters that each finish needs in addition to the tables.
+NEEDED = {
+    "matt": (),
+    "glossy": ("roughness", "refractive_index"),
+    "metal": ("roughness",),
+    "retroreflective": ("retroreflected_share", "half_width_deg"),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Material:
+    """Spectral reflectance and transmittance of a surface, and its finish.
+
+    Parameters
+    ----------
+    wavelength_nm
+        Wavelengths of the tables, ascending, nm; one wavelength makes a grey material.
+    reflectance, transmittance
+        Fractions of the light, dimensionless, together at most 1; linear between wavelengths, constant outside. One
+        value applies to all wavelengths.
+    finish
+        "matt" (Lambertian), "glossy" (a dielectric over a diffuse base of this reflectance), "metal" (rough mirror of
+        this reflectance at normal incidence) or "retroreflective" (a lobe back to the light over a diffuse base).
+    roughness
+        Roughness of dielectric or metal (GGX's a), dimensionless.
+    refractive_index
+        Of the dielectric, dimensionless.
+    retroreflected_share, half_width_deg
+        Fraction of the light in the lobe, and the angle between light and viewer at half of its maximum.
+    emissivity
+        Between 8 and 12 um, dimensionless; None if unknown.
+    slab
+        Name of the slab (`simulate.thermal.temperatures`) that it covers unless a scene says otherwise; None without
+        one.
+    source
+        Where the numbers come from.
+    """
+
+    wavelength_nm: tuple[float, ...] = (550.0,)
+    reflectance: tuple[float, ...] = (0.0,)
+    transmittance: tuple[float, ...] = (0.0,)
+    finish: Finish = "matt"
+    roughness: float | None = None
+    refractive_index: float | None = None
+    retroreflected_share: float | None = None
+    half_width_deg: float | None = None
+    emissivity: float | None = None
+    slab: str | None = None
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        self._check_tables()
+        for name in {name for names in NEEDED.values() for name in names}:
+            given, needed = getattr(self, name) is not None, name in NEEDED[self.finish]
+            if given != needed:
+                rule = "must be given for" if needed else "must not be given for"
+                raise BadInput(f"{name} {rule} a {self.finish} material")
+        if self.emissivity is not None and not 0.0 <= self.emissivity <= 1.0:
+            raise BadInput(f"emissivity must lie in [0, 1], got {self.emissivity:g}")
+        _ = self.brdf()
+
+    def _check_tables(self) -> None:
+        count = len(self.wavelength_nm)
+        if count == 0 or len(self.reflectance) not in (1, count) or len(self.transmittance) not in (1, count):
+            raise BadInput(
+                "a material must have one reflectance and one transmittance for all wavelengths or for each, got "
+                f"{count} wavelengths, {len(self.reflectance)} and {len(self.transmittance)}"
+            )
+        for back, through in zip(self._each(self.reflectance), self._each(self.transmittance), strict=True):
+            if back < 0.0 or through < 0.0 or back + through > 1.0:
+                raise BadInput(
+                    f"reflectance and transmittance must not be negative nor exceed 1 together, got {back:g} "
+                    f"and {through:g}"
+                )
+
+    def _each(self, shares: tuple[float, ...]) -> tuple[float, ...]:
+        """Return one value per wavelength."""
+        return shares * len(self.wavelength_nm) if len(shares) == 1 else shares
+
+    def reflectance_at(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+        """Return the reflectance at wavelengths, dimensionless; of the base alone under a coat or lobe."""
+        return np.interp(np.asarray(wavelength_nm, float), self.wavelength_nm, self._each(self.reflectance))
+
+    def transmittance_at(self, wavelength_nm: ArrayLike) -> NDArray[np.float64]:
+        """Return the transmittance at wavelengths, dimensionless."""
+        return np.interp(np.asarray(wavelength_nm, float), self.wavelength_nm, self._each(self.transmittance))
+
+    def brdf(self) -> "Brdf":
+        """Return the BRDF."""
+        from simulate.radiance.brdf.glossy import Glossy, Metal
+        from simulate.radiance.brdf.protocol import Lambert
+        from simulate.radiance.brdf.retroreflector import Retroreflector
+
+        table = Reflectance(wavelength_nm=self.wavelength_nm, share=self._each(self.reflectance))
+        if self.finish == "glossy" and self.roughness is not None and self.refractive_index is not None:
+            return Glossy(reflectance=table, roughness=self.roughness, refractive_index=self.refractive_index)
+        if self.finish == "metal" and self.roughness is not None:
+            return Metal(reflectance=table, roughness=self.roughness)
+        if self.retroreflected_share is not None and self.half_width_deg is not None:
+            lobe = Reflectance(share=(self.retroreflected_share,))
+            return Retroreflector(share=lobe, reflectance=table, half_width_deg=self.half_width_deg)
+        return Lambert(reflectance=table)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shelf:
+    """Materials by name.
+
+    Parameters
+    ----------
+    material
+        Name and description of each.
+    """
+
+    material: dict[str, Material]
+
+
+@cache
+def shelf() -> Shelf:
+    """Return the shipped materials."""
+    with resources.as_file(resources.files("simulate.radiance") / "materials.toml") as path:
+        return from_toml(path, Shelf)
+
+
+def material_names() -> tuple[str, ...]:
+    """Return the names of the shipped materials."""
+    return tuple(sorted(shelf().material))
+
+
+def material(name: str) -> Material:
+    """Return a shipped material by name.
+
+    Raises
+    ------
+    BadInput
+        If there is none of that name.
+    """
+    if name not in shelf().material:
+        raise BadInput(f"a material must be one of {', '.join(material_names())}, got {name!r}")
+    return shelf().material[name]
+
+
+# Cosine of the most grazing angle that is distinguished from 90 degrees.
+GRAZING = 1e-6
+
+
+def clearest(refractive_index: float) -> float:
+    """Return the transmittance at normal incidence of a pane that absorbs nothing, dimensionless."""
+    face = float(dielectric(1.0, refractive_index))
+    return (1.0 - face) / (1.0 + face)
+
+
+def internal_transmittance(transmittance: ArrayLike, refractive_index: float) -> NDArray[np.float64]:
+    """Return the internal transmittance of the glass at normal incidence, from a pane's transmittance.
+
+    Notes
+    -----
+    T = (1 - r)^2 t / (1 - r^2 t^2) at normal incidence, r the reflectance of a face, solved for t.
+    """
+    through, face = np.asarray(transmittance, float), float(dielectric(1.0, refractive_index))
+    once = (1.0 - face) ** 2
+    return 2.0 * through / (once + np.sqrt(once**2 + 4.0 * (face * through) ** 2))
+
+
+def pane_shares(
+    cosine: NDArray[np.floating], transmittance: NDArray[np.floating], refractive_index: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the reflectance and transmittance of a pane for unpolarised light, each of shape (ray, band).
+
+    Parameters
+    ----------
+    cosine
+        Of the angles of incidence, shape (ray,).
+    transmittance
+        Of the pane at normal incidence, shape (band,).
+    refractive_index
+        Of the glass.
+
+    Notes
+    -----
+    All reflections between the faces are summed without interference (Born and Wolf, Principles of Optics, 7.6, for a
+    coherence length below the thickness): for each polarisation T = (1 - r)^2 t / (1 - r^2 t^2), R = r (1 + t T), with
+    t to the power of 1/cos of the angle in the glass. The rest is absorbed.
+    """
+    steep = np.clip(np.abs(cosine), GRAZING, 1.0)
+    inside = np.sqrt(1.0 - (1.0 - steep**2) / refractive_index**2)
+    left = internal_transmittance(transmittance, refractive_index)[None] ** (1.0 / inside)[:, None]
+    mirrored, through = np.zeros(left.shape), np.zeros(left.shape)
+    for polarised in dielectric_polarised(steep, refractive_index):
+        face = polarised[:, None]
+        passed = (1.0 - face) ** 2 * left / (1.0 - (face * left) ** 2)
+        through += 0.5 * passed
+        mirrored += 0.5 * face * (1.0 + left * passed)
+    return mirrored, through

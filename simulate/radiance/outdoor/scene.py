@@ -1,0 +1,275 @@
+"""Description of an outdoor scene: camera, objects, lamps, and the tables of a scene's file."""
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from labdata.camera_description import must_be_positive
+from labdata.errors import BadInput
+from simulate.radiance.geometry.viewpoint import RasterGeometry
+from simulate.radiance.outdoor.materials import MaterialSpec, Slab
+from simulate.radiance.outdoor.surroundings import Sky, Weather, Where
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneCamera:
+    """Pose of the camera; its lens and pixels are the sensor's.
+
+    Parameters
+    ----------
+    position_m
+        Position of the lens (east, north, up), m.
+    look_at_m
+        A point on its axis, m.
+    roll_deg
+        Rotation about the axis, clockwise as the camera sees it, deg.
+    distortion_fraction
+        Radial distortion of the rays at the corner; the sensor's lens has its own, so it is 0 unless a cube is made for
+        something else.
+    scan
+        Motion of a line scanner; None for a framing camera.
+    """
+
+    position_m: tuple[float, float, float]
+    look_at_m: tuple[float, float, float]
+    roll_deg: float = 0.0
+    distortion_fraction: float = 0.0
+    scan: RasterGeometry | None = None
+
+    def __post_init__(self) -> None:
+        if self.position_m == self.look_at_m:
+            raise BadInput(f"a camera must look at another place than it stands, got {list(self.position_m)} for both")
+
+
+BEAMS = ("isotropic", "cosine", "spot")
+NARROW = "narrow-band"
+
+
+@dataclass(frozen=True, kw_only=True)
+class LampPlacement:
+    """Spectrum, position and beam of a lamp.
+
+    Parameters
+    ----------
+    label
+        Its name.
+    kind
+        Kind of its spectrum (`simulate.radiance.lamps.KINDS`), "narrow-band" for a laser or a diode of one colour, or a
+        .csv file of two columns relative to the scene's.
+    position_m
+        Place (east, north, up), m.
+    lumens
+        Luminous flux, lm; without lumens and watts that of its photometric file.
+    watts
+        Radiant flux, W, in place of lumens, for infrared lamps.
+    wavelength_nm, width_nm
+        Of a narrow band: its centre and full width at half maximum, 0 for a line, nm.
+    aim_m
+        Point on its axis, m; without one it shines straight down.
+    beam
+        "isotropic", "cosine" (a Lambertian emitter), "spot", or a photometric .ies file relative to the scene's.
+    heading_deg
+        Azimuth of the plane C0 of a photometric file, clockwise from north, deg.
+    half_angle_deg
+        Of a spot: angle from the axis at half intensity, deg.
+    radius_m
+        Radius of the emitter, m.
+    temperature_k
+        Of an incandescent lamp, K.
+    near_infrared_share
+        Power of near-infrared lines over that of the visible, dimensionless; None: that of its kind.
+    """
+
+    label: str
+    kind: str
+    position_m: tuple[float, float, float]
+    lumens: float | None = None
+    watts: float | None = None
+    wavelength_nm: float | None = None
+    width_nm: float = 0.0
+    aim_m: tuple[float, float, float] | None = None
+    beam: str = "isotropic"
+    heading_deg: float = 0.0
+    half_angle_deg: float = 20.0
+    radius_m: float = 0.05
+    temperature_k: float = 2856.0
+    near_infrared_share: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.beam not in BEAMS and not self.has_photometric_file:
+            raise BadInput(f"a beam must be one of {', '.join(BEAMS)} or an .ies file, got {self.beam!r}")
+        given = [power for power in (self.lumens, self.watts) if power is not None]
+        if len(given) == 2 or not (given or self.has_photometric_file):
+            raise BadInput(
+                "a lamp must have either lumens or watts, or neither with a photometric file, got "
+                f"{'both' if given else 'none'} of {self.label!r}"
+            )
+        if not all(power >= 0.0 for power in given):
+            raise BadInput(f"lumens and watts must not be negative, got {given[0]:g} of {self.label!r}")
+        if self.kind != NARROW and (self.wavelength_nm is not None or self.width_nm):
+            raise BadInput(f"wavelength_nm and width_nm belong to a {NARROW} lamp, got {self.kind} for {self.label!r}")
+        if not self.radius_m > 0.0:
+            raise BadInput(f"radius_m must be positive, got {self.radius_m:g} of {self.label!r}")
+        if self.aim_m == self.position_m:
+            raise BadInput(f"a lamp must aim at another place than its own, got {self.label!r}")
+
+    @property
+    def has_photometric_file(self) -> bool:
+        """Whether its beam is a photometric file."""
+        return self.beam.lower().endswith(".ies")
+
+
+Unit = Literal["m", "cm", "mm", "km", "in", "ft"]
+METRE: dict[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "in": 0.0254, "ft": 0.3048}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pose:
+    """Pose of a copy of an object.
+
+    Parameters
+    ----------
+    position_m
+        Where its origin is (east, north, up), m.
+    heading_deg
+        Where its own +y points, clockwise from north, deg.
+    pitch_deg, roll_deg
+        Turn about its own x (nose up) and then, before it, about its own y, deg.
+    scale
+        Size over that described, dimensionless.
+    """
+
+    position_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    heading_deg: float = 0.0
+    pitch_deg: float = 0.0
+    roll_deg: float = 0.0
+    scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        must_be_positive(self, "scale")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Object(Pose):
+    """Something with a surface: a shape or a mesh file, standing once or several times.
+
+    Parameters
+    ----------
+    label
+        Its name.
+    material
+        Name of its material.
+    shape, size_m
+        A shape of `simulate.radiance.geometry.shapes` and its sizes, m; or else:
+    file, unit
+        A mesh file (.obj, .ply, .stl, .glb), relative to the scene's file, and the unit of its numbers.
+    map, map_materials
+        Of a plane: a picture whose numbers say which of these materials lies where, see
+        `simulate.radiance.outdoor.build`; in place of `material`.
+    gaps
+        Fraction of its surface that is open, as between leaves, dimensionless; all copies omit the same triangles.
+    instances
+        Poses of copies; without any there is one object, in its own pose.
+    temperature_c, above_air_k
+        Temperature of all of its surface, in place of the slab's: constant, C, or excess over that of the air, K.
+    heat_w_m2, heat_hours
+        Heat that its surface gets from within, W m-2, and from which hour to which of the scene's local time, such as
+        [22, 2.5]; without hours always.
+    """
+
+    label: str
+    material: str = ""
+    shape: str | None = None
+    size_m: tuple[float, ...] = ()
+    file: str | None = None
+    unit: Unit | None = None
+    map: str | None = None
+    map_materials: tuple[str, ...] = ()
+    gaps: float = 0.0
+    instances: tuple[Pose, ...] = ()
+    temperature_c: float | None = None
+    above_air_k: float | None = None
+    heat_w_m2: float = 0.0
+    heat_hours: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if (self.shape is None) == (self.file is None):
+            raise BadInput(f"an object must have either a shape or a file, got {self.label!r}")
+        if (self.map is None) != (not self.map_materials) or (self.map is None) == (not self.material):
+            raise BadInput(f"an object must have either a material or a map and its materials, got {self.label!r}")
+        if self.map is not None and self.shape != "plane":
+            raise BadInput(f"a material map must lie on a plane, got {self.label!r}")
+        if self.temperature_c is not None and (self.above_air_k is not None or self.temperature_c <= -273.15):
+            raise BadInput(
+                "an object must have either a temperature_c above -273.15 or above_air_k, got "
+                f"{self.temperature_c:g} and {self.above_air_k} of {self.label!r}"
+            )
+        if self.heat_hours is not None and not all(0.0 <= hour <= 24.0 for hour in self.heat_hours):
+            raise BadInput(f"heat_hours must lie between 0 and 24, got {list(self.heat_hours)} of {self.label!r}")
+        if not 0.0 <= self.gaps < 1.0:
+            raise BadInput(f"gaps must lie in [0, 1), got {self.gaps:g} of {self.label!r}")
+        if self.file is not None and self.unit is None:
+            raise BadInput(f"a mesh file has no unit of its own: unit must be one of {', '.join(METRE)}, "
+                           f"got none for {self.label!r}")  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class OutdoorScene:
+    """An outdoor scene.
+
+    Parameters
+    ----------
+    name
+        Its name.
+    camera
+        Pose of the camera.
+    place
+        Location and time; without a place there is no sky, only lamps.
+    weather
+        The air. Without a place there is no air unless a weather is given, which then only attenuates.
+    sky
+        Natural light of a place.
+    material, object, lamp, slab
+        Tables of materials, objects, lamps and slabs.
+    folder
+        Folder of its files.
+    """
+
+    name: str
+    camera: SceneCamera
+    place: Where | None = None
+    weather: Weather | None = None
+    sky: Sky = field(default_factory=Sky)
+    material: tuple[MaterialSpec, ...] = ()
+    object: tuple[Object, ...] = ()
+    lamp: tuple[LampPlacement, ...] = ()
+    slab: tuple[Slab, ...] = ()
+    folder: str = "."
+
+    def __post_init__(self) -> None:
+        tables = ("material", self.material), ("object", self.object), ("lamp", self.lamp), ("slab", self.slab)
+        for kind, things in tables:
+            labels = [thing.label for thing in things]
+            twice = sorted({label for label in labels if labels.count(label) > 1})
+            if twice:
+                raise BadInput(f"labels of {kind}s must differ, got {twice[0]!r} twice")
+        known = {surface.label for surface in self.material}
+        for thing in self.object:
+            for name in thing.map_materials or (thing.material,):
+                if name not in known:
+                    raise BadInput(
+                        f"the material of an object must be one of {', '.join(sorted(known)) or 'none described'}, "
+                        f"got {name!r} of {thing.label!r}"
+                    )
+        if self.place is None and self.sky != Sky():
+            raise BadInput(f"a sky must have a place and a time, got [sky] without [place] in {self.name!r}")
+        numbers = [*self.camera.position_m, *(x for thing in self.object for x in thing.position_m)]
+        if not all(math.isfinite(number) for number in numbers):
+            raise BadInput("places in a scene must be finite")
+
+    def file(self, name: str) -> Path:
+        """Return the path of a file that the scene names."""
+        path = Path(name)
+        return path if path.is_absolute() else Path(self.folder) / path

@@ -1,1 +1,0 @@
-"""How light gets from lamps and sky by way of surfaces into a camera."""
