@@ -10,10 +10,8 @@ from charact.method import Context
 from charact.mtf.curve import FINE
 from charact.mtf.edge.pixels.prepare_edge import PreparedEdge
 from charact.mtf.edge.pixels.profile import EdgeProfile
-from charact.mtf.nonlinearity import (
 from charact.mtf.edge.thresholds import THRESHOLDS
-from charact.mtf.nonlinearity_prior import contrast_of, curvatures
-from charact.mtf.photon_transfer_check import (
+from charact.mtf.nonlinearity import (
     PlateauNoiseRatio,
     contrast_of,
     covariance_ratio,
