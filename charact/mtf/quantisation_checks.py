@@ -144,7 +144,7 @@ def rounding_shifts(level_dn: Array, variance_dn2: Array) -> Array:
 @cache
 def _least_noise() -> tuple[Array, Array]:
     """Return variances after quantisation and the smallest variances before it, DN^2."""
-    from charact.noise.rounding import EVEN_DN2, unrounded_variance_range
+    from charact.noise.rounding import EVEN_DN2, variance_range_before_rounding
 
     rounded = np.linspace(0.0, EVEN_DN2, 91)
-    return rounded, np.array([unrounded_variance_range(float(one))[0] for one in rounded])
+    return rounded, np.array([variance_range_before_rounding(float(one))[0] for one in rounded])

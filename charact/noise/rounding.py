@@ -23,7 +23,7 @@ def rounding_sd(variance_dn2: float) -> tuple[float, float]:
     return fade / np.pi, (4.0 * analogue + 1.0 / np.pi**2) * fade
 
 
-def unrounded_variance_range(variance_dn2: float) -> tuple[float, float]:
+def variance_range_before_rounding(variance_dn2: float) -> tuple[float, float]:
     """Return the smallest and largest variance of normal noise that has this variance after rounding, DN^2.
 
     Parameters

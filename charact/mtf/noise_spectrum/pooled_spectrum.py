@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from charact.method import Context
 from charact.mtf.noise_spectrum.thresholds import ACCURACY, THRESHOLDS
 from charact.noise.gain.series import CLIPPED_SHARE, longest_series, read_levels, series_of
-from charact.noise.rounding import QUANTISATION_DN2, unrounded_variance_range
+from charact.noise.rounding import QUANTISATION_DN2, variance_range_before_rounding
 from charact.noise.stack.spectrum import Bins, bins_of, cross_spectra
 from charact.noise.stack.temporal import (
     autocovariance,
@@ -352,7 +352,7 @@ def _quantisation_noise_dn2(dark: StackSpectra, share: float) -> tuple[float, fl
     hidden = [
         noise + QUANTISATION_DN2 - variance
         for variance in (whole, rest)
-        for noise in unrounded_variance_range(variance)
+        for noise in variance_range_before_rounding(variance)
     ]
     return share * min(hidden), share * max(hidden)
 

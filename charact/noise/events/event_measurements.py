@@ -215,9 +215,9 @@ def pulse_findings(found: PulseFit) -> list[Finding]:
         out.append(
             ("model-misfit", f"residuals of the pulse fit have chi2 {found.peak.chi2:.0f} of {found.peak.freedom}")
         )
-    if found.contaminated_fraction > EVENTS.contaminated_fraction:
+    if found.fraction_contaminated > EVENTS.contaminated_fraction:
         out.append(
-            ("model-misfit", f"{100 * found.contaminated_fraction:.0f} % of the values are near ion feedback events")
+            ("model-misfit", f"{100 * found.fraction_contaminated:.0f} % of the values are near ion feedback events")
         )
     if len(found.ion_height_dn):
         size = float(np.mean(found.ion_height_dn)) / best.height_dn

@@ -64,7 +64,7 @@ class PulseFit:
     gain_of_pulses: float
 
     @property
-    def contaminated_fraction(self) -> float:
+    def fraction_contaminated(self) -> float:
         """Fraction of the values excluded around ion feedback."""
         return 1.0 - float(np.mean([part.mean() for part in self.usable]))
 

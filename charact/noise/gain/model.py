@@ -76,12 +76,12 @@ class PixelReadoutModel:
         out = np.zeros_like(own)
         for x, across in _orders(column, 1.0):
             for y, down in _orders(row, self.row_pitch):
-                out = out + _limited_exponential(ln_power(x, y) - own) * across * down
+                out = out + _exponential_with_limit(ln_power(x, y) - own) * across * down
         out = out * np.exp(own)
         return out if self.video is None else out * np.abs(self.video(column)) ** 2
 
 
-def _limited_exponential(difference: Array) -> Array:
+def _exponential_with_limit(difference: Array) -> Array:
     """Return exp of negative values, continued smoothly to a limit of 2 for positive ones."""
     beyond = np.exp(-np.abs(difference))
     return np.where(difference < 0.0, beyond, 2.0 - beyond)

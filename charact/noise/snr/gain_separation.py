@@ -121,25 +121,25 @@ def separate_gains(series: FlatSeries, posterior: Posterior, *, context: Context
     floor = floor_of(series, posterior, context=context)
     response = response_of(series, len(posterior.draws), context)
     pulses = posterior["covariance_gain"] - floor.draws * posterior["lag_factor"]
-    told = spread_of(floor, posterior) <= GAIN.max_floor_range
+    separable = spread_of(floor, posterior) <= GAIN.max_floor_range
     noisy = {"flags": covariance_flags, **fields}
-    out = [_electrons(floor, **noisy), _pulses(pulses, floor, told, context.seed, **noisy)]
+    out = [_electrons(floor, **noisy), _pulses(pulses, floor, separable, context.seed, **noisy)]
     if response.gain is None:
         reason = f"k and F2 are not separable: {response.refusal_reason}; {PULSES} would also separate them"
         out += [make_refusal(name, unit, reason, **fields) for name, unit in _GAINS]
     else:
         out += _gains_from_light(
-            response, response.gain, pulses if told else None, context.seed, signal_flags=flags, **noisy
+            response, response.gain, pulses if separable else None, context.seed, signal_flags=flags, **noisy
         )
-    return [*out, _tube(response, pulses if told else None, context, **noisy)]
+    return [*out, _tube(response, pulses if separable else None, context, **noisy)]
 
 
 _GAINS = (("photoelectron_gain", "DN/pe"), ("excess_noise_factor", "1"))
 
 
-def _pulses(pulses: Array, floor: Floor, told: bool, seed: int, **fields: Any) -> Measurement:
+def _pulses(pulses: Array, floor: Floor, separable: bool, seed: int, **fields: Any) -> Measurement:
     """Return k F^2, if K is known or negligible."""
-    if told:
+    if separable:
         kept = posterior_of("pulse_gain", "DN", pulses, seed)
         note = (f"covariance_gain less K, which is {floor.source}",)
         return measurement_from_draws("pulse_gain", "DN", pulses, notes=note, posterior=kept, **fields)
@@ -315,10 +315,10 @@ def _event_gains(result: Result, flats: Measurement, darks: Measurement, context
         sensitivity = lognormal_draws(
             context.sensor.photocathode.luminous_sensitivity_ua_per_lm, rng, SNR.separation_draws
         )
-        told = (*notes, "luminous sensitivity from the sensor description")
+        all_notes = (*notes, "luminous sensitivity from the sensor description")
         out.append(
             measurement_from_draws(
-                "tube_snr", "1", snr_from_specification(sensitivity, factor), flags=flags, notes=told, **fields
+                "tube_snr", "1", snr_from_specification(sensitivity, factor), flags=flags, notes=all_notes, **fields
             )
         )
     return out

@@ -10,7 +10,7 @@ from scipy.special import ndtr
 from charact import noise
 from charact.method import Context
 from charact.noise.gain.series import read_levels
-from charact.noise.rounding import rounding_sd, unrounded_variance_range
+from charact.noise.rounding import rounding_sd, variance_range_before_rounding
 from charact.noise.snr.noise_law import SignalNoiseSeries, noise_law
 from charact.noise.snr.snr_against_light import Scope, minimum_illumination, snr_against_light
 from charact.noise.snr.stated_illumination import StatedIllumination, response_draws
@@ -325,7 +325,7 @@ def test_noise_before_rounding_lies_within_what_its_codes_leave_open(sd_dn, seed
     rng, draws = np.random.default_rng(seed), 400_000
     for place in (0.0, 0.1, 0.25, 0.4, 0.5):
         codes = np.rint(60.0 + place + sd_dn * rng.standard_normal(draws))
-        low, high = unrounded_variance_range(float(codes.var()))
+        low, high = variance_range_before_rounding(float(codes.var()))
         chance = 0.01 * sd_dn**2 + 4.0 / np.sqrt(draws)
         assert low - chance < sd_dn**2 < high + chance
         if place == 0.5 and sd_dn > 0.3:
