@@ -42,7 +42,7 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> Any:
-    """Import a name's home only when it is asked for: the command line must answer at once."""
+    """Import a name's module on first use, so that the command line starts quickly."""
     for home, names in _HOMES.items():
         if name in names:
             from importlib import import_module

@@ -180,7 +180,7 @@ class LampCalibration:
 
     @property
     def provenance(self) -> str:
-        """Where an illuminance by this calibration comes from, in a sentence."""
+        """One sentence on the origin of the illuminances of this calibration."""
         span = f"{self.current_a[0]:g} to {self.current_a[-1]:g} A"
         return f"Illuminance by calibration of the lamp: {self.source}; {len(self.current_a)} points, {span}."
 

@@ -17,7 +17,7 @@ class InstrumentConnection:
     Parameters
     ----------
     role
-        What it is for.
+        Role of the instrument.
     model
         Name of its model.
     port
@@ -82,7 +82,7 @@ class InstrumentConfig:
 
     @property
     def instruments(self) -> tuple[InstrumentConnection, ...]:
-        """Every serial instrument that stands at the bench; gate and supply always do."""
+        """Serial instruments of the bench; gate and supply are always present."""
         optional: dict[Role, tuple[str | None, str | None]] = {
             "light-source": (self.light, self.light_port),
             "filter-wheel": (self.wheel, self.wheel_port),

@@ -1,7 +1,7 @@
-"""Compiled loops are kept on disk until their source, or any source that it imports, changes.
+"""Cache of numba-compiled loops, valid until their source or any imported source changes.
 
-Numba looks at the file of a loop alone. What a loop calls is compiled into it, often from other files: it would go on
-computing what they said before. The locators that can be named to it are those of 0.68.1 and later.
+Numba checks the file of a loop alone, but functions of other files are compiled into the loop. The
+configurable locators need numba 0.68.1 or later.
 """
 
 import os
@@ -18,14 +18,14 @@ LOCATORS = ",".join(f"labdata.numba_cache_locators.{name}" for name in ("Provide
 
 
 def keep_loops() -> None:
-    """Have numba keep compiled loops by all sources that may be compiled into them; other packages' as ever."""
+    """Configure numba to validate cached loops by all sources that may be compiled into them."""
     os.environ.setdefault("NUMBA_CACHE_LOCATOR_CLASSES", f"{LOCATORS},IPythonCacheLocator,ZipCacheLocator")
     if "numba" in sys.modules:
         sys.modules["numba"].config.CACHE_LOCATOR_CLASSES = os.environ["NUMBA_CACHE_LOCATOR_CLASSES"]
 
 
 def stamp_of(file: Path) -> str | None:
-    """Return a digest of a file and of all that it imports from these packages; None for files of other packages."""
+    """Return a digest of a file and its imports from these packages; None for files of other packages."""
     source = file.resolve()
     inside = source.parts[len(ROOT.parts) :] if source.is_relative_to(ROOT) else ()
     if len(inside) < 2 or inside[0] not in PACKAGES:

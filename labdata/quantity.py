@@ -120,7 +120,7 @@ def convert_frequency(
     pitch_um
         Pixel pitch along the frequency's direction, um; needed for lp/mm at detector and cathode and for cy/mrad.
     picture_height_px
-        Picture height in the same pitches, px; needed for television lines per picture height (two lines a cycle).
+        Picture height in the same pitches, px; needed for television lines per picture height (two lines per cycle).
     focal_length_mm
         Focal length, mm; needed for cy/mrad.
     demagnification

@@ -123,7 +123,7 @@ class MicrochannelPlate:
 
 @dataclass(frozen=True, kw_only=True)
 class Tube:
-    """What is known of the tube only as a whole."""
+    """Parameters of the complete tube."""
 
     name: str
     luminous_gain: Parameter  # lm/lm (fL/fc), at reference_v

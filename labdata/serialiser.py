@@ -198,7 +198,7 @@ def from_toml(path: str | Path, type_: type[T]) -> T:
     Raises
     ------
     BadInput
-        If the file is missing, is not TOML, or holds an unknown key or a value that breaks a rule; one sentence
+        If the file is missing, is not TOML, or has an unknown key or an invalid value; one sentence
         that names the key and its place.
     """
     return from_mapping(read_toml(path), type_, where=Path(path).name)
@@ -223,7 +223,7 @@ def read_toml(path: str | Path) -> dict[str, Any]:
     except tomllib.TOMLDecodeError as error:
         raise BadInput(f"{path} must be a TOML file: {_lower_first(str(error))}") from None
     except ValueError:
-        raise BadInput(f"{path} must hold numbers that a person would write, got one of thousands of digits") from None
+        raise BadInput(f"{path} must have numbers of ordinary length, got one of thousands of digits") from None
     except RecursionError:
         raise BadInput(f"{path} must be a TOML file, got brackets nested too deep to be read") from None
 

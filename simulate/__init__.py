@@ -1,4 +1,4 @@
-"""The model of the rig: radiance of a scene, the intensified camera that sees it, and virtual instruments."""
+"""Simulation: scene radiance, intensified and solid-state cameras, and virtual instruments."""
 
 from labdata.numba_cache import keep_loops
 

@@ -1,7 +1,7 @@
-"""Economy: effects that stay below a tolerance together are left out, and the plan says which, why and what it saves.
+"""Selection of optional effects: neglect those whose summed influence stays below a tolerance.
 
-Generic: an effect is a name, a bound on its influence and its cost. What the influence is measured in (here and for
-cameras, the temporal noise of the pixel it acts on) is the caller's affair, as is what leaving out means.
+An effect has a name, a bound on its influence and a cost. The caller defines the unit of the influence (for cameras:
+the temporal noise of the affected pixel) and how an effect is neglected.
 """
 
 from collections.abc import Iterable
@@ -10,18 +10,18 @@ from typing import Any
 
 from labdata.errors import BadInput
 
-# A tenth of the temporal noise is lost in it: 0.5 % of its variance.
+# A change of a tenth of the temporal noise is 0.5 % of its variance.
 DEFAULT_TOLERANCE = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
 class OptionalEffect:
-    """Something that a model may leave out.
+    """Effect that a model may neglect.
 
     Parameters
     ----------
     name
-        What it is called.
+        Name of the effect.
     influence
         Bound on the largest change that leaving it out makes, in the unit of the tolerance.
     setup_s, frame_s
@@ -40,12 +40,12 @@ class OptionalEffect:
 
 @dataclass(frozen=True, kw_only=True)
 class EffectSelection:
-    """Which effects are kept.
+    """Retained and neglected effects.
 
     Parameters
     ----------
     tolerance
-        What all effects left out may change together, in the unit of their influence.
+        Limit of the summed influence of the neglected effects, in the unit of their influence.
     kept, left_out
         The effects, the least influence first.
     """
@@ -56,16 +56,16 @@ class EffectSelection:
 
     @property
     def influence(self) -> float:
-        """Bound on what the effects left out change together."""
+        """Bound on the summed influence of the neglected effects."""
         return sum(effect.influence for effect in self.left_out)
 
     @property
     def names(self) -> frozenset[str]:
-        """Names of the effects left out."""
+        """Names of the neglected effects."""
         return frozenset(effect.name for effect in self.left_out)
 
     def text(self, measure: str = "at most, of the noise") -> str:
-        """Return the plan as a table for people, under the heading that says what influences are."""
+        """Return the selection as a text table; `measure` is the heading of the influences."""
         everything = sorted((*self.kept, *self.left_out), key=lambda effect: -effect.influence)
         width = max((len(effect.name) for effect in everything), default=6)
         head = f"{'effect':{width}}  {measure:>21}  {'':8}  {'once, ms':>9}  {'a frame, ms':>11}"
@@ -92,14 +92,14 @@ def _percent(share: float) -> str:
 
 
 def select_effects(effects: Iterable[OptionalEffect], tolerance: float = DEFAULT_TOLERANCE) -> EffectSelection:
-    """Leave out effects, the least first, as long as their influences add up to no more than the tolerance.
+    """Neglect effects in the order of their influence while the sum stays within the tolerance.
 
     Parameters
     ----------
     effects
-        What may be left out.
+        Optional effects.
     tolerance
-        What may change, in the unit of the influences; 0 leaves out what has no influence at all.
+        Limit of the sum, in the unit of the influences; 0 neglects only effects without influence.
     """
     if not tolerance >= 0.0:
         raise BadInput(f"a tolerance must not be negative, got {tolerance:g}")

@@ -1,4 +1,4 @@
-"""The lab bench: a target before the intensified camera, frames of it, and what they would be without noise."""
+"""Lab bench: frames of a target before the intensified camera, and their noiseless mean."""
 
 from collections import OrderedDict
 from collections.abc import Iterator
@@ -32,7 +32,7 @@ PICTURES_KEPT = 12
 class LabBench:
     """A camera on an optical bench.
 
-    The picture of each target is rendered and blurred once and kept; light level, gate and gain then cost nothing.
+    The image of each target is rendered and blurred once and kept; light level, gate and gain then cost nothing.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class LabBench:
     scene
         The bench: a `LabScene`, the name of a shipped one or a TOML file; the shipped bench if None.
     left_out
-        Effects of the camera that are left out, see `simulate.iiccd.effect_bounds`.
+        Neglected effects of the camera, see `simulate.iiccd.effect_bounds`.
 
     Notes
     -----
@@ -69,7 +69,7 @@ class LabBench:
         seed: int,
         first_frame: int = 0,
     ) -> FrameStack:
-        """Take frames.
+        """Simulate frames of a target.
 
         Parameters
         ----------
@@ -110,16 +110,16 @@ class LabBench:
     def stream(
         self, kind: Kind, target: Target, conditions: Conditions, *, seed: int, first_frame: int = 0
     ) -> Iterator[NDArray[np.unsignedinteger]]:
-        """Return the frames one by one, without end; arguments as for `expose`."""
-        at_plate = self.photoelectrons(kind, target, conditions)
-        return self.camera.frames(at_plate, conditions, seed=seed, first_frame=first_frame)
+        """Yield frames; never ends. Arguments as for `expose`."""
+        at_mcp = self.mcp_input(kind, target, conditions)
+        return self.camera.frames(at_mcp, conditions, seed=seed, first_frame=first_frame)
 
     def mean(self, kind: Kind, target: Target, conditions: Conditions) -> NDArray[np.float32]:
         """Return the frame without noise, rounding or clipping by the digitiser, shape (row, col), DN."""
-        return self.camera.mean_frame(self.photoelectrons(kind, target, conditions), conditions)
+        return self.camera.mean_frame(self.mcp_input(kind, target, conditions), conditions)
 
-    def photoelectrons(self, kind: Kind, target: Target, conditions: Conditions) -> StageImage:
-        """Return the expected photoelectrons at the plate, per cell and exposure, dark ones included."""
+    def mcp_input(self, kind: Kind, target: Target, conditions: Conditions) -> StageImage:
+        """Return the expected photoelectrons at the MCP input, per cell and exposure, dark ones included."""
         camera = self.camera
         cathode = camera.photocathode(conditions)
         dark = cathode.ebi_per_s_cm2 * camera.cells.cell_area_cm2 * cathode.open_s
@@ -129,24 +129,24 @@ class LabBench:
         return StageImage(values=lit + np.float32(dark), grid=camera.cells)
 
     def without(self, left_out: frozenset[str]) -> "LabBench":
-        """Return the same bench with effects of the camera left out."""
+        """Return the bench with neglected camera effects."""
         return LabBench(self.camera.sensor, self.scene, left_out=left_out)
 
-    def freed(self, kind: Kind, target: Target, conditions: Conditions) -> StageImage:
-        """Return the photoelectrons that light frees from the cathode, per scene cell and exposure, before any blur."""
+    def photoelectrons(self, kind: Kind, target: Target, conditions: Conditions) -> StageImage:
+        """Return the expected photoelectrons from the cathode, per scene cell and exposure, before any blur."""
         cells = self.camera.scene_cells
         if kind == "dark":
             return StageImage(values=np.zeros(cells.shape, np.float32), grid=cells)
         lux = np.float32(_require_illuminance(kind, conditions))
-        return self.camera.freed(StageImage(values=self._photons(kind, target) * lux, grid=cells), conditions)
+        return self.camera.photoelectrons(StageImage(values=self._photons(kind, target) * lux, grid=cells), conditions)
 
     def _picture(self, kind: Kind, target: Target) -> NDArray[np.float32]:
-        """Photoelectrons at the plate per s and cell at 1 lux, shape of the camera's cells."""
+        """Photoelectrons at the MCP input per s and cell at 1 lux, shape of the camera's cells."""
         key = (kind, target)
         if key not in self._pictures:
             scene_light = StageImage(values=self._photons(kind, target), grid=self.camera.scene_cells)
             one_second = replace(self.camera.photocathode(Conditions()), gate_s=1.0, ebi_per_s_cm2=0.0)
-            front = self.camera.chain(Conditions()).part("optics", "gap").stages
+            front = self.camera.chain(Conditions()).between("optics", "gap").stages
             self._pictures[key] = Chain((front[0], one_second, front[2])).mean(scene_light).values
         self._pictures.move_to_end(key)
         while len(self._pictures) > PICTURES_KEPT:
@@ -158,7 +158,7 @@ class LabBench:
         scene = self._scene_of(target)
         port = planck(WAVELENGTH_NM, scene.sphere.temperature_k) * scene.open.transmittance_at(WAVELENGTH_NM)
         per_cm2, weight = tube_photometry.photons_per_lux(self.camera.sensor, WAVELENGTH_NM, port)
-        # Rounded, so that specimens of one type share their pictures.
+        # Rounded, so that devices of one type share their images.
         digits = tuple(float(f"{band:.9e}") for band in weight)
         relative = _relative_picture(scene, kind, target, self._view(target), digits)
         return relative * np.float32(per_cm2 * self.camera.scene_cells.cell_area_cm2)
@@ -183,7 +183,7 @@ class LabBench:
         rows, columns = camera.shape
         row, col, height, width = target.region or (0, 0, rows, columns)
         # Frame rows that sum two rows of the chip are centred half a row further down.
-        centre_row = row + height / 2.0 + (0.5 if camera.interlaced else 0.0)
+        centre_row = row + height / 2.0 + (0.5 if camera.is_interlaced else 0.0)
         centre_col = col + width / 2.0
         lens_mm = float(camera.sensor.optics.focal_length_mm)
         return TargetView(

@@ -1,4 +1,4 @@
-"""A scene out of doors before a camera: planned by what the camera would notice, and rendered."""
+"""Outdoor scene before a camera: choice of render settings from the camera's noise, and rendering."""
 
 import json
 import os
@@ -28,7 +28,7 @@ STEP_NM = 5.0
 
 
 def render_sensor_of(camera: IntensifiedCamera | SiliconCamera, conditions: Conditions) -> RenderSensor:
-    """Return what a pixel on the axis makes of radiance, in photoelectrons an exposure.
+    """Return the response of a pixel on the axis to radiance, in photoelectrons per exposure, and its noise.
 
     Notes
     -----
@@ -66,28 +66,28 @@ def _numbers(
         read = (register.read_noise_e / register.gain) ** 2
         return silicon.quantum_efficiency, area_m2, silicon.exposure_s, dark, register.excess_noise_factor, read, 1.0
     wide = tuple(side + 2 * SCENE_MARGIN_PX for side in camera.shape)
-    picture = NoiseBudget(camera, np.zeros(wide, np.float32), conditions)
+    budget = NoiseBudget(camera, np.zeros(wide, np.float32), conditions)
     cathode = camera.photocathode(conditions)
     area_m2 = true_quantities.field_pixel_area_cm2(camera) * 1e-4
-    read = (float(camera.sensor.ccd.read_noise_e) / picture.gain_at_rest_e) ** 2
-    factor = picture.plate.excess_noise_factor
-    per_pe = (picture.pulses[0] + picture.white) / picture.charge_e
+    read = (float(camera.sensor.ccd.read_noise_e) / budget.gain_at_rest_e) ** 2
+    factor = budget.mcp.excess_noise_factor
+    per_pe = (budget.pulses[0] + budget.white) / budget.charge_e
     evened = min(1.0, float(np.sqrt(per_pe / factor)))
-    return cathode.quantum_efficiency, area_m2, cathode.open_s, picture.dark_pe, factor, read, evened
+    return cathode.quantum_efficiency, area_m2, cathode.open_s, budget.dark_pe, factor, read, evened
 
 
 # Pixels on the longer side of a preview.
 PREVIEW_PX = 192
 # Most rays of one of its pixels.
 PREVIEW_RAYS = 8
-# Errors are told as too large from so many times the promised one on: rays are not sent one by one.
+# An error is reported as too large from this multiple of the promised one: rays are sent in batches.
 STEP = 1.1
 SPENT = "some pixels, or all together, have had the most rays that they may"
 
 
 @dataclass(frozen=True, kw_only=True)
 class RenderedView:
-    """What a camera has before it.
+    """Rendering of an outdoor scene for one camera.
 
     Parameters
     ----------
@@ -111,18 +111,18 @@ class RenderedView:
 
     @property
     def chance(self) -> float:
-        """Error of the pixels by chance over their grain, root mean square, by the scatter of their own rays."""
-        grain = self.eye.noise_floor(self.picture.signal)
+        """Monte Carlo error of the pixels over their noise floor, root mean square."""
+        grain = self.eye.grain(self.picture.signal)
         return float(np.sqrt(np.mean(np.nan_to_num(self.picture.variance) / grain**2)))
 
     @property
     def short(self) -> bool:
-        """Whether chance is more than the plan was to leave, as far as rays grow in steps: the limit of rays."""
+        """Whether the Monte Carlo error exceeds that of the render settings because of the limit of rays."""
         return self.chance > STEP * self.plan.chance
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a reader of the frames should know."""
+        """Notes for the user of the frames."""
         out = ", ".join(sorted(self.plan.plan.names)) or "nothing"
         below = self.picture.below_zero
         return (
@@ -164,7 +164,7 @@ class OutdoorRendering:
 
     @property
     def view(self) -> Viewpoint:
-        """Where the camera looks: the frame through a lens without distortion, which the camera's own lens adds."""
+        """Viewpoint of the camera without distortion, which the camera's lens adds."""
         lens, cells, stands = self.camera.lens(), self.camera.cells, self.scene.camera
         if stands.distortion_fraction and lens.distortion_fraction:
             raise BadInput(
@@ -183,7 +183,7 @@ class OutdoorRendering:
             scan=stands.scan,
         )
 
-    def seen(
+    def render(
         self,
         *,
         tolerance: float | None,
@@ -193,13 +193,13 @@ class OutdoorRendering:
         progress: Callable[[float], None] = lambda share: None,
         announce: Callable[[float], None] = lambda seconds: None,
     ) -> RenderedView:
-        """Return what the camera has before it.
+        """Render the scene for the camera.
 
         Parameters
         ----------
         tolerance
-            What leaving out and chance may change together, as a share of a pixel's noise in one frame; None: nothing
-            is left out.
+            What leaving out and chance may change together, as a fraction of a pixel's noise in one frame;
+            None: nothing is left out.
         seed
             Seed of all rays.
         preview
@@ -207,9 +207,9 @@ class OutdoorRendering:
         threads
             Threads that share the work; None: one for each of up to two processors.
         progress
-            Told the share done.
+            Called with the fraction done.
         announce
-            Told how long the picture will take, s, before it begins.
+            Called with the estimated time of the rendering, s, before it begins.
         """
         view, eye = self.view, render_sensor_of(self.camera, self.conditions)
         if preview:

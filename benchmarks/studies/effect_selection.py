@@ -136,7 +136,7 @@ def pair_of(number: int) -> SelectionPair:
 
 def _time_case(case: SceneCase, tolerance: float | None, seed: int) -> tuple[RenderedView, float]:
     start = time.process_time()
-    seen = case.night.seen(tolerance=tolerance, seed=seed, threads=1)
+    seen = case.night.render(tolerance=tolerance, seed=seed, threads=1)
     return seen, time.process_time() - start
 
 

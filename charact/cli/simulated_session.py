@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 def preview_into(
     out: Path, request: SimulationRequest, description: "Description", conditions: Conditions, *, explain: bool
 ) -> tuple[str, ...]:
-    """Save a fast rendering of an outdoor scene, with `explain` print its effects; return notes on neglected ones."""
-    view = night_of(request, description, conditions).seen(tolerance=request.tolerance, seed=request.seed, preview=True)
+    """Keep what a scene out of doors shows in seconds, print its plan if request for, and return what it leaves out."""
+    view = night_of(request, description, conditions).render(tolerance=request.tolerance, seed=request.seed, preview=True)
     if explain:
         print(view.plan.text())
     _save_view(view, out)
@@ -104,7 +104,7 @@ def _stages(shot: Shot, seed: int) -> "Iterator[Stage]":
         return
     if shot.seen is not None:
         yield "picture", "photoelectrons per exposure and pixel, expected", shot.seen
-    place = "at the plate" if hasattr(shot.camera, "plate") else "in the chip"
+    place = "at the plate" if hasattr(shot.camera, "mcp") else "in the chip"
     yield f"photoelectrons {place}", "photoelectrons per exposure and cell, expected", _inside(shot.light)
     yield from stage_images(shot.camera, shot.light, shot.conditions, seed)
 

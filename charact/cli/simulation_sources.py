@@ -241,7 +241,7 @@ def _of_night(
         sentence = f"light, about {seconds / 60.0:.0f} min" if seconds > 60.0 else "light"
         progress(sentence, 0.0)
 
-    view = OutdoorRendering(scene, camera, conditions).seen(
+    view = OutdoorRendering(scene, camera, conditions).render(
         tolerance=request.tolerance,
         seed=request.seed,
         progress=lambda share: progress(sentence, share),
@@ -270,9 +270,9 @@ def _of_bench(
     _require_matching_target(request.target, kind)
     target = as_stood(kind, request.target)
     conditions, bench = _with_bench_light(conditions, kind), LabBench(description, scene)
-    _, planned = _select_effects(bench.camera, bench.freed(kind, target, conditions), conditions, request)
+    _, planned = _select_effects(bench.camera, bench.photoelectrons(kind, target, conditions), conditions, request)
     bench = bench.without(planned["plan"].names)
-    light = bench.photoelectrons(kind, target, conditions)
+    light = bench.mcp_input(kind, target, conditions)
     return Shot(camera=bench.camera, light=light, kind=kind, conditions=conditions, target=target, **planned)
 
 

@@ -140,7 +140,7 @@ class Run:
         why = self._doubtful.get(step.label)
         if why is None:
             return None
-        return f"taken anew, the frames before are in {self.storage.set_aside(step.label).name}: {why}"
+        return f"acquired again, the earlier frames are in {self.storage.set_aside(step.label).name}: {why}"
 
     def _watcher(self, step: Step) -> Watcher:
         return _Unwatched() if self.judge is None else self.judge.watch(step, self.full_scale_dn)

@@ -58,7 +58,7 @@ class RunProgress:
     Parameters
     ----------
     frames
-        Frames of the whole plan.
+        Frames of the plan.
     done
         Frames of the steps finished in earlier runs.
     """

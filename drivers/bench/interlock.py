@@ -85,7 +85,7 @@ def _light_at_gain(state: TubeState, command: Command, limits: LimitsInForce, no
         asked = command.state_when_sent(state).anode_na_per_cm2(limits)
         if not asked <= limit:
             return (
-                f"light, gain and gate together must not ask more than {limit:g} nA/cm2 of the plate, got {asked:.4g}: "
+                f"light, gain and gate together must not exceed {limit:g} nA/cm2 of MCP output, got {asked:.4g}: "
                 f"{command.illuminance_lux:g} lux at {state.mcp_v:g} V, open for {state.duty:.3g} of the time; "
                 "lower the gain before raising the light"
             )
@@ -102,7 +102,7 @@ def _gate_opens_dark(state: TubeState, command: Command, limits: LimitsInForce, 
     limit = limits.largest_anode_na_per_cm2(point=state.point)
     asked = command.state_when_sent(state).anode_na_per_cm2(limits)
     if not asked <= limit:
-        return f"the gate must not ask more than {limit:g} nA/cm2 of the plate, got {asked:.4g}"
+        return f"the gate must not exceed {limit:g} nA/cm2 of MCP output, got {asked:.4g}"
 
 
 def _gain_up_dark(state: TubeState, command: Command, limits: LimitsInForce, now_s: float) -> str | None:
@@ -147,7 +147,7 @@ def _heartbeat_due(state: TubeState, command: Command, limits: LimitsInForce, no
 
 def _no_failure(state: TubeState, command: Command, limits: LimitsInForce, now_s: float) -> str | None:
     if _heats(command) and state.fault is not None:
-        return f"the bench must be opened anew after a failure, got: {state.fault}"
+        return f"the bench must be reopened after a failure, got: {state.fault}"
 
 
 def _heats(command: Command) -> bool:
@@ -184,7 +184,7 @@ def _overload(state: TubeState, limits: LimitsInForce, now_s: float) -> str | No
     limit = METER_TOLERANCE * limits.largest_anode_na_per_cm2(point=state.point)
     asked = state.anode_na_per_cm2(limits)
     if not asked <= limit:
-        return f"the light must ask at most {limit:g} nA/cm2 of the plate, got {asked:.4g} at {state.light_lux:g} lux"
+        return f"the light must draw at most {limit:g} nA/cm2 of MCP output, got {asked:.4g} at {state.light_lux:g} lux"
 
 
 def _too_bright(state: TubeState, limits: LimitsInForce, now_s: float) -> str | None:

@@ -247,7 +247,7 @@ class _Task:
             self._instrument.line.reopen()
         except BenchError:
             return
-        self._record(f"{self._label}: port opened anew", ok=True)
+        self._record(f"{self._label}: port reopened", ok=True)
         self._disconnected = self.ordered = False
         self.failures.clear()
 

@@ -116,18 +116,18 @@ class FrameCapture:
                         f"(the last: {frame.fault}) and {whole} whole"
                     )
                 continue
-            self._count_lost(frame.number, handed_out=whole >= self._discard)
+            self._count_lost(frame.number, is_returned=whole >= self._discard)
             whole += 1
             if whole > self._discard:
                 yield frame
 
-    def _count_lost(self, number: int, *, handed_out: bool) -> None:
+    def _count_lost(self, number: int, *, is_returned: bool) -> None:
         """Count the numbers missing since the last complete frame.
 
         Incomplete frames before the first complete one do not count: a receiver may get its full buffer only when a
         frame is already arriving, so that a busy machine receives the first one without it.
         """
-        if handed_out and self._expected is not None:
+        if is_returned and self._expected is not None:
             self._losses += losses_before(number, expected=self._expected, faults=self._faults)
         self._faults.clear()
         self._expected = number + 1

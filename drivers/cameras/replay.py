@@ -108,7 +108,7 @@ class ReplayCamera:
         )
         if len(stack) < frames + discard:
             raise CameraError(
-                f"the {self.identifier} must hold the {frames + discard} frames asked for, "
+                f"the {self.identifier} must hold the {frames + discard} requested frames, "
                 f"stack {entry.label!r} has {len(stack)}"
             )
         self._played += 1

@@ -1,4 +1,4 @@
-"""An instrument of the bench: what every driver can do, and the model that makes its line and its driver."""
+"""Base class of the instrument drivers, and the model that makes line and driver."""
 
 import re
 from abc import ABC, abstractmethod

@@ -1,4 +1,4 @@
-"""The gain, natively serial: an iseg NHQ or SHQ supply, which ramps by itself and says its state in three letters.
+"""High-voltage supply: iseg NHQ or SHQ with its own ramp.
 
 Source: the maker's manuals of the SHQ and EHQ series (legacy command set), unless marked unverified.
 """
@@ -36,7 +36,7 @@ SLOW_START_S = 6.0  # the echo and answer of one question and the echo of QUICK:
 REFUSALS = (
     (r"\?\?\?\?", "it does not understand"),
     (r"\?WCN", "it has no such channel"),
-    (r"\?TOT", "the command was not over in time, and it starts anew"),
+    (r"\?TOT", "the command was not over in time, and it restarts"),
     (r"\? ?UMAX=.*", "beyond its limit"),
 )
 

@@ -1,6 +1,6 @@
-"""The models of instruments that can stand at the bench: the shipped ones, and those that other packages bring.
+"""Instrument models: the shipped ones and those of other packages.
 
-A package brings one with a Python entry point of the group `charact.instruments` whose value is a `InstrumentModel`:
+A package provides a model by an entry point of the group `charact.instruments` whose value is an `InstrumentModel`:
 
     [project.entry-points."charact.instruments"]
     my-supply = "my_package:MY_SUPPLY"

@@ -1,4 +1,4 @@
-"""Frames made elsewhere: one module per family of formats, chosen by the file's name and checked by its content."""
+"""Importers of frames: one reader per format, selected by the file name and checked by the content."""
 
 import os
 from collections.abc import Callable

@@ -32,7 +32,7 @@ def read_npy(path: Path) -> Recorded:
 
 
 def read_zarr(path: Path) -> Recorded | FrameStack:
-    """Read a whole Zarr array; see `labdata.importers.read_frames`."""
+    """Read a Zarr array; see `labdata.importers.read_frames`."""
     from labdata import store
 
     if store.is_ours(path):

@@ -1,7 +1,7 @@
-"""Axes of an array of pictures: which count frames, rows and columns, and which count something else.
+"""Axes of image arrays, non-finite borders, and the record of a reader.
 
-An axis counts frames where the file says so or where the documented layout of its kind does. Any other axis longer than
-1 is cut by a plane, renamed by the caller, or refused in a sentence that lists the axes.
+An axis counts frames if the file or the documented layout of its kind states it. Any other axis longer than
+1 is cut by a plane, renamed by the caller, or refused.
 """
 
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""How large frames may be: checked by what a file states, before memory is asked for its pixels.
+"""Size limits of frames, checked before memory is allocated.
 
 A file of a megabyte may unpack to gigabytes, and a header of a few bytes may state any size.
 """

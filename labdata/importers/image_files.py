@@ -21,7 +21,7 @@ IMAGE_KINDS = {".jpg": "JPEG", ".jpeg": "JPEG", ".bmp": "BMP", ".png": "PNG"}
 
 
 def read_image(path: Path) -> Recorded:
-    """Read a picture; see `labdata.importers.read_frames`."""
+    """Read an image; see `labdata.importers.read_frames`."""
     kind = IMAGE_KINDS.get(path.suffix.lower(), "PPM")
     require_memory(path.stat().st_size, 1, path.name)
     content = path.read_bytes()
@@ -89,7 +89,7 @@ RAW_NOTE = "camera raw: active area, one colour plane, black level recorded and 
 
 
 def read_raw(path: Path) -> Recorded:
-    """Read the mosaic of a raw picture; see `labdata.importers.read_frames`.
+    """Read the mosaic of a raw image; see `labdata.importers.read_frames`.
 
     Notes
     -----

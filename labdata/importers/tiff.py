@@ -17,7 +17,7 @@ CFA_PATTERN = 33422
 
 
 def read(path: Path) -> Recorded:
-    """Read the pictures of a TIFF file; see `labdata.importers.read_frames`."""
+    """Read the images of a TIFF file; see `labdata.importers.read_frames`."""
     import tifffile
 
     logger = logging.getLogger("tifffile")

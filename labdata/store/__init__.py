@@ -1,6 +1,6 @@
-"""The store of acquired frames: a Zarr array, one chunk a frame, and a journal in which each frame is acknowledged.
+"""Store of acquired frames: a Zarr array with one chunk per frame, and a journal of acknowledged frames.
 
-A frame is acknowledged when its chunk lies whole on the disk under its final name and, after that, its line lies in
+A frame is acknowledged when its complete chunk is on the disk under its final name and, after that, its line is in
 the journal: number, time stamp, SHA-256 and a checksum. Frames without a line are not read. Damaged lines are counted
 and named, and never changed.
 """

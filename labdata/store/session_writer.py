@@ -274,7 +274,7 @@ class SessionWriter:
         self._save(replace(self._form, notes=(*self._form.notes, note)))
 
     def session(self) -> Session:
-        """Open the session as it stands."""
+        """Open the session in its present state."""
         return open_session(self.folder)
 
     def close(self) -> None:
@@ -297,7 +297,7 @@ class SessionWriter:
             self._forget(entry.label)
         aside = path.rename(_aside(path))
         why = journal.notes[0] if journal.notes else "the session did not count them yet"
-        return replace(entry, notes=(*entry.notes, f"taken anew, the frames before are in {aside.name}: {why}"))
+        return replace(entry, notes=(*entry.notes, f"acquired again, the earlier frames are in {aside.name}: {why}"))
 
     def _forget(self, label: str) -> None:
         if label in self.finished_labels:

@@ -1,1 +1,1 @@
-"""The intensified camera: a chain of physical stages from the light on the photocathode to digital numbers."""
+"""Camera simulation: a chain of physical stages from light on the photocathode to digital numbers."""

@@ -1,6 +1,6 @@
-"""Automatic gain and brightness control: each a law from a state and what its meter reads to the next state.
+"""Automatic gain (AGC) and automatic brightness control (ABC): control laws from one state to the next.
 
-They act at different places. The tube's brightness control lowers the plate's gain, before the CCD: fewer electrons per
+They act at different places. The tube's brightness control lowers the MCP's gain, before the CCD: fewer electrons per
 photoelectron, the same photoelectrons, so the shot noise stays while electronics weigh more. The camera's automatic
 gain multiplies charge and noise alike, after the noise. The state, a factor, is carried by the caller.
 """
@@ -11,13 +11,13 @@ import numpy as np
 
 from labdata.errors import BadInput
 
-# Share of the range above black that automatic gain strives for: an average picture is less than half white.
+# Set point of automatic gain as a fraction of the range above black: a typical image is darker than half white.
 SET_LEVEL = 0.4
 
 
 @dataclass(frozen=True, kw_only=True)
 class AutomaticState:
-    """Where both controls stand: factors of the plate's gain and of the video's, dimensionless; 1 is untouched."""
+    """State of both controls: factors of MCP gain and video gain, dimensionless, initially 1."""
 
     brightness: float = 1.0
     gain: float = 1.0
@@ -25,12 +25,12 @@ class AutomaticState:
 
 @dataclass(frozen=True, kw_only=True)
 class AutomaticGain:
-    """The camera's automatic gain, on the video's mean level above black.
+    """Automatic gain of the camera, controlled by the mean level above black.
 
     Parameters
     ----------
     set_level_dn
-        Mean level above black that it strives for, DN.
+        Set point of the mean level above black, DN.
     range_db
         Highest over lowest gain, 20 log10; the lowest is 1.
     time_constant_s
@@ -68,12 +68,12 @@ class AutomaticGain:
 
 @dataclass(frozen=True, kw_only=True)
 class BrightnessControl:
-    """The tube supply's brightness control, on the mean current that the plate sends to the screen.
+    """Automatic brightness control of the tube, controlled by the mean phosphor current.
 
     Parameters
     ----------
     limit_e_per_s_cm2
-        Mean output of the plate that it does not let be exceeded, electrons per s and cm2.
+        Limit of the mean output of the MCP, electrons per s and cm2.
     attack_s
         Time constant, s.
     step_s
@@ -95,7 +95,7 @@ class BrightnessControl:
                 raise BadInput(f"{name} must be positive, got {getattr(self, name):g}")
 
     def next(self, state: float, output_e_per_s_cm2: float) -> float:
-        """Return the plate's gain factor after a field whose mean output, at factor `state`, was this."""
+        """Return the MCP's gain factor after a field whose mean output, at factor `state`, was this."""
         if not output_e_per_s_cm2 > 0.0:
             return 1.0
         step = -np.expm1(-self.step_s / self.attack_s)

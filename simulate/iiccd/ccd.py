@@ -1,4 +1,4 @@
-"""The CCD: photons become charge, wells fill and overflow, and reading adds its noise."""
+"""CCD and its output register: charge, full well, read noise, electron multiplication."""
 
 from dataclasses import dataclass
 
@@ -29,14 +29,14 @@ class Ccd:
     prnu
         Relative standard deviation of the pixels' response, dimensionless.
     smear_fraction
-        Charge that a spot one tenth of the picture high adds to its whole column, as a share of the spot's.
+        Charge that a spot one tenth of the image high adds to its whole column, as a fraction of the spot's.
     dsnu_e
         Standard deviation over pixels of the mean dark charge, e-; see `pattern.dark_signal`.
     clamped
         Whether the clamp acts here; False where a register follows, behind which it does.
     interlaced
         Whether odd and even rows are separate fields, which overflow each on their own.
-    specimen
+    pattern_seed
         Seed of the pixels' responses.
     """
 
@@ -50,7 +50,7 @@ class Ccd:
     dsnu_e: float = 0.0
     clamped: bool = True
     interlaced: bool = False
-    specimen: int = 0
+    pattern_seed: int = 0
     name: str = "ccd"
     takes: str = "screen photons as read"
     emits: str = "charge"
@@ -60,11 +60,11 @@ class Ccd:
             raise BadInput(f"full_well_e must be positive, got {self.full_well_e:g}")
 
     def mean(self, light: StageImage) -> StageImage:
-        """Return the charge without noise, e-; wells clip the mean, not the average of clipped draws."""
+        """Return the noiseless charge, e-; the full well clips the mean, not single draws."""
         charge = self.mean_charge(light.values)
         if self.dsnu_e > 0.0 and self.dark_e > 0.0:
             charge = charge + (self.dark(charge.shape[-2:]) - np.float32(self.dark_e))
-        held = self.held(charge)
+        held = self.limit_to_full_well(charge)
         return light.with_values(held if self.clamped else held + np.float32(self.dark_e))
 
     def draw(self, light: StageImage, rng: np.random.Generator) -> StageImage:
@@ -73,7 +73,7 @@ class Ccd:
 
         expected = self.mean_charge(light.values)
         expected += self.dark(expected.shape[-2:])
-        held = self.held(pulse_sampling.poisson_charge(rng, expected))
+        held = self.limit_to_full_well(pulse_sampling.poisson_charge(rng, expected))
         if self.read_noise_e > 0.0:
             held = held + np.float32(self.read_noise_e) * rng.standard_normal(held.shape, dtype=np.float32)
         return light.with_values(held - np.float32(self.dark_e) if self.clamped else held)
@@ -81,21 +81,21 @@ class Ccd:
     def dark(self, shape: tuple[int, int]) -> NDArray[np.float32] | np.float32:
         """Return the mean dark charge of each pixel, e-; one number where all are alike."""
         if self.dsnu_e > 0.0 and self.dark_e > 0.0:
-            return pattern.dark_signal_map(shape, self.dark_e, self.dsnu_e, self.specimen)
+            return pattern.dark_signal_map(shape, self.dark_e, self.dsnu_e, self.pattern_seed)
         return np.float32(self.dark_e)
 
     def mean_charge(self, photons: NDArray) -> NDArray[np.float32]:
-        """Return the mean charge of the light, e-, with smear; where an image ripples below zero there is no charge."""
+        """Return the mean charge of the light, e-, with smear; negative values of an image count as zero."""
         charge = np.maximum(photons, 0.0).astype(np.float32) * np.float32(self.quantum_efficiency)
         if self.prnu > 0.0:
-            charge *= pattern.prnu_map(charge.shape[-2:], self.prnu, self.specimen)
+            charge *= pattern.prnu_map(charge.shape[-2:], self.prnu, self.pattern_seed)
         if self.smear_fraction > 0.0:
             tenth = charge.shape[-2] / 10.0
             charge += np.float32(self.smear_fraction / tenth) * charge.sum(axis=-2, keepdims=True)
         return charge
 
-    def held(self, charge: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the charge that the wells hold, e-, each field on its own."""
+    def limit_to_full_well(self, charge: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the charge after column blooming, e-, field by field."""
         if not (charge > self.full_well_e).any():
             return charge
         from simulate.iiccd.column_blooming import apply_column_blooming
@@ -187,7 +187,7 @@ class Register:
         return light.with_values(charge - np.float32(self._clamp_level_e))
 
     def _draw_multiplication(self, charge, rng: np.random.Generator):
-        """Electrons freed on the way through the register, of as many as entered it."""
+        """Electrons that the register adds to those that enter it."""
         from simulate.iiccd import pulse_sampling
 
         more = self.gain - 1.0

@@ -1,4 +1,4 @@
-"""Stages that fit each other, in order: a chain refuses a misfit and gives every stage its own random numbers."""
+"""Chain of camera stages: checks that neighbours fit and gives each stage its own random generator."""
 
 import zlib
 from collections.abc import Iterator
@@ -31,11 +31,11 @@ class Stage(Protocol):
         ...
 
     def mean(self, light: Any) -> StageImage:
-        """What comes out on average; takes light, or the scene's radiance where it is a lens."""
+        """Return the mean image behind the stage; a lens takes the scene's radiance."""
         ...
 
     def draw(self, light: Any, rng: np.random.Generator) -> StageImage:
-        """What comes out this time."""
+        """Return one random image behind the stage."""
         ...
 
 
@@ -69,7 +69,7 @@ class Chain:
         if repeated := {name for name in names if names.count(name) > 1}:
             raise BadInput(f"the stages of a chain must have names of their own, got {sorted(repeated)} twice")
 
-    def part(self, first: str, last: str) -> "Chain":
+    def between(self, first: str, last: str) -> "Chain":
         """Return the chain from one named stage to another, both included."""
         names = [stage.name for stage in self.stages]
         if first not in names or last not in names:
@@ -81,13 +81,13 @@ class Chain:
         return Chain(tuple(stage for stage in self.stages if stage.name != name))
 
     def mean(self, light: Any) -> StageImage:
-        """Return what comes out without any noise."""
+        """Return the noiseless image behind the last stage."""
         for stage in self.stages:
             light = stage.mean(light)
         return light
 
     def draw(self, light: Any, rng: np.random.Generator) -> StageImage:
-        """Return what comes out this time.
+        """Return one random image behind the last stage.
 
         Every stage draws from a generator that follows from `rng` and its own name: to change, add or remove one
         stage leaves the random numbers of all others as they were.
@@ -97,7 +97,7 @@ class Chain:
         return light
 
     def steps(self, light: Any, rng: np.random.Generator) -> Iterator[StageImage]:
-        """Yield what comes out this time after each stage; the random numbers are those of `draw`."""
+        """Yield the random image behind each stage; the random numbers are those of `draw`."""
         entropy = int(rng.integers(2**63))
         for stage in self.stages:
             child = np.random.SeedSequence(entropy, spawn_key=(zlib.crc32(stage.name.encode()),))

@@ -1,4 +1,4 @@
-"""Blooming in the CCD: charge beyond the full well goes down the drain, and what the drain leaves along the column."""
+"""Column blooming: charge beyond the full well drains, and the remainder spreads along its column."""
 
 import numpy as np
 from numba import njit
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 def apply_column_blooming(
     charge_e: NDArray[np.floating], full_well_e: float, antibloom_ratio: float
 ) -> tuple[NDArray[np.float64], float]:
-    """Let the charge of one field overflow.
+    """Apply column blooming to one field.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def apply_column_blooming(
 
 
 def spread_excess_charge(column_e: NDArray[np.float64], limit_e: float) -> NDArray[np.float64]:
-    """Return a column after every excess has gone half up, half down; charge leaves only at the ends.
+    """Spread each excess half up and half down until no pixel exceeds the limit; charge leaves only at the ends.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The lattice of cells on which light is carried: finer than the pixels, wider than the picture."""
+"""Sensor geometry: the lattice of cells on which images are computed, and its Fourier transforms."""
 
 import zlib
 from abc import ABC, abstractmethod
@@ -15,12 +15,12 @@ from labdata.solid_state import SolidStateCamera
 
 @dataclass(frozen=True, kw_only=True)
 class Grid:
-    """Cells per pixel and margins around the picture.
+    """Cells per pixel and margins around the image.
 
     Parameters
     ----------
     rows, columns
-        Physical pixels of the chip that the picture needs.
+        Physical pixels of the chip that the image needs.
     per_column, per_row
         Cells per pixel along a row and along a column.
     margin_rows, margin_columns
@@ -108,7 +108,7 @@ def irfft_image(transform: NDArray, shape: tuple[int, int]) -> NDArray[Any]:
     return image
 
 
-# The picture of a target is needed this far beyond the frame: the halo reaches 23 pixels.
+# The image of a target is needed this far beyond the frame: the halo reaches 23 pixels.
 SCENE_MARGIN_PX = 40
 DRAW_MARGIN_PX = 10
 # Dark current is stated at this temperature.
@@ -116,32 +116,32 @@ DARK_REFERENCE_C = 25.0
 
 
 class SensorGeometryCamera(ABC):
-    """A camera with a chip, with a tube before it or without."""
+    """Frame and cells of a camera, with or without a tube."""
 
     @property
     @abstractmethod
-    def described(self) -> Sensor | SolidStateCamera:
+    def camera_description(self) -> Sensor | SolidStateCamera:
         """Its description."""
 
     @property
     @abstractmethod
-    def interlaced(self) -> bool:
+    def is_interlaced(self) -> bool:
         """Whether a frame is two fields exposed one after the other."""
 
     @property
     def demagnification(self) -> float:
-        """Size of the picture where light arrives over its size on the chip, dimensionless."""
+        """Size of the image where light arrives over its size on the chip, dimensionless."""
         return 1.0
 
     @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns of a frame."""
-        return self.described.ccd.rows, self.described.ccd.columns
+        return self.camera_description.ccd.rows, self.camera_description.ccd.columns
 
     @property
-    def specimen(self) -> int:
+    def pattern_seed(self) -> int:
         """Seed of the fixed patterns, which belong to the camera of this name."""
-        return zlib.crc32(self.described.name.encode())
+        return zlib.crc32(self.camera_description.name.encode())
 
     @cached_property
     def cells(self) -> Grid:
@@ -154,10 +154,10 @@ class SensorGeometryCamera(ABC):
         return self._grid(4, SCENE_MARGIN_PX)
 
     def _grid(self, per_pixel: int, margin: int) -> Grid:
-        ccd, (rows, columns) = self.described.ccd, self.shape
+        ccd, (rows, columns) = self.camera_description.ccd, self.shape
         # Field integration sums rows r and r + 1, so the chip has one row more than the frame.
         return grid_with_margin(
-            rows + (1 if self.interlaced else 0),
+            rows + (1 if self.is_interlaced else 0),
             columns,
             per_pixel=per_pixel,
             margin=margin,

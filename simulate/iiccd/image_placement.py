@@ -1,4 +1,4 @@
-"""Where a picture lies on the chip: its pixels laid on cells, so that every pixel as read gets its own light."""
+"""Placement of images on cells: resampling to the lattice, radial distortion and other static displacements."""
 
 from dataclasses import dataclass
 
@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labdata.errors import BadInput
+from simulate.iiccd.accuracy import ACCURACY
 from simulate.iiccd.grid import Grid
 
 
@@ -15,18 +16,18 @@ def place_on_cells(image: NDArray, grid: Grid, *, row_pairs: bool) -> NDArray[np
     Parameters
     ----------
     image
-        A quantity per area, shape (row, col), which covers the picture exactly.
+        A quantity per area, shape (row, col), which covers the image exactly.
     grid
         Cells.
     row_pairs
         True where row r of a frame sums rows r and r + 1 of the chip, which has one row more than the frame. The
-        picture then reaches from the middle of the chip's first row to the middle of its last, so that every row of it
+        image then reaches from the middle of the chip's first row to the middle of its last, so that every row of it
         is centred on the row of the frame that reads it; half the light of that row comes from it and a quarter from
         each neighbour.
 
     Notes
     -----
-    Beyond its border the picture goes on as it ends there.
+    Beyond its border the image goes on as it ends there.
     """
     first, rows = (0.5, grid.rows - 1) if row_pairs else (0.0, grid.rows)
     down = _overlaps(image.shape[0], grid.shape[0], (grid.margin_rows + first) * grid.per_row, rows * grid.per_row)
@@ -37,7 +38,7 @@ def place_on_cells(image: NDArray, grid: Grid, *, row_pairs: bool) -> NDArray[np
 
 
 def _overlaps(pixels: int, cells: int, start: float, length: float):
-    """Share of each cell that each pixel covers, a sparse matrix (cell, pixel), for pixels that fill start..+length."""
+    """Fraction of each cell covered by each pixel, sparse (cell, pixel), for pixels that fill start..start + length."""
     from scipy.sparse import csr_array
 
     borders = start + length * np.arange(pixels + 1) / pixels
@@ -49,9 +50,6 @@ def _overlaps(pixels: int, cells: int, start: float, length: float):
 
 
 Array = NDArray[np.floating]
-
-# Distances from the axis, in corner radii, over which a distortion is inverted.
-FARTHEST, STEPS = 2.0, 4096
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,14 +66,15 @@ class Radial:
     Raises
     ------
     BadInput
-        If the map would fold: D must lie above -1/12, so that r' grows with r out to `FARTHEST` corner radii.
+        If the map would fold: D must lie above -1/12, so that r' grows with r out to `Accuracy.max_distortion_radius`
+        corner radii.
     """
 
     fraction: float
     corner_mm: float
 
     def __post_init__(self) -> None:
-        if not -1.0 / (3.0 * FARTHEST**2) < self.fraction < 1.0:
+        if not -1.0 / (3.0 * ACCURACY.max_distortion_radius**2) < self.fraction < 1.0:
             raise BadInput(f"a distortion must lie between -1/12 and 1 at the corner, got {self.fraction:g}")
 
     def source(self, x_mm: Array, y_mm: Array) -> tuple[Array, Array, Array]:
@@ -83,9 +82,9 @@ class Radial:
 
         Notes
         -----
-        Area ratio 1 / ((1 + D s^2)(1 + 3 D s^2)), s = r/R: light per area thins out where the picture is stretched.
+        Area ratio 1 / ((1 + D s^2)(1 + 3 D s^2)), s = r/R: light per area thins out where the image is stretched.
         """
-        came = np.linspace(0.0, FARTHEST, STEPS)
+        came = np.linspace(0.0, ACCURACY.max_distortion_radius, ACCURACY.n_distortion_steps)
         lands = came * (1.0 + self.fraction * came**2)
         landed = np.hypot(x_mm, y_mm) / self.corner_mm
         s = np.interp(landed, lands, came).astype(landed.dtype)
@@ -95,7 +94,7 @@ class Radial:
 
 
 def cell_centres(grid: Grid) -> tuple[Array, Array]:
-    """Return x (1, col) and y (row, 1) of cell centres about the middle of the picture, mm at the photocathode."""
+    """Return x (1, col) and y (row, 1) of cell centres about the middle of the image, mm at the photocathode."""
     rows, columns = grid.shape
     x = (np.arange(columns) + 0.5) / grid.per_column - grid.margin_columns - 0.5 * grid.columns
     y = (np.arange(rows) + 0.5) / grid.per_row - grid.margin_rows - 0.5 * grid.rows
@@ -103,7 +102,7 @@ def cell_centres(grid: Grid) -> tuple[Array, Array]:
 
 
 def corner_mm(grid: Grid) -> float:
-    """Return the distance of the picture's corner from its middle, mm at the photocathode."""
+    """Return the distance of the image's corner from its middle, mm at the photocathode."""
     return 0.5 * float(np.hypot(grid.columns * grid.pitch_x_mm, grid.rows * grid.pitch_y_mm))
 
 
@@ -117,7 +116,7 @@ def resample_image(image: NDArray, grid: Grid, x_mm: Array, y_mm: Array, *, orde
     grid
         Its cells.
     x_mm, y_mm
-        Where each cell's light comes from, about the middle of the picture, shape (row, col), mm.
+        Where each cell's light comes from, about the middle of the image, shape (row, col), mm.
     order
         1: linear, never below zero; loses up to 8 % of the contrast at an eighth of a cycle per cell. 3: cubic splines,
         for images without sharp steps.

@@ -1,4 +1,4 @@
-"""The lens from the scene's side: absolute spectral radiance becomes photons on the photocathode, cell by cell."""
+"""Lens: blur and veiling glare of stated illuminance, and spectral radiance to photons on the photocathode."""
 
 from dataclasses import dataclass
 
@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from labdata.errors import BadInput
 from labdata.sensor import Optics as OpticsDescription
 from simulate.iiccd import image_placement, tube_photometry
+from simulate.iiccd.accuracy import ACCURACY
 from simulate.iiccd.grid import Grid, irfft_image, rfft_image
 from simulate.iiccd.stage_image import NoiselessStage, StageImage
 from simulate.iiccd.transfer import Defocus, Lens, StageBlur
@@ -23,7 +24,7 @@ class Optics(NoiselessStage):
     blur
         Its blur.
     veiling_glare_fraction
-        Share of the light that is spread evenly over the picture, dimensionless.
+        Fraction of the light that is spread evenly over the image, dimensionless.
     """
 
     blur: StageBlur
@@ -33,20 +34,18 @@ class Optics(NoiselessStage):
     emits: str = "photons"
 
     def mean(self, light: StageImage) -> StageImage:
-        """Return (1 - v) E + v mean(E), owing the blur; the light per cell keeps its sum."""
-        return light.with_values(add_veiling_glare(light.values, self.veiling_glare_fraction)).blurred(self.blur)
+        """Return (1 - v) E + v mean(E), with the blur pending; the sum over cells is conserved."""
+        return light.with_values(add_veiling_glare(light.values, self.veiling_glare_fraction)).with_blurs(self.blur)
 
 
 def add_veiling_glare(image: NDArray, fraction: float) -> NDArray:
-    """Return (1 - v) E + v mean(E): a share of the light spread evenly."""
+    """Return (1 - v) E + v mean(E): a fraction of the light spread evenly."""
     level = image.mean(axis=(-2, -1), keepdims=True, dtype=np.float64)
     return (1.0 - fraction) * image + np.asarray(fraction * level, image.dtype)
 
 
 # Wavelengths between which the focal shift is stated.
 FOCUS_SPAN_NM = (500.0, 925.0)
-# Largest error of a band's transfer where bands share a few transforms, and places where transfers are compared.
-TRANSFER_ERROR, FREQUENCIES = 1e-4, 1500
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,9 +65,9 @@ class RadiometricLens(NoiselessStage):
     focal_shift_um, focus_nm
         How far 925 nm focuses behind 500 nm, linear in wavelength, and the wavelength in focus.
     veiling_glare_fraction
-        Share of the light that is spread evenly over the picture.
+        Fraction of the light that is spread evenly over the image.
     vignetting_fraction
-        Share of the light lost at the picture's corner beyond cos^4; it grows with the square of the distance from the
+        Fraction of the light lost at the image's corner beyond cos^4; it grows with the square of the distance from the
         axis.
     distortion_fraction
         Radial displacement at the corner, positive for pincushion.
@@ -77,16 +76,16 @@ class RadiometricLens(NoiselessStage):
     grid
         Cells on which the photons arrive.
     row_pairs
-        Whether a frame's row sums two rows of the chip: where the picture lies, see `image_placement.spread`.
+        Whether a frame's row sums two rows of the chip: where the image lies, see `image_placement.spread`.
 
     Notes
     -----
     E = pi tau L / (4 N^2 (1 + m)^2) per wavelength on the axis, times cos^4(theta), tan(theta) = r / (f (1 + m)), and
-    vignetting (Born and Wolf, Principles of Optics, 4.8.3). Light per area follows distortion: where the picture is
+    vignetting (Born and Wolf, Principles of Optics, 4.8.3). Light per area follows distortion: where the image is
     stretched, the same light covers more of it, so light is conserved and a flat scene darkens where it is stretched.
     It emits photons per s and cell *referred to the wavelength of peak efficiency*: a photon that is detected half as
     well counts half. All bands can then travel on as one image. Each band is blurred by its own diffraction and
-    defocus; as these vary smoothly, few images suffice for any number of bands (`TRANSFER_ERROR`).
+    defocus; as these vary smoothly, few images suffice for any number of bands (`Accuracy.band_transfer_error`).
     """
 
     f_number: float
@@ -184,7 +183,7 @@ class RadiometricLens(NoiselessStage):
         """
         refuse_impossible(light)
         weight = self._photons_per_radiance(light)
-        frequency = np.linspace(0.0, self._highest_frequency(), FREQUENCIES)
+        frequency = np.linspace(0.0, self._highest_frequency(), ACCURACY.n_band_frequencies)
         transfers = np.stack([self.transfer(nm, frequency) for nm in light.wavelength_nm])
         shares, shapes = few_transfers(transfers, weight)
         radiance = light.radiance.astype(np.float32, copy=False)
@@ -250,13 +249,16 @@ def few_transfers(
     Returns
     -------
     shares, shapes
-        (shape, band) and (shape, frequency): transfers = shares.T @ shapes within `TRANSFER_ERROR`. The first shape is
-        the mean transfer, with shares of 1; all others vanish at zero frequency, so that no light is won or lost.
+        (shape, band) and (shape, frequency): transfers = fractions.T @ shapes within `Accuracy.band_transfer_error`.
+        The first shape is the mean transfer, with fractions of 1; all others vanish at zero frequency, so that no light
+        is won or lost.
     """
     mean = np.average(transfers, axis=0, weights=weight if weight.sum() > 0.0 else None)
     left, size, right = np.linalg.svd(transfers - mean, full_matrices=False)
     kept = 0
-    while kept < len(size) and np.abs((left[:, kept:] * size[kept:]) @ right[kept:]).max() > TRANSFER_ERROR:
+    while (
+        kept < len(size) and np.abs((left[:, kept:] * size[kept:]) @ right[kept:]).max() > ACCURACY.band_transfer_error
+    ):
         kept += 1
     shares = np.concatenate([np.ones((1, len(transfers))), (left[:, :kept] * size[:kept]).T])
     return shares, np.concatenate([mean[None], right[:kept]])

@@ -1,4 +1,4 @@
-"""The microchannel plate: it detects photoelectrons one by one and gives each a pulse of random height."""
+"""Microchannel plate: detection, pulse heights, saturation and local gain depletion."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -16,7 +16,7 @@ Map = NDArray[np.floating]
 
 @dataclass(frozen=True, kw_only=True)
 class Depletion:
-    """What the light of a place takes from the channels around it.
+    """Local gain depletion of the channels.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ class Depletion:
     -----
     h(u) = 1/(1 + u): in steady light u is the undiminished output over the saturating one, blurred by a Gaussian; in
     changing light u follows that load with the channels' time constant, du/dt = (load - u)/tau. The state between
-    fields is the map u, carried by the caller; None is a plate that has rested.
+    fields is the map u, carried by the caller; None is an MCP that has rested.
     """
 
     saturation_e_per_s_cm2: float
@@ -78,12 +78,12 @@ class Depletion:
 
 @dataclass(frozen=True, kw_only=True)
 class MicrochannelPlate:
-    """Microchannel plate, or a stack of plates.
+    """Microchannel plate, or a stack of MCPs.
 
     Parameters
     ----------
     detection_probability
-        Share of the photoelectrons that start a pulse, dimensionless.
+        Fraction of the photoelectrons that start a pulse, dimensionless.
     pulse_height_shape
         Shape of the gamma (Polya) law of pulse heights; 1 is exponential. Its relative variance is 1/shape.
     gain
@@ -91,25 +91,25 @@ class MicrochannelPlate:
     saturation_e_per_s_cm2
         Output current at which the gain has halved, electrons per s and cm2.
     field_s
-        Time from one exposure to the next, s; the strip current recharges the plate all along.
+        Time from one exposure to the next, s; the strip current recharges the MCP all along.
     ion_events_per_s_cm2, ion_event_size_pe, gate_s
         Rate and mean size (detected photoelectrons) of ion pulses while the gate is open.
     stages
-        Plates in the stack; all numbers are those of the stack, see `transfer_at_nodes` for what plates make of each other.
+        MCPs in the stack; all numbers are those of the stack, see `stack_gain_and_shape`.
     pattern_contrast, pattern_pitch_um, line_um
-        Depth, pitch and width of the lines of lower gain where the plate's multi-fibres meet; the mean gain is `gain`.
+        Depth, pitch and width of the lines of lower gain where the MCP's multi-fibres meet; the mean gain is `gain`.
     depletion_blur_um
-        Width of the neighbourhood whose own output lowers the gain of a place; None: the whole plate's mean does.
+        Width of the neighbourhood whose own output lowers the gain of a place; None: the whole MCP's mean does.
     recovery_ms
         Time constant with which channels recharge, ms.
     gain_map
-        Gain over `gain`, shape (row, col), of a plate under a known load; None for none.
+        Gain over `gain`, shape (row, col), of an MCP under a known load; None for none.
 
     Notes
     -----
     Thinned Poisson counts with independent pulses of gamma heights: of a cell that expects m photoelectrons, the
     output is G/p times gamma(shape n)/shape with n ~ Poisson(p m), exact at every level. Variance over mean is
-    G F^2 with F^2 = (1 + 1/shape)/p. Gain saturates over the whole plate alike, G / (1 + j/j_s), j the mean output, or
+    G F^2 with F^2 = (1 + 1/shape)/p. Gain saturates over the whole MCP alike, G / (1 + j/j_s), j the mean output, or
     with `depletion_blur_um` place by place, j the blurred output: flat light sees the same gain, a bright core less.
     """
 
@@ -175,7 +175,7 @@ class MicrochannelPlate:
         return self.gain / (1.0 + output / self.saturation_e_per_s_cm2)
 
     def under_load(self, light: StageImage, parts: int = 1) -> "MicrochannelPlate":
-        """Return the plate as it works on one of several equal parts of an exposure: its gain is that of the whole."""
+        """Return the MCP as it works on one of several equal parts of an exposure: its gain is that of the whole."""
         loaded = self.gain_under_load(light)
         part = replace(self, saturation_e_per_s_cm2=np.inf, gate_s=self.gate_s / parts)
         if loaded.shape[-1] == 1:
@@ -183,7 +183,7 @@ class MicrochannelPlate:
         return replace(part, gain_map=(loaded / self.gain).astype(np.float32) if self.gain > 0.0 else None)
 
     def with_depletion(self, state: NDArray[np.floating]) -> "MicrochannelPlate":
-        """Return the plate whose channels are in a state of `Depletion`, shape (row, col)."""
+        """Return the MCP whose channels are in a state of `Depletion`, shape (row, col)."""
         left = self.depletion.gain(state).astype(np.float32)
         return replace(self, gain_map=left, saturation_e_per_s_cm2=np.inf)
 
@@ -234,19 +234,19 @@ class MicrochannelPlate:
 
 
 def stack_gain_and_shape(gains: Sequence[float], shapes: Sequence[float]) -> tuple[float, float]:
-    """Return the gain and the pulse-height shape of a stack of plates.
+    """Return the gain and the pulse-height shape of a stack of MCPs.
 
     Parameters
     ----------
     gains
-        Electrons out of each plate per electron that starts a pulse in it, in the order of the light.
+        Electrons out of each MCP per electron that starts a pulse in it, in the order of the light.
     shapes
         Pulse-height shapes of each.
 
     Notes
     -----
     Gains multiply; the relative variance of a cascade is v1 + v2/G1 + v3/(G1 G2) + ... (Burgess, Disc. Faraday Soc. 28,
-    151, 1959): the first plate decides. The heights of the stack are taken as gamma of that variance.
+    151, 1959): the first MCP decides. The heights of the stack are taken as gamma of that variance.
     """
     before, variance = 1.0, 0.0
     for gain, shape in zip(gains, shapes, strict=True):

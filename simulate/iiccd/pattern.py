@@ -1,4 +1,4 @@
-"""Fixed patterns of a specimen: the screen's mottle, the fibres' honeycomb, the pixels' unequal response."""
+"""Fixed patterns: phosphor granularity, multi-fibre patterns, PRNU and DSNU."""
 
 from dataclasses import replace
 from functools import lru_cache
@@ -21,11 +21,11 @@ def _row_means(cells: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 @lru_cache(maxsize=4)
-def phosphor_granularity(grid: Grid, relative_sd: float, specimen: int) -> NDArray[np.float32]:
+def phosphor_granularity(grid: Grid, relative_sd: float, pattern_seed: int) -> NDArray[np.float32]:
     """Return the phosphor's gain on cells, mean 1, Gaussian with correlation length `GRANULARITY_MM` at the cathode."""
     if grid.per_row == 1:
-        return _row_means(phosphor_granularity(_split_rows(grid), relative_sd, specimen))
-    rng = np.random.default_rng([specimen, 1])
+        return _row_means(phosphor_granularity(_split_rows(grid), relative_sd, pattern_seed))
+    rng = np.random.default_rng([pattern_seed, 1])
     fx, fy = grid.frequencies()
     grain = np.exp(-2.0 * (np.pi * GRANULARITY_MM * np.hypot(fx, fy)) ** 2)
     grain[0, 0] = 0.0
@@ -52,7 +52,7 @@ def multifibre_transmission(
 
 @lru_cache(maxsize=4)
 def multifibre_gain(grid: Grid, contrast: float, pitch_mm: float, line_mm: float) -> NDArray[np.float32]:
-    """Return the gain of a plate of multi-fibres, mean 1, lower on the lines where its hexagons meet.
+    """Return the gain of an MCP of multi-fibres, mean 1, lower on the lines where its hexagons meet.
 
     Pitch and width are at the photocathode, where the cells are. Lines narrower than a cell are as wide and as shallow
     as a cell's average makes them.
@@ -76,26 +76,25 @@ def _border_distance(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[
 
 
 @lru_cache(maxsize=4)
-def dark_signal_map(shape: tuple[int, int], mean_e: float, sd_e: float, specimen: int) -> NDArray[np.float32]:
+def dark_signal_map(shape: tuple[int, int], mean_e: float, sd_e: float, pattern_seed: int) -> NDArray[np.float32]:
     """Return each pixel's mean dark charge, e-, gamma distributed over pixels: never below zero, some pixels hot."""
-    rng = np.random.default_rng([specimen, 3])
+    rng = np.random.default_rng([pattern_seed, 3])
     shape_parameter = (mean_e / sd_e) ** 2
     return read_only((rng.gamma(shape_parameter, size=shape) * (mean_e / shape_parameter)).astype(np.float32))
 
 
 @lru_cache(maxsize=4)
-def multifibre_offsets(grid: Grid, pitch_mm: float, rms_mm: float, specimen: int) -> NDArray[np.float32]:
+def multifibre_offsets(grid: Grid, pitch_mm: float, rms_mm: float, pattern_seed: int) -> NDArray[np.float32]:
     """Return how far each multi-fibre is shifted, (x, y) on cells, shape (2, row, col), at the photocathode, mm.
 
-    All of a hexagon of the honeycomb is shifted alike; across a border the shifts of two hexagons differ by `rms_mm`,
-    root mean square. Pitch at the photocathode.
-    """
+    All of a hexagon of the multi-fibre pattern is shifted alike; across a border the shifts of two hexagons differ by
+    `rms_mm`, root mean square. Pitch at the photocathode."""
     rows, columns = (np.arange(n, dtype=np.float64) for n in grid.shape)
     y = rows[:, None] * (grid.pitch_y_mm / grid.per_row / pitch_mm)
     x = columns[None, :] * (grid.pitch_x_mm / grid.per_column / pitch_mm)
     which, down, along = _hexagons(x, y)
-    rng = np.random.default_rng([specimen, 4])
-    # The lattice is drawn from its corner on, so a larger picture has the same first hexagons only if as wide.
+    rng = np.random.default_rng([pattern_seed, 4])
+    # The lattice is drawn from its corner on, so a larger image has the same first hexagons only if as wide.
     table = 0.5 * rms_mm * rng.standard_normal((2, 2, int(down.max()) + 2, int(along.max()) + 2))
     return read_only(table[:, which, down, along].astype(np.float32))
 
@@ -115,7 +114,7 @@ def _hexagons(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[NDArray, 
 
 
 @lru_cache(maxsize=4)
-def prnu_map(shape: tuple[int, int], relative_sd: float, specimen: int) -> NDArray[np.float32]:
+def prnu_map(shape: tuple[int, int], relative_sd: float, pattern_seed: int) -> NDArray[np.float32]:
     """Return each pixel's response, mean 1, independent from pixel to pixel."""
-    rng = np.random.default_rng([specimen, 2])
+    rng = np.random.default_rng([pattern_seed, 2])
     return read_only((1.0 + relative_sd * rng.standard_normal(shape)).astype(np.float32))

@@ -1,4 +1,4 @@
-"""The screen: electrons become light, spread sideways and linger over the following fields."""
+"""Phosphor: electrons become photons, spread laterally and decay over later fields."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -8,57 +8,53 @@ from numpy.typing import NDArray
 
 from labdata.errors import BadInput
 from simulate.iiccd import pattern
+from simulate.iiccd.accuracy import ACCURACY
 from simulate.iiccd.stage_image import NoiselessStage, StageImage
 from simulate.iiccd.transfer import StageBlur
-
-# Light that comes later than the remembered fields is less than this share.
-FORGOTTEN = 1e-3
-# Pulses over which shares are averaged.
-PULSES = 2000
 
 
 @dataclass(frozen=True, kw_only=True)
 class Phosphor(NoiselessStage):
-    """Screen with all the spread between the plate's input and the fibre window.
+    """Phosphor with all the spread between the MCP's input and the fibre window.
 
     Parameters
     ----------
     photons_per_electron
-        Photons out of the window per electron that leaves the plate.
+        Photons out of the window per electron that leaves the MCP.
     spread
         Blur after the gain: whole pulses are spread, so that neighbouring pixels share their noise.
     gain_nonuniformity
-        Relative standard deviation of the screen's mottle, dimensionless.
-    specimen
-        Seed of the mottle: the same specimen always has the same.
+        Relative standard deviation of the phosphor's granularity, dimensionless.
+    pattern_seed
+        Seed of the granularity: the same device always has the same.
     """
 
     photons_per_electron: float
     spread: StageBlur
     gain_nonuniformity: float = 0.0
-    specimen: int = 0
+    pattern_seed: int = 0
     name: str = "phosphor"
     takes: str = "electrons"
     emits: str = "screen photons"
 
     def mean(self, light: StageImage) -> StageImage:
-        """Return photons per cell, owing the spread."""
+        """Return photons per cell, with the spread pending."""
         values = light.values * np.asarray(self.photons_per_electron, light.values.dtype)
         if self.gain_nonuniformity > 0.0 and light.grid is not None:
-            values *= pattern.phosphor_granularity(light.grid, self.gain_nonuniformity, self.specimen)
-        return light.with_values(values).blurred(self.spread)
+            values *= pattern.phosphor_granularity(light.grid, self.gain_nonuniformity, self.pattern_seed)
+        return light.with_values(values).with_blurs(self.spread)
 
 
 @dataclass(frozen=True, kw_only=True)
 class PhosphorDecay(NoiselessStage):
-    """The screen's decay, field by field.
+    """The phosphor's decay, field by field.
 
-    It commutes with the linear optics behind the screen and stands after them, where images are small.
+    It commutes with the linear optics behind the phosphor and stands after them, where images are small.
 
     Parameters
     ----------
     fast_fraction
-        Share of the fast component in the light at the start of the decay, dimensionless.
+        Fraction of the fast component in the light at the start of the decay, dimensionless.
     fast_decay_ms, slow_decay_ms
         Time constants, ms.
     gate_s
@@ -69,10 +65,10 @@ class PhosphorDecay(NoiselessStage):
     Notes
     -----
     A pulse that arrives u before the end of its field T leaves sum_i a_i exp(-u/tau_i) of its light to later fields,
-    a_i the components' shares of the light, tau_i their time constants. Pulses arrive evenly over the gate, so the
-    shares differ from pulse to pulse; that matters for the noise, whose share in one field is the mean square. A field
-    is therefore drawn in two halves, early and late, whose shares are the mean plus and minus the leading component of
-    the shares' covariance: their mean is exact, and their mean products are so to about one per cent.
+    a_i the components' fractions of the light, tau_i their time constants. Pulses arrive evenly over the gate, so the
+    fractions differ from pulse to pulse; that matters for the noise, whose fraction in one field is the mean square. A
+    field is therefore drawn in two halves, early and late, whose fractions are the mean plus and minus the leading
+    component of the fractions' covariance: their mean is exact, and their mean products are so to about one per cent.
     """
 
     fast_fraction: float
@@ -93,31 +89,30 @@ class PhosphorDecay(NoiselessStage):
 
     @cached_property
     def pulse_shares(self) -> NDArray[np.float64]:
-        """Shares of the light of pulses at evenly spaced times, shape (pulse, field), each summing to 1.
+        """Fractions of the light of pulses at evenly spaced times, shape (pulse, field), each summing to 1.
 
-        Field 0 is the pulse's own. What comes later than the last field is on average less than `FORGOTTEN` and is
-        added to it.
-        """
-        # A screen without decay is one whose decay is far below any gate.
+        Field 0 is the pulse's own. What comes later than the last field is on average less than
+        `Accuracy.max_lag_fraction` and is added to it."""
+        # A phosphor without decay is one whose decay is far below any gate.
         tau = np.maximum(np.array([self.fast_decay_ms, self.slow_decay_ms]) * 1e-3, 1e-12)
         share = np.array([self.fast_fraction, 1.0 - self.fast_fraction]) * tau
-        arrival = self.gate_s * (np.arange(PULSES) + 0.5) / PULSES
+        arrival = self.gate_s * (np.arange(ACCURACY.n_arrival_times) + 0.5) / ACCURACY.n_arrival_times
         # The slowest component alone has faded below what is forgotten after so many fields.
-        longest = int(np.ceil(tau.max() / self.field_s * np.log(1.0 / FORGOTTEN))) + 2
+        longest = int(np.ceil(tau.max() / self.field_s * np.log(1.0 / ACCURACY.max_lag_fraction))) + 2
         ends = self.field_s * np.arange(1.0, longest + 1)
         late = np.exp(-(ends[None, :, None] - arrival[:, None, None]) / tau) @ (share / share.sum())
-        last = int(np.argmax(late.mean(axis=0) < FORGOTTEN))
+        last = int(np.argmax(late.mean(axis=0) < ACCURACY.max_lag_fraction))
         late[:, last:] = 0.0
         return -np.diff(late[:, : last + 1], axis=1, prepend=1.0)
 
     @property
     def weights(self) -> NDArray[np.float64]:
-        """Mean share of a field's light that comes out in field j after it, shape (field,), summing to 1."""
+        """Mean fraction of a field's light that comes out in field j after it, shape (field,), summing to 1."""
         return self.pulse_shares.mean(axis=0)
 
     @cached_property
     def halves(self) -> NDArray[np.float64]:
-        """Shares of the early and the late half of a field's pulses, shape (2, field); equal without decay."""
+        """Fractions of the early and the late half of a field's pulses, shape (2, field); equal without decay."""
         mean = self.weights
         values, vectors = np.linalg.eigh(np.atleast_2d(np.cov(self.pulse_shares.T, bias=True)))
         spread = np.sqrt(max(values[-1], 0.0)) * vectors[:, -1]
@@ -125,25 +120,25 @@ class PhosphorDecay(NoiselessStage):
         return np.stack([mean + spread, mean - spread])
 
     def residuals(self, fields: int) -> NDArray[np.float64]:
-        """Share of a field's light that comes after the end of field j = 0, 1, ..., shape (fields,)."""
+        """Fraction of a field's light that comes after the end of field j = 0, 1, ..., shape (fields,)."""
         later = 1.0 - np.cumsum(self.weights)
         return np.pad(later, (0, max(0, fields - len(later))))[:fields]
 
     @property
-    def memory(self) -> int:
-        """Earlier fields whose light is still seen."""
+    def n_lag_fields(self) -> int:
+        """Number of earlier fields that contribute to a field (lag fields)."""
         return len(self.weights) - 1
 
     def mean(self, light: StageImage) -> StageImage:
-        """Return what each field shows of itself and of those before it.
+        """Return the light that each field emits, earlier fields included.
 
-        Takes (field, row, col), or (field, half, row, col) with the halves' own shares, and emits (field, row, col).
+        Takes (field, row, col), or (field, half, row, col) with the halves' own fractions, and emits (field, row, col).
         Fields before the first are taken to have been like the first, so a steady scene stays as it is.
         """
         fields = light.values
         if fields.ndim < 3:
             return light
-        before = np.repeat(fields[:1], self.memory, axis=0)
+        before = np.repeat(fields[:1], self.n_lag_fields, axis=0)
         shares = self.weights if fields.ndim == 3 else self.halves
         return light.with_values(apply_phosphor_decay(np.concatenate([before, fields]), shares))
 
@@ -151,20 +146,20 @@ class PhosphorDecay(NoiselessStage):
 def apply_phosphor_decay(
     fields: NDArray, shares: NDArray[np.float64], order: NDArray[np.integer] | None = None
 ) -> NDArray:
-    """Return what every field that has all its predecessors shows, shape (shown, row, col).
+    """Return the light emitted in each field that has all its lag fields, shape (field, row, col).
 
     Parameters
     ----------
     fields
-        Fields, shape (field, row, col), or (field, half, row, col) with shares of each half.
+        Fields, shape (field, row, col), or (field, half, row, col) with fractions of each half.
     shares
-        Share of a field's light in field j after it, shape (m,) or (half, m).
+        Fraction of a field's light in field j after it, shape (m,) or (half, m).
     order
         Indices of the fields in the order of time, shape (field,); as they stand if None.
 
     Notes
     -----
-    sum_j shares[j] fields[n - j], summed over halves.
+    sum_j fractions[j] fields[n - j], summed over halves.
     """
     by_half = np.atleast_2d(shares)
     halves, fields_seen = by_half.shape

@@ -1,4 +1,4 @@
-"""The photocathode and the gap behind it: photons become photoelectrons, which land where the gap throws them."""
+"""Photocathode and proximity gap: photons become photoelectrons, with gap spread, halo and bright-source protection."""
 
 from dataclasses import dataclass
 
@@ -36,7 +36,7 @@ class Photocathode(NoiselessStage):
     -----
     Takes photons per second and cell; emits the expected photoelectrons per exposure and cell. Nothing is drawn here:
     Poisson photoelectrons displaced at random are again Poisson photoelectrons of the blurred mean, so both the lens
-    and the gap act on the mean and the plate draws (displacement theorem, Kingman, Poisson Processes, 5.1).
+    and the gap act on the mean and the MCP draws (displacement theorem, Kingman, Poisson Processes, 5.1).
     """
 
     quantum_efficiency: float
@@ -68,14 +68,14 @@ class Photocathode(NoiselessStage):
 
 @dataclass(frozen=True, kw_only=True)
 class ProximityGap(NoiselessStage):
-    """Flight from cathode to plate, with the electrons that bounce.
+    """Proximity gap between cathode and MCP, with the halo of backscattered electrons.
 
     Parameters
     ----------
     spread, halo
-        Blur of the straight flight and of the electrons thrown back by the plate.
+        Blur of the direct electrons and of those backscattered from the MCP.
     grid
-        Cells on which the plate receives them.
+        Cells on which the MCP receives them.
     protection
         Blur that protection from a bright source adds; None without.
     """
@@ -89,9 +89,9 @@ class ProximityGap(NoiselessStage):
     emits: str = "photoelectrons at the plate"
 
     def mean(self, light: StageImage) -> StageImage:
-        """Return the expected photoelectrons per cell of the plate, all blurs so far computed."""
+        """Return the expected photoelectrons per cell of the MCP, pending blurs applied."""
         further = () if self.protection is None else (self.protection,)
-        landing = light.blurred(self.spread, self.halo, *further)
+        landing = light.with_blurs(self.spread, self.halo, *further)
         return landing.with_blurs_applied() if light.grid == self.grid else landing.resample_to(self.grid)
 
 

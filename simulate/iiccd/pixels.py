@@ -1,4 +1,4 @@
-"""Collection by the pixels and the order of reading: cells become field pixels, fields become frames."""
+"""Pixel aperture and field readout: cells become pixels, fields become frames."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -22,9 +22,9 @@ class Collection(NoiselessStage):
 
     Notes
     -----
-    All blurs that the light still owes and the aperture are computed in one transform, and the transform is folded
-    onto the pixels before it is inverted: the samples are exact, aliases included. Takes two cells per column, and two
-    per row for exact means. Cells one row high are for draws, see `pixel_transfer`.
+    The pending blurs and the aperture are applied in one transform, and the transform is folded
+    onto the pixels before it is inverted: the samples are exact, aliases included. Takes two cells per column, and
+    two per row for exact means. Cells one row high are for draws, see `pixel_transfer`.
     """
 
     row_pairs: bool
@@ -49,7 +49,7 @@ class Collection(NoiselessStage):
 
 
 @lru_cache(maxsize=8)
-def pixel_transfer(owed: tuple[StageBlur, ...], grid: Grid, height: int) -> NDArray[np.complex64]:
+def pixel_transfer(pending: tuple[StageBlur, ...], grid: Grid, height: int) -> NDArray[np.complex64]:
     """Return the transfer of blurs and pixels with the shift from cell centres to the centres of the pixels read.
 
     Parameters
@@ -70,9 +70,9 @@ def pixel_transfer(owed: tuple[StageBlur, ...], grid: Grid, height: int) -> NDAr
     fx, fy = grid.frequencies()
     if grid.per_row == 1:
         cell_x_mm = grid.pitch_x_mm / grid.per_column
-        whole = fold_transfer(owed, aperture, fx[0], fy[:, 0], cell_x_mm=cell_x_mm, cell_y_mm=grid.pitch_y_mm)
+        whole = fold_transfer(pending, aperture, fx[0], fy[:, 0], cell_x_mm=cell_x_mm, cell_y_mm=grid.pitch_y_mm)
     else:
-        whole = product((*owed, aperture), *np.broadcast_arrays(fx, fy))
+        whole = product((*pending, aperture), *np.broadcast_arrays(fx, fy))
     right, down = 0.5 - 0.5 / grid.per_column, 0.5 * height - 0.5 / grid.per_row
     shift = np.exp(2j * np.pi * (right * fx * grid.pitch_x_mm + down * fy * grid.pitch_y_mm))
     return (whole * shift).astype(np.complex64)

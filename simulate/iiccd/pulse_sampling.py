@@ -1,4 +1,4 @@
-"""Fast exact draws of cell images: compound photoelectron pulses and Poisson charge, one generator per call.
+"""Compiled samplers of cell images: compound photoelectron pulses and Poisson charge.
 
 The generator is xoshiro256++ (Blackman and Vigna, ACM TOMS 47, 36, 2021), started from the caller's
 `numpy.random.Generator`, and compiled together with the draws: a call through NumPy's interface for every one of a

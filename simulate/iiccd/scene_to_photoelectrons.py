@@ -1,4 +1,4 @@
-"""From a picture of the world to photoelectrons: radiance through the lens, or photoelectrons of a given picture."""
+"""From scene radiance, or an image in photoelectrons, to photoelectrons in a camera."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ Camera = IntensifiedCamera | SiliconCamera
 
 
 def camera_from_description(description: Sensor | SolidStateCamera) -> Camera:
-    """Return the camera as it sees scenes and pictures: whole, with the geometry of its fibres and local depletion.
+    """Return the camera with all effects: fibre geometry and local gain depletion included.
 
     The lab bench builds its own, without geometry: there a target's place on the frame is known.
     """
@@ -33,7 +33,7 @@ def mcp_input_from_radiance(
     *,
     distance_m: float | None = None,
 ) -> StageImage:
-    """Return the expected photoelectrons at the plate, or in a chip without a tube, of a scene of known radiance.
+    """Return the expected photoelectrons at the MCP input, or in the chip of a camera without a tube, from radiance.
 
     Arguments as for `photoelectrons_from_radiance`; dark photoelectrons are added, the gap spreads all.
     """
@@ -45,7 +45,7 @@ def mcp_input_from_radiance(
 def mcp_input_from_photoelectrons(
     camera: IntensifiedCamera | SiliconCamera, image_pe: NDArray[np.floating], conditions: Conditions
 ) -> StageImage:
-    """Return the expected photoelectrons at the plate, or in a chip without a tube, of a picture in photoelectrons.
+    """Return the expected photoelectrons at the MCP input, or in the chip, from an image in photoelectrons.
 
     Arguments as for `photoelectrons_from_image`; gate and temperature decide the dark emission that is added.
     """
@@ -59,7 +59,7 @@ def photoelectrons_from_radiance(
     *,
     distance_m: float | None = None,
 ) -> StageImage:
-    """Return the photoelectrons that a scene of known radiance frees, expected per cell of `scene_cells` and exposure.
+    """Return the expected photoelectrons of a scene of known radiance, per cell of `scene_cells` and exposure.
 
     Parameters
     ----------
@@ -84,11 +84,11 @@ def photoelectrons_from_radiance(
         if not distance_m > 2.0 * focal_m:
             raise BadInput(f"a scene must lie beyond twice the focal length, {2.0 * focal_m:g} m, got {distance_m:g} m")
         lens = camera.lens(focal_m / (distance_m - focal_m))
-    return camera.freed(lens.mean(cube), conditions)
+    return camera.photoelectrons(lens.mean(cube), conditions)
 
 
 def photoelectrons_from_image(camera: IntensifiedCamera | SiliconCamera, image_pe: NDArray[np.floating]) -> StageImage:
-    """Return the photoelectrons of a picture in photoelectrons, expected per cell of `scene_cells` and exposure.
+    """Return an image in photoelectrons as photoelectrons per cell of `scene_cells` and exposure.
 
     Parameters
     ----------
@@ -96,14 +96,14 @@ def photoelectrons_from_image(camera: IntensifiedCamera | SiliconCamera, image_p
         The camera.
     image_pe
         Mean photoelectrons that light frees from the cathode, per pixel as read and exposure, on the pixels of the
-        frame: shape (row, col) of `camera.shape`. A flat picture of x gives x per pixel as read. Rows of an interlaced
-        frame sum two rows of the chip and overlap by one: each row of the picture is laid between the middles of the
+        frame: shape (row, col) of `camera.shape`. A flat image of x gives x per pixel as read. Rows of an interlaced
+        frame sum two rows of the chip and overlap by one: each row of the image is laid between the middles of the
         two, and half of what its pixel reads is its own, a quarter each neighbour's.
 
     Raises
     ------
     BadInput
-        If the picture has another shape than the frame, or an amount that is not a number, infinite or negative.
+        If the image has another shape than the frame, or an amount that is not a number, infinite or negative.
     """
     if image_pe.shape != camera.shape:
         raise BadInput(f"a picture in photoelectrons must have the frame's shape {camera.shape}, got {image_pe.shape}")
@@ -111,6 +111,6 @@ def photoelectrons_from_image(camera: IntensifiedCamera | SiliconCamera, image_p
     if not (np.isfinite(lowest) and np.isfinite(highest)) or lowest < 0.0:
         raise BadInput(f"photoelectrons must be finite and not negative, got {lowest:g} to {highest:g}")
     cells = camera.scene_cells
-    per_pixel = cells.per_column * cells.per_row * (2 if camera.interlaced else 1)
-    spread = image_placement.place_on_cells(image_pe, cells, row_pairs=camera.interlaced) / np.float32(per_pixel)
+    per_pixel = cells.per_column * cells.per_row * (2 if camera.is_interlaced else 1)
+    spread = image_placement.place_on_cells(image_pe, cells, row_pairs=camera.is_interlaced) / np.float32(per_pixel)
     return StageImage(values=spread, grid=cells)

@@ -1,4 +1,4 @@
-"""A camera without a tube, plain or electron-multiplying: the same stages as behind a tube, fed by the scene itself."""
+"""Camera without a tube: CCD or EMCCD."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -54,7 +54,7 @@ class Silicon(NoiselessStage):
             raise BadInput(f"exposure_s must be positive, got {self.exposure_s:g}")
 
     def mean(self, light: StageImage) -> StageImage:
-        """Return photoelectrons per exposure and cell, all blurs so far computed."""
+        """Return photoelectrons per exposure and cell, pending blurs applied."""
         counted = light.values * np.asarray(self.quantum_efficiency * self.exposure_s, light.values.dtype)
         return light.with_values(counted).resample_to(self.grid)
 
@@ -63,8 +63,8 @@ class Silicon(NoiselessStage):
 class SiliconCamera(SensorGeometryCamera):
     """A CCD or EMCCD camera built from its description.
 
-    Its methods are those of `simulate.iiccd.camera.IntensifiedCamera`; its light "at the plate" is photoelectrons in
-    the chip. No stage remembers earlier frames.
+    Its methods are those of `simulate.iiccd.camera.IntensifiedCamera`; its light "at the MCP input" is photoelectrons
+    in the chip. No stage remembers earlier frames.
 
     Parameters
     ----------
@@ -75,13 +75,13 @@ class SiliconCamera(SensorGeometryCamera):
     description: SolidStateCamera
 
     @property
-    def described(self) -> SolidStateCamera:
+    def camera_description(self) -> SolidStateCamera:
         """The description."""
         return self.description
 
     @property
-    def interlaced(self) -> bool:
-        """Never: such cameras are progressive."""
+    def is_interlaced(self) -> bool:
+        """Always False: these cameras are progressive."""
         return False
 
     @property
@@ -104,7 +104,7 @@ class SiliconCamera(SensorGeometryCamera):
         return min(shortest, self.frame_s)
 
     def em_gain(self, conditions: Conditions) -> float:
-        """Gain of the register: that of the conditions, or the highest it has; a tube's gain is refused."""
+        """Gain of the register: that of the conditions, by default its maximum; tube gain is rejected."""
         if conditions.mcp_v is not None or conditions.gain_control is not None:
             raise BadInput(
                 f"mcp_v and gain_control must be left out of a camera without a tube, "
@@ -171,13 +171,13 @@ class SiliconCamera(SensorGeometryCamera):
             prnu=float(ccd.prnu),
             smear_fraction=float(ccd.smear_fraction),
             clamped=False,
-            specimen=self.specimen,
+            pattern_seed=self.pattern_seed,
             takes="photoelectrons in the wells",
             emits="charge in the wells",
         )
 
     def register(self, conditions: Conditions) -> Register:
-        """Return the register, and what is in each well besides light."""
+        """Return the register with dark charge and clock-induced charge."""
         register = self.description.register
         return Register(
             gain=self.em_gain(conditions),
@@ -189,7 +189,7 @@ class SiliconCamera(SensorGeometryCamera):
         )
 
     def video(self, conditions: Conditions) -> Video:
-        """Return the digitiser; automatic gain that was on is refused, as such cameras have none."""
+        """Return the digitiser; automatic controls are rejected."""
         if conditions.automatic_gain or conditions.brightness_control:
             raise BadInput(f"automatic controls must be off, as {self.description.name!r} has none; got one on")
         video = self.description.video
@@ -205,30 +205,30 @@ class SiliconCamera(SensorGeometryCamera):
         """Return the expected photoelectrons in the chip, per cell of `cells` and exposure, of photons on it."""
         return self.silicon(conditions).mean(photons_per_s)
 
-    def freed(self, photons_per_s: StageImage, conditions: Conditions) -> StageImage:
-        """Return the photoelectrons that light frees in the chip, expected per cell of `scene_cells` and exposure."""
+    def photoelectrons(self, photons_per_s: StageImage, conditions: Conditions) -> StageImage:
+        """Return the expected photoelectrons in the chip, per cell of `scene_cells` and exposure."""
         silicon = self.silicon(conditions)
         return photons_per_s.with_values(
             photons_per_s.values * np.float32(silicon.quantum_efficiency * silicon.exposure_s)
         )
 
     def to_mcp_input(self, photoelectrons: StageImage, conditions: Conditions) -> StageImage:
-        """Return them of the expected photoelectrons of one exposure on `scene_cells`."""
+        """Return the expected photoelectrons on `cells` from those of one exposure on `scene_cells`."""
         return photoelectrons.resample_to(self.cells)
 
     def mean_frame(self, in_chip: StageImage, conditions: Conditions) -> NDArray[np.float32]:
         """Return the noiseless frame of expected photoelectrons on `cells`, shape (row, col), DN."""
-        return self.chain(conditions).part("pixels", "video").mean(in_chip).values
+        return self.chain(conditions).between("pixels", "video").mean(in_chip).values
 
     def frames(
         self, in_chip: StageImage, conditions: Conditions, *, seed: int, first_frame: int = 0
     ) -> Iterator[NDArray[np.unsignedinteger]]:
-        """Yield the frames of a steady scene, shape (row, col), DN; never ends.
+        """Yield the frames of a static scene, shape (row, col), DN; never ends.
 
         A frame depends on the seed and its own number alone.
         """
         chain = self.chain(conditions)
-        pixels = chain.part("pixels", "ccd").without("ccd").mean(in_chip)
-        readout = chain.part("ccd", "video")
+        pixels = chain.between("pixels", "ccd").without("ccd").mean(in_chip)
+        readout = chain.between("ccd", "video")
         for frame in count(first_frame):
             yield readout.draw(pixels, np.random.default_rng([seed, 1, frame])).values

@@ -1,4 +1,7 @@
-"""Images between stages, with the linear blur they still owe, so that blurs in a row are paid in one transform."""
+"""Image between two camera stages.
+
+Consecutive linear blurs are deferred and applied in a single Fourier transform.
+"""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -7,29 +10,26 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from simulate.iiccd.accuracy import ACCURACY
 from simulate.iiccd.grid import Grid, irfft_image, rfft_image
 from simulate.iiccd.transfer import StageBlur, product
 
 Quantity = Literal["photons", "photoelectrons", "electrons", "photoelectrons at the plate", "screen photons", "DN"]
 Image = NDArray[np.float32]
 
-# Up to this frequency, in cycles per pixel, resampling is exact; beyond it fades to nothing at one cycle per pixel, so
-# that a point does not ring across the picture.
-EXACT_CY_PER_PX = 0.6
-
 
 @dataclass(frozen=True, kw_only=True)
 class StageImage:
-    """An image on its way through the camera.
+    """Image between two stages.
 
     Parameters
     ----------
     values
         Amount per cell or per pixel, shape (..., row, col).
     grid
-        The lattice of cells; None once the image stands on the picture's own pixels.
+        The lattice of cells; None once the image stands on the image's own pixels.
     pending_blurs
-        Blurs that have happened to the light and not yet been computed.
+        Blurs that are not yet applied to the values.
     """
 
     values: NDArray
@@ -37,22 +37,22 @@ class StageImage:
     pending_blurs: tuple[StageBlur, ...] = ()
 
     def with_values(self, values: NDArray) -> "StageImage":
-        """Return the same light with other values."""
+        """Return the same image with other values."""
         return replace(self, values=values)
 
-    def blurred(self, *blurs: StageBlur) -> "StageImage":
-        """Return the light owing more blurs."""
+    def with_blurs(self, *blurs: StageBlur) -> "StageImage":
+        """Return the image with further pending blurs."""
         return replace(self, pending_blurs=(*self.pending_blurs, *blurs))
 
     def with_blurs_applied(self) -> "StageImage":
-        """Return the light with its blurs computed, on the same cells."""
+        """Return the image with its pending blurs applied, on the same cells."""
         if not self.pending_blurs or self.grid is None:
             return self
         spectrum = rfft_image(self.values) * _transfer(self.pending_blurs, self.grid)
         return replace(self, values=irfft_image(spectrum, self.grid.shape).astype(self.values.dtype), pending_blurs=())
 
     def in_whole_rows(self) -> "StageImage":
-        """Return the light gathered into cells one row high, nowhere below zero."""
+        """Return the image summed into cells one row high, clipped at zero."""
         if self.grid is None or self.grid.per_row == 1:
             return self
         rows = self.values.shape[-2] // self.grid.per_row
@@ -60,10 +60,10 @@ class StageImage:
         return replace(self, values=np.maximum(parts.sum(axis=-2), 0.0), grid=self.grid.whole_rows())
 
     def resample_to(self, grid: Grid) -> "StageImage":
-        """Return box-integrated cells as point samples on half as many cells per pixel, blurs computed.
+        """Return point samples on half as many cells per pixel, pending blurs applied.
 
-        The average over a cell, which the finer cells hold, is undone up to `EXACT_CY_PER_PX`; amounts stay per cell.
-        """
+        The average over a cell, which the finer cells hold, is undone up to `Accuracy.resampling_exact_cy_per_px`;
+        amounts stay per cell."""
         fine = self.grid
         if fine is None or fine.per_column != 2 * grid.per_column:
             raise ValueError("light is resampled to half as many cells per pixel")
@@ -90,24 +90,26 @@ class NoiselessStage:
 
 
 @lru_cache(maxsize=16)
-def _transfer(owed: tuple[StageBlur, ...], grid: Grid) -> NDArray[np.float32]:
+def _transfer(pending: tuple[StageBlur, ...], grid: Grid) -> NDArray[np.float32]:
     fx, fy = grid.frequencies()
-    return product(owed, *np.broadcast_arrays(fx, fy)).astype(np.float32)
+    return product(pending, *np.broadcast_arrays(fx, fy)).astype(np.float32)
 
 
 @lru_cache(maxsize=2)
-def _resampling(owed: tuple[StageBlur, ...], fine: Grid, per_pixel: int) -> NDArray[np.complex64]:
-    """Transfer of the owed blurs, the undone cell and the shift by half a fine cell, at the coarse frequencies."""
+def _resampling(pending: tuple[StageBlur, ...], fine: Grid, per_pixel: int) -> NDArray[np.complex64]:
+    """Transfer of pending blurs, the inverse cell aperture and a shift by half a fine cell, at coarse frequencies."""
     rows, columns = fine.shape[0] // 2, fine.shape[1] // 2
     fx = np.fft.rfftfreq(columns, fine.pitch_x_mm / per_pixel)[None, :]
     fy = np.fft.fftfreq(rows, fine.pitch_y_mm / per_pixel)[:, None]
     x, y = fx * fine.pitch_x_mm, fy * fine.pitch_y_mm
-    whole = product(owed, *np.broadcast_arrays(fx, fy)) * _fade(x) * _fade(y)
+    whole = product(pending, *np.broadcast_arrays(fx, fy)) * _fade(x) * _fade(y)
     cell = np.sinc(x / fine.per_column) * np.sinc(y / fine.per_column)
     shift = np.exp(2j * np.pi * 0.5 * (x + y) / fine.per_column)
     return (whole / cell * shift).astype(np.complex64)
 
 
 def _fade(frequency_cy_per_px: NDArray[np.floating]) -> NDArray[np.float64]:
-    beyond = (np.abs(frequency_cy_per_px) - EXACT_CY_PER_PX) / (1.0 - EXACT_CY_PER_PX)
+    beyond = (np.abs(frequency_cy_per_px) - ACCURACY.resampling_exact_cy_per_px) / (
+        1.0 - ACCURACY.resampling_exact_cy_per_px
+    )
     return np.cos(np.pi / 2.0 * np.clip(beyond, 0.0, 1.0)) ** 2

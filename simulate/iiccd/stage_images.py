@@ -1,4 +1,4 @@
-"""One frame looked at after every stage, for teaching and for finding faults."""
+"""Image of one frame behind each stage, for teaching and fault finding."""
 
 from collections.abc import Iterator
 
@@ -40,15 +40,15 @@ IN_CHIP = {**QUANTITIES, "pixels": "photoelectrons per exposure and pixel, expec
 def stage_images(
     camera: IntensifiedCamera | SiliconCamera, light: Light | RadianceCube, conditions: Conditions, seed: int
 ) -> Iterator[NamedImage]:
-    """Yield what one frame is after each stage.
+    """Yield the image of one frame behind each stage.
 
     Parameters
     ----------
     camera
         The camera.
     light
-        Spectral radiance of the scene, seen from the lens on; or expected photoelectrons at the plate, on `cells`, seen
-        from the plate on.
+        Spectral radiance of the scene, seen from the lens on; or expected photoelectrons at the MCP input, on `cells`,
+        seen from the MCP on.
     conditions
         Gate, voltage and temperature; automatic controls stand untouched.
     seed
@@ -58,22 +58,22 @@ def stage_images(
     ------
     tuple
         Name of the stage, quantity with its unit, and image (row, col), float32: of the frame's last field as far as
-        fields are apart, of the whole frame from the scan on. Images on cells are cut to the picture, and blurs that
+        fields are apart, of the whole frame from the scan on. Images on cells are cut to the image, and blurs that
         the chain computes only later are computed for them.
     """
-    at_plate = light
+    at_mcp = light
     if isinstance(light, RadianceCube):
-        at_plate = yield from _before_the_draw(camera, light, conditions)
-    assert isinstance(at_plate, Light)
+        at_mcp = yield from _before_the_draw(camera, light, conditions)
+    assert isinstance(at_mcp, Light)
     if isinstance(camera, SiliconCamera):
-        behind = camera.chain(conditions).part("pixels", "video")
-        yield from _images_after_stages(behind, at_plate, np.random.default_rng([seed, 1, 0]), IN_CHIP)
+        behind = camera.chain(conditions).between("pixels", "video")
+        yield from _images_after_stages(behind, at_mcp, np.random.default_rng([seed, 1, 0]), IN_CHIP)
         return
-    yield from _field_and_frame(camera, at_plate, conditions, seed)
+    yield from _field_and_frame(camera, at_mcp, conditions, seed)
 
 
 def _before_the_draw(camera: IntensifiedCamera | SiliconCamera, cube: RadianceCube, conditions: Conditions):
-    """Stages up to the plate or the chip, which see expectations; returns the light that leaves them."""
+    """Noiseless stages up to the MCP or the chip; returns the image behind them."""
     names = [stage.name for stage in camera.chain(conditions).stages]
     last = names[names.index("silicon" if isinstance(camera, SiliconCamera) else "microchannel plate") - 1]
     photons_per_s = camera.lens().mean(cube)
@@ -85,28 +85,28 @@ def _before_the_draw(camera: IntensifiedCamera | SiliconCamera, cube: RadianceCu
     light = camera.photocathode(conditions).mean(photons_per_s)
     yield _image_of("photocathode", light)
     lux = camera.cathode_lux(light)
-    for stage in camera.chain(conditions, cathode_lux=lux).part("gap", last).stages:
+    for stage in camera.chain(conditions, cathode_lux=lux).between("gap", last).stages:
         light = stage.mean(light)
         yield _image_of(stage.name, light)
     return light
 
 
 def _field_and_frame(
-    camera: IntensifiedCamera, at_plate: Light, conditions: Conditions, seed: int
+    camera: IntensifiedCamera, at_mcp: Light, conditions: Conditions, seed: int
 ) -> Iterator[NamedImage]:
-    """Plate to pixels for the last field drawn, the glow of all before it, and the frame that is read of them."""
+    """MCP to pixels for the last field, the decay light of earlier fields, and the frame that is read."""
     chain, glow = camera.chain(conditions), camera.afterglow(conditions)
-    screen = chain.part("microchannel plate", "pixels")
+    screen = chain.between("microchannel plate", "pixels")
     earlier = [
-        screen.draw(at_plate, np.random.default_rng([seed, 0, number])).values
-        for number in range(glow.memory + camera.fields_per_frame - 1)
+        screen.draw(at_mcp, np.random.default_rng([seed, 0, number])).values
+        for number in range(glow.n_lag_fields + camera.fields_per_frame - 1)
     ]
-    last = list(_images_after_stages(screen, at_plate, np.random.default_rng([seed, 0, len(earlier)])))
+    last = list(_images_after_stages(screen, at_mcp, np.random.default_rng([seed, 0, len(earlier)])))
     yield from last
     shown = apply_phosphor_decay(np.stack([*earlier, last[-1][2]]), glow.weights)
     yield "afterglow", QUANTITIES["afterglow"], shown[-1]
     yield from _images_after_stages(
-        chain.part("scan", "video"), Light(values=shown), np.random.default_rng([seed, 1, 0])
+        chain.between("scan", "video"), Light(values=shown), np.random.default_rng([seed, 1, 0])
     )
 
 
@@ -118,7 +118,7 @@ def _images_after_stages(
 
 
 def _image_of(name: str, light: Light, quantities: dict[str, str] = QUANTITIES) -> NamedImage:
-    """The image as it is, without the margins of its cells and with the blurs that it still owes."""
+    """The image without the margins of its cells, pending blurs applied."""
     image, grid = light.with_blurs_applied().values, light.grid
     image = image[-1] if image.ndim > 2 else image
     if grid is not None:

@@ -1,4 +1,4 @@
-"""The camera as it is described: times, and every stage of its chain with the values of its description."""
+"""Stages of the intensified camera with the values of its description."""
 
 from dataclasses import dataclass
 
@@ -30,12 +30,12 @@ class DescribedCamera(SensorGeometryCamera):
     sensor
         The description; its values are taken as the truth.
     geometry
-        Whether the taper distorts and shears the picture. The lab bench measures without: its targets are known on the
+        Whether the taper distorts and shears the image. The lab bench measures without: its targets are known on the
         frame.
     local_depletion
-        Whether a plate's gain falls place by place under its own load; otherwise all of the plate falls alike.
+        Whether an MCP's gain falls place by place under its own load; otherwise all of the MCP falls alike.
     left_out
-        Names of effects that are left out, see `simulate.iiccd.effect_bounds`.
+        Names of neglected effects, see `simulate.iiccd.effect_bounds`.
     """
 
     sensor: Sensor
@@ -44,28 +44,28 @@ class DescribedCamera(SensorGeometryCamera):
     left_out: frozenset[str] = frozenset()
 
     def _unless(self, effect: str, value: Parameter | float) -> float:
-        """The value of an effect that is kept, nothing of one that is left out."""
+        """The value of a retained effect, 0 for a neglected one."""
         return 0.0 if effect in self.left_out else float(value)
 
     @property
-    def described(self) -> Sensor:
+    def camera_description(self) -> Sensor:
         """The description."""
         return self.sensor
 
     @property
     def demagnification(self) -> float:
-        """Size of the picture on the photocathode over its size on the chip, dimensionless."""
+        """Size of the image on the photocathode over its size on the chip, dimensionless."""
         return float(self.sensor.taper.demagnification)
 
     @property
-    def interlaced(self) -> bool:
+    def is_interlaced(self) -> bool:
         """Whether a frame is two fields exposed one after the other."""
         return self.sensor.video.interlaced
 
     @property
     def fields_per_frame(self) -> int:
         """Exposures in one frame."""
-        return 2 if self.interlaced else 1
+        return 2 if self.is_interlaced else 1
 
     @property
     def field_s(self) -> float:
@@ -93,7 +93,7 @@ class DescribedCamera(SensorGeometryCamera):
         cathode = self.sensor.photocathode
         detector = cathode.wavelength_nm, cathode.relative_quantum_efficiency
         return RadiometricLens.of(
-            self.sensor.optics, detector, self.scene_cells, magnification=magnification, row_pairs=self.interlaced
+            self.sensor.optics, detector, self.scene_cells, magnification=magnification, row_pairs=self.is_interlaced
         )
 
     def optics(self) -> Optics:
@@ -135,7 +135,7 @@ class DescribedCamera(SensorGeometryCamera):
         )
 
     def bright_source_protection(self) -> BrightSourceProtection:
-        """Return what the cathode's supply does in bright light."""
+        """Return the bright-source protection of the cathode."""
         cathode = self.sensor.photocathode
         return BrightSourceProtection(
             gap_v=float(cathode.gap_v),
@@ -152,16 +152,16 @@ class DescribedCamera(SensorGeometryCamera):
             shear_um=float(taper.shear_um),
             pattern_pitch_um=float(taper.pattern_pitch_um),
             demagnification=float(taper.demagnification),
-            specimen=self.specimen,
+            pattern_seed=self.pattern_seed,
         )
 
-    def plate(self, conditions: Conditions) -> MicrochannelPlate:
-        """Return the plate at the voltage or control word of the conditions.
+    def mcp(self, conditions: Conditions) -> MicrochannelPlate:
+        """Return the MCP at the voltage or control word of the conditions.
 
         Raises
         ------
         BadInput
-            If the conditions set the plate twice, or a gain that a tube does not have.
+            If the conditions set the MCP twice, or a gain that a tube does not have.
         """
         if conditions.em_gain is not None:
             raise BadInput(f"em_gain must be left out of a camera with a tube, got {conditions.em_gain:g}")
@@ -197,7 +197,7 @@ class DescribedCamera(SensorGeometryCamera):
             photons_per_electron=float(self.sensor.phosphor.photons_per_electron),
             spread=self._share(float(self.sensor.tube.post_gain_share)),
             gain_nonuniformity=self._unless("screen mottle", self.sensor.phosphor.gain_nonuniformity),
-            specimen=self.specimen,
+            pattern_seed=self.pattern_seed,
         )
 
     def taper(self) -> Taper:
@@ -218,7 +218,7 @@ class DescribedCamera(SensorGeometryCamera):
         )
 
     def afterglow(self, conditions: Conditions) -> PhosphorDecay:
-        """Return the decay of the screen."""
+        """Return the decay of the phosphor."""
         phosphor = self.sensor.phosphor
         return PhosphorDecay(
             fast_fraction=float(phosphor.fast_fraction),
@@ -232,7 +232,7 @@ class DescribedCamera(SensorGeometryCamera):
         ccd = self.sensor.ccd
         warmer = 0.0 if conditions.temperature_c is None else conditions.temperature_c - DARK_REFERENCE_C
         warmth = 2.0 ** (warmer / float(ccd.dark_current_doubling_k))
-        dark = float(ccd.dark_current_e_per_s) * warmth * self.field_s * (2 if self.interlaced else 1)
+        dark = float(ccd.dark_current_e_per_s) * warmth * self.field_s * (2 if self.is_interlaced else 1)
         return Ccd(
             quantum_efficiency=float(ccd.quantum_efficiency),
             full_well_e=np.inf if "overflow" in self.left_out else float(ccd.full_well_e),
@@ -242,8 +242,8 @@ class DescribedCamera(SensorGeometryCamera):
             read_noise_e=self._unless("read noise", ccd.read_noise_e),
             prnu=self._unless("unequal pixels", ccd.prnu),
             smear_fraction=self._unless("smear", ccd.smear_fraction),
-            interlaced=self.interlaced,
-            specimen=self.specimen,
+            interlaced=self.is_interlaced,
+            pattern_seed=self.pattern_seed,
         )
 
     def video(self, conditions: Conditions | None = None) -> Video:
@@ -297,14 +297,14 @@ class DescribedCamera(SensorGeometryCamera):
     def brightness_control(self, conditions: Conditions) -> BrightnessControl | None:
         """Return the tube's brightness control; None where it is off or unknown.
 
-        Its limit is the screen current that its illuminance draws at nominal gain.
+        Its limit is the phosphor current that its illuminance draws at nominal gain.
         """
         if not conditions.brightness_control:
             return None
         tube = self.sensor.tube
         per_s_cm2 = float(tube.brightness_control_lux) * 1e-4 * tube_photometry.photoelectrons_per_lumen_s(self.sensor)
         return BrightnessControl(
-            limit_e_per_s_cm2=self.plate(Conditions()).gain * per_s_cm2,
+            limit_e_per_s_cm2=self.mcp(Conditions()).gain * per_s_cm2,
             attack_s=float(tube.brightness_control_s),
             step_s=self.frame_s,
         )

@@ -1,4 +1,4 @@
-"""Transfer functions of the stages: each blur is a small value that knows its own Fourier transform."""
+"""Transfer functions of the stages."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -6,16 +6,18 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from simulate.iiccd.accuracy import ACCURACY
+
 Array = NDArray[np.floating]
 
 # Where the boost of aperture correction is stated.
 CORRECTED_MHZ = 4.5
 # Replicas of the lattice that are taken together, first and last, and the transfer below which none is looked at.
-REPLICA_GROUPS, FAINT_TRANSFER = ((1, 1), (2, 2), (3, 4), (5, 8), (9, 16), (17, 32)), 1e-3
+REPLICA_GROUPS = ((1, 1), (2, 2), (3, 4), (5, 8), (9, 16), (17, 32))
 
 
 class StageBlur(Protocol):
-    """A linear, shift-invariant blur. Values are hashable, so that products of transfers can be kept."""
+    """Linear, shift-invariant blur; hashable, so that products of transfers can be cached."""
 
     def transfer(self, fx_per_mm: Array, fy_per_mm: Array) -> Array:
         """Transfer at frequencies along rows and along columns, cycles/mm at the photocathode; 1 at zero."""
@@ -46,7 +48,7 @@ class Lens:
 
 @dataclass(frozen=True, kw_only=True)
 class Defocus:
-    """Lens whose focus lies off the photocathode: a point becomes an even disc.
+    """Defocused lens: a point becomes a uniform disc.
 
     Parameters
     ----------
@@ -74,7 +76,7 @@ class Defocus:
 
 @dataclass(frozen=True, kw_only=True)
 class GapSpread:
-    """Sideways flight across the proximity gap: exp(-(pi f rho)^2), rho its radius in um at the plate."""
+    """Lateral spread in the proximity gap: exp(-(pi f rho)^2), rho its radius in um."""
 
     radius_um: float
 
@@ -85,25 +87,25 @@ class GapSpread:
 
 @dataclass(frozen=True, kw_only=True)
 class TubeShare:
-    """The share of a tube's blur that acts on one side of the gain: exp(-share (f/fc)^n) (Johnson's form)."""
+    """Part of the tube's blur before or after the gain: exp(-share (f/fc)^n) (Johnson's form)."""
 
     share: float
     frequency_lp_per_mm: float
     exponent: float
 
     def transfer(self, fx_per_mm: Array, fy_per_mm: Array) -> Array:
-        """Transfer of this share, dimensionless."""
+        """Transfer of this fraction, dimensionless."""
         frequency = np.hypot(fx_per_mm, fy_per_mm)
         return np.exp(-self.share * (frequency / self.frequency_lp_per_mm) ** self.exponent)
 
 
 @dataclass(frozen=True, kw_only=True)
 class HaloBlur:
-    """Photoelectrons that bounce off the plate and land again, up to twice the gap away.
+    """Halo of photoelectrons backscattered from the MCP, which land up to twice the gap away.
 
     Notes
     -----
-    An electron that leaves the plate at angle t with the share e of the gap's energy lands at r = 2 e d sin(2t). For
+    An electron that leaves the MCP at angle t with the fraction e of the gap's energy lands at r = 2 e d sin(2t). For
     cosine emission r/(2 e d) = x has the density x/sqrt(1 - x^2), whose plane transform is sin(a)/a, a = 4 pi e d f.
     Elastic electrons have e = 1; energies uniform in 0..1 give Si(a)/a at e = 1.
     """
@@ -113,7 +115,7 @@ class HaloBlur:
     elastic_share: float
 
     def transfer(self, fx_per_mm: Array, fy_per_mm: Array) -> Array:
-        """Transfer of all photoelectrons, the straight ones included, dimensionless."""
+        """Transfer of all photoelectrons, direct ones included, dimensionless."""
         from scipy.special import sici
 
         argument = 4.0 * np.pi * self.gap_mm * np.hypot(fx_per_mm, fy_per_mm)
@@ -125,7 +127,7 @@ class HaloBlur:
 
 @dataclass(frozen=True, kw_only=True)
 class FibreTaper:
-    """Fibres and the faces between them: |2 J1(u)/u| exp(-(f/f0)^2), u = pi p f, both f at the detector."""
+    """Fibres and interfaces: |2 J1(u)/u| exp(-(f/f0)^2), u = pi p f, f at the detector."""
 
     fibre_pitch_um: float
     interface_lp_per_mm: float
@@ -154,7 +156,7 @@ class PixelAperture:
 
 
 def product(blurs: tuple[StageBlur, ...], fx: Array, fy: Array) -> NDArray[np.float64]:
-    """Return the transfer of blurs that follow each other, at frequencies of one shape, cycles/mm."""
+    """Return the product of the transfers of consecutive blurs, at frequencies of one shape, cycles/mm."""
     whole = np.ones(fx.shape)
     for blur in blurs:
         whole = whole * blur.transfer(fx, fy)
@@ -164,7 +166,7 @@ def product(blurs: tuple[StageBlur, ...], fx: Array, fy: Array) -> NDArray[np.fl
 def fold_transfer(
     blurs: tuple[StageBlur, ...], aperture: PixelAperture, fx: Array, fy: Array, *, cell_x_mm: float, cell_y_mm: float
 ) -> NDArray[np.float64]:
-    """Transfer from a lattice of cells to pixels whose noise is that of events which fall anywhere inside the cells.
+    """Transfer from cells to pixels that gives lattice events the noise of continuously placed events.
 
     Parameters
     ----------
@@ -197,7 +199,7 @@ def fold_transfer(
     for shifted_y, of_rows in zip(y, down, strict=True):
         for shifted_x, of_columns in zip(x, along, strict=True):
             central = shifted_y is y[0] and shifted_x is x[0]
-            if central or _largest(blurs, shifted_x, shifted_y) > FAINT_TRANSFER:
+            if central or _largest(blurs, shifted_x, shifted_y) > ACCURACY.min_replica_transfer:
                 blurred = product(blurs, *np.broadcast_arrays(shifted_x[None, :], shifted_y[:, None]))
                 power += blurred**2 * of_columns[None, :] * of_rows[:, None]
     fx2, fy2 = np.broadcast_arrays(columns[None, :], rows[:, None])
@@ -205,7 +207,7 @@ def fold_transfer(
 
 
 def _aperture_power(frequency: Array, width_mm: float, cell_mm: float) -> tuple[list[Array], list[Array]]:
-    """Frequencies of the replicas of an axis, the central first, and the power there; the last hold all beyond."""
+    """Frequencies of the replicas of an axis, the central one first, and their power; the last include all beyond."""
     cells = width_mm / cell_mm
     if abs(cells - round(cells)) > 1e-9:
         raise ValueError(f"a pixel must be a whole number of cells wide, got {cells:g}")
@@ -243,7 +245,7 @@ class VideoFilter:
     A pixel's value is held for one clock period T; the digitiser samples at the period's end. With the step response
     s(t) of the analog filter the sampled impulse response is h[n] = s((n + 1) T) - s(n T). Aperture correction adds
     what a line differs from the mean of itself one clock before and one after, 1 + 2 c (1 - cos(2 pi f T)): the MTF may
-    then exceed 1. Its delay line holds the picture back by one clock.
+    then exceed 1. Its delay line holds the image back by one clock.
     """
 
     bandwidth_mhz: float
@@ -268,9 +270,9 @@ class VideoFilter:
         response = response / response.sum()
         if self.aperture_correction_db == 0.0:
             return response
-        beside = 0.5 * (10.0 ** (self.aperture_correction_db / 20.0) - 1.0)
-        beside /= 1.0 - np.cos(2.0 * np.pi * CORRECTED_MHZ / self.pixel_clock_mhz)
-        return np.convolve(response, [-beside, 1.0 + 2.0 * beside, -beside])
+        side_tap = 0.5 * (10.0 ** (self.aperture_correction_db / 20.0) - 1.0)
+        side_tap /= 1.0 - np.cos(2.0 * np.pi * CORRECTED_MHZ / self.pixel_clock_mhz)
+        return np.convolve(response, [-side_tap, 1.0 + 2.0 * side_tap, -side_tap])
 
     def transfer(self, frequency_cy_per_px: Array) -> NDArray[np.complex128]:
         """Complex transfer along a line at frequencies in cycles per pixel, 1 at zero."""

@@ -1,4 +1,4 @@
-"""Closed-form truths of a sensor description: what an unerring measurement of the simulated camera would find.
+"""True quantities of a sensor description, in closed form.
 
 Formulas and numerical integrals of formulas, no simulated frame. Frequencies are in cycles per column pitch, in both
 directions; lengths in column pitches.
@@ -25,7 +25,7 @@ DEGREES = {"horizontal": 0.0, "vertical": 90.0}
 def true_mtf(
     sensor: Sensor, frequency_cy_per_px: ArrayLike, direction: Direction = "horizontal"
 ) -> NDArray[np.float64]:
-    """Return the MTF of the whole camera, normalised to the light that entered, veiling glare left out.
+    """Return the MTF of the camera without veiling glare, 1 at zero frequency.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def true_mtf(
 def post_gain_mtf(
     sensor: Sensor, frequency_cy_per_px: ArrayLike, direction: Direction = "horizontal"
 ) -> NDArray[np.float64]:
-    """Return the MTF of all that comes after the gain, which shapes its noise; as `true_mtf`, whose part it is."""
+    """Return the MTF of the stages after the gain, which shape the noise; arguments as for `true_mtf`."""
     camera = IntensifiedCamera(sensor)
     return _transfer(camera, _after_gain(camera), frequency_cy_per_px, direction)
 
@@ -86,7 +86,7 @@ def true_crossing_frequency(sensor: Sensor, level: float, direction: Direction =
 
 
 def true_quantities(sensor: Sensor, conditions: Conditions | None = None) -> dict[str, float]:
-    """Return the truths that a session can be judged by.
+    """Return the true quantities with which measurements of a session can be compared.
 
     Parameters
     ----------
@@ -101,12 +101,12 @@ def true_quantities(sensor: Sensor, conditions: Conditions | None = None) -> dic
         `mtf50`, `mtf10`, `mtf50_vertical`, `mtf10_vertical` (cycles per column pitch); `photoelectron_gain` k and
         `detected_photoelectron_gain` k/p (DN); `system_gain` K (DN per CCD electron); `excess_noise_factor` F^2;
         `covariance_gain` K + k F^2 (DN), that of a pulse's whole light: summed over the fields through which the
-        screen decays as well as over pixels; `field_covariance_gain` (DN), summed over the pixels of one field alone;
-        `decay_factor`, the sum over fields of their squared shares of a pulse; `field_correlation`, that of one field
-        with the next; `blur_factor` of variances over covariance sums within a field; `correlation_horizontal` and
-        `correlation_vertical` at one pixel of a field; `halo_diameter` (column pitches); `ebi`
-        (photoelectrons per s and field pixel) and `ebi_per_field`; `photoelectrons_per_lux` of a field pixel and
-        exposure; `read_noise` (DN); `black_level` (DN).
+        phosphor decays as well as over pixels; `field_covariance_gain` (DN), summed over the pixels of one field alone;
+        `decay_factor`, the sum over fields of their squared fractions of a pulse; `field_correlation`, that of one
+        field with the next; `blur_factor` of variances over covariance sums within a field; `correlation_horizontal`
+        and `correlation_vertical` at one pixel of a field; `halo_diameter` (column pitches); `ebi` (photoelectrons per
+        s and field pixel) and `ebi_per_field`; `photoelectrons_per_lux` of a field pixel and exposure; `read_noise`
+        (DN); `black_level` (DN).
     """
     conditions = Conditions() if conditions is None else conditions
     camera = IntensifiedCamera(sensor)
@@ -132,7 +132,7 @@ def true_quantities(sensor: Sensor, conditions: Conditions | None = None) -> dic
 
 def field_pixel_area_cm2(camera: IntensifiedCamera) -> float:
     """Return the area of one pixel as read, at the photocathode, cm2: two rows where fields are integrated."""
-    height = 2 if camera.interlaced else 1
+    height = 2 if camera.is_interlaced else 1
     return camera.cells.pitch_x_mm * camera.cells.pitch_y_mm * height * 1e-2
 
 
@@ -175,12 +175,12 @@ def pulse_correlation(
 
 
 def _midpoints(count: int, end: float = 4.0) -> NDArray[np.floating]:
-    """Midpoints of even steps from zero to so many cycles per pixel, beyond which no camera has transfer left."""
+    """Midpoints of equal steps from zero to `end` cycles per pixel, beyond which transfer is negligible."""
     return (np.arange(count) + 0.5) * (end / count)
 
 
 def _noise(camera: IntensifiedCamera, conditions: Conditions) -> dict[str, float]:
-    mcp, phosphor, taper = camera.plate(conditions), camera.phosphor(), camera.taper()
+    mcp, phosphor, taper = camera.mcp(conditions), camera.phosphor(), camera.taper()
     system_gain = float(camera.sensor.video.conversion_gain_dn_per_e)
     efficiency = float(camera.sensor.ccd.quantum_efficiency)
     gain = mcp.gain * phosphor.photons_per_electron * taper.transmission * efficiency * system_gain
@@ -188,7 +188,7 @@ def _noise(camera: IntensifiedCamera, conditions: Conditions) -> dict[str, float
     shares = camera.afterglow(conditions).pulse_shares
     decay = float(np.mean(np.sum(shares**2, axis=1)))
     next_field = float(np.mean(np.sum(shares[:, 1:] * shares[:, :-1], axis=1)))
-    height = 2 if camera.interlaced else 1
+    height = 2 if camera.is_interlaced else 1
     pitch_x, pitch_y = camera.cells.pitch_x_mm, camera.cells.pitch_y_mm * height
     blur, next_column, next_row = pulse_correlation(_after_gain(camera), camera.video().low_pass, pitch_x, pitch_y)
     # The charge's own shot noise is white until the video filter.
@@ -221,6 +221,6 @@ def _before_gain(camera: IntensifiedCamera) -> tuple[StageBlur, ...]:
 
 
 def _after_gain(camera: IntensifiedCamera) -> tuple[StageBlur, ...]:
-    height = 2 if camera.interlaced else 1
+    height = 2 if camera.is_interlaced else 1
     aperture = PixelAperture(width_mm=camera.cells.pitch_x_mm, height_mm=height * camera.cells.pitch_y_mm)
     return camera.phosphor().spread, camera.taper().blur, aperture

@@ -1,4 +1,4 @@
-"""Photometry of the tube: illuminance and quantum efficiency to photoelectrons, luminous gain to photons."""
+"""Tube photometry: illuminance to photoelectrons, luminous gain to photons."""
 
 import math
 
@@ -33,7 +33,7 @@ def quantum_efficiency(sensor: Sensor, wavelength_nm: ArrayLike) -> NDArray[np.f
 def detection_weights(
     wavelength_nm: ArrayLike, table_nm: ArrayLike, efficiency: ArrayLike, *, averaged: bool = False
 ) -> NDArray[np.float64]:
-    """Return what turns spectral irradiance at bands into detected photons, per m2, s and W m-2 nm-1, shape (band,).
+    """Return detected photons per spectral irradiance of each band, per m2, s and W m-2 nm-1, shape (band,).
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def ebi_per_s_cm2(sensor: Sensor, temperature_c: float | None = None) -> float:
 
 
 def photons_per_photoelectron(sensor: Sensor) -> float:
-    """Return screen photons per photoelectron at the reference voltage, the undetected counted.
+    """Return phosphor photons per photoelectron at the reference voltage, the undetected counted.
 
     Notes
     -----
@@ -126,7 +126,7 @@ def control_factor(sensor: Sensor, gain_control: float | None) -> float:
 
 
 def gain_factor(sensor: Sensor, mcp_v: float | None, gain_control: float | None) -> float:
-    """Return the gain relative to the nominal one, by the plate's voltage or by the control word that sets it."""
+    """Return the gain relative to the nominal one, by the MCP's voltage or by the control word that sets it."""
     if mcp_v is not None and gain_control is not None:
         raise BadInput(
             f"mcp_v and gain_control set the same gain and must not both be given, got {mcp_v:g} V and {gain_control:g}"

@@ -76,7 +76,7 @@ class Video:
         return 2**self.bit_depth - 1
 
     def mean(self, light: StageImage) -> StageImage:
-        """Return the level, DN, neither rounded nor clipped at the ends of the scale."""
+        """Return the level, DN, neither rounded nor clipped."""
         signal = filter_lines(light.values, self.low_pass.impulse_response())
         if self.sync_jitter_px > 0.0:
             signal += np.float32(0.5 * self.sync_jitter_px**2) * _bend(signal)
@@ -116,7 +116,7 @@ def digitise(level_dn: NDArray[np.float32], bit_depth: int) -> NDArray[np.unsign
 
 
 def shift_lines(lines: NDArray[np.float32], late_px: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return lines (..., col) that start late by less than a pixel, (..., 1), by a parabola through three pixels."""
+    """Return lines (..., col) delayed by less than a pixel, (..., 1), by a parabola through three pixels."""
     slope = 0.5 * (_neighbour(lines, 1) - _neighbour(lines, -1))
     return (lines - late_px * slope + np.float32(0.5) * late_px**2 * _bend(lines)).astype(np.float32)
 
@@ -126,14 +126,14 @@ def _bend(lines: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _neighbour(lines: NDArray[np.float32], step: int) -> NDArray[np.float32]:
-    """Lines moved by one pixel; at their ends they go on as they are."""
+    """Lines shifted by one pixel, with their ends repeated."""
     moved = np.roll(lines, -step, axis=-1)
     moved[..., -1 if step > 0 else 0] = lines[..., -1 if step > 0 else 0]
     return moved
 
 
 def filter_lines(lines: NDArray, impulse_response: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Return lines (..., col) through a causal filter; before its first pixel a line is like its first pixel."""
+    """Return lines (..., col) after a causal filter; the first pixel is repeated before the line."""
     significant = np.flatnonzero(np.abs(impulse_response) > 1e-7)
     taps = impulse_response[: significant[-1] + 1].astype(np.float32)
     lead = len(taps) - 1

@@ -1,1 +1,1 @@
-"""The virtual bench: instruments that answer on real wires, and the tube and camera behind them."""
+"""Virtual bench: instruments that answer on real wires, with a simulated tube and camera."""

@@ -14,7 +14,7 @@ from simulate.virtual_bench.pseudo_terminal import PseudoTerminal, serve
 
 
 def main() -> None:
-    """Serve until the bench stops us or is gone."""
+    """Serve until the bench stops this process or has ended."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("model", help="model of instrument, such as dg645")
     parser.add_argument("--folder", type=Path, required=True, help="folder of the bench: link, outputs and faults")

@@ -5,6 +5,7 @@ import ctypes.util
 import re
 from collections.abc import Callable
 from ctypes import CFUNCTYPE, POINTER, byref, c_bool, c_char_p, c_double, c_size_t, c_uint32, c_uint64, c_void_p
+from enum import IntEnum
 from pathlib import Path
 from typing import Any
 
@@ -30,12 +31,28 @@ _FUNCTIONS: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "arv_buffer_set_timestamp": (None, (c_void_p, c_uint64)),
 }
 
-# Registers of the fake camera, as its GenICam description gives them.
-MODEL_NAME, MODEL_NAME_BYTES = 0x68, 32
-GAIN_RAW, ACQUISITION = 0x110, 0x124
-TRIGGER_MODE, TRIGGER_SOURCE, TRIGGER_SOFTWARE = 0x300, 0x304, 0x30C
-WIDTH, HEIGHT, SENSOR_HEIGHT, SENSOR_WIDTH = 0x100, 0x104, 0x118, 0x11C
-EXPOSURE_US, PIXEL_FORMAT, X_OFFSET, Y_OFFSET, FRAME_PERIOD_US = 0x120, 0x128, 0x130, 0x134, 0x138
+
+class Register(IntEnum):
+    """Registers of the fake camera, from its GenICam description."""
+
+    MODEL_NAME = 0x068
+    WIDTH = 0x100
+    HEIGHT = 0x104
+    GAIN_RAW = 0x110
+    SENSOR_HEIGHT = 0x118
+    SENSOR_WIDTH = 0x11C
+    EXPOSURE_US = 0x120
+    ACQUISITION = 0x124
+    PIXEL_FORMAT = 0x128
+    X_OFFSET = 0x130
+    Y_OFFSET = 0x134
+    FRAME_PERIOD_US = 0x138
+    TRIGGER_MODE = 0x300
+    TRIGGER_SOURCE = 0x304
+    TRIGGER_SOFTWARE = 0x30C
+
+
+MODEL_NAME_BYTES = 32
 MONO_8, MONO_16 = 0x01080001, 0x01100007
 
 
@@ -85,10 +102,10 @@ class FakeCamera:
     def name_model(self, name: str) -> None:
         """Give the camera a model name."""
         text = name.encode()[: MODEL_NAME_BYTES - 1].ljust(MODEL_NAME_BYTES, b"\0")
-        self._call("arv_fake_camera_write_memory", self._registers, MODEL_NAME, len(text), text)
+        self._call("arv_fake_camera_write_memory", self._registers, Register.MODEL_NAME, len(text), text)
 
     def lose_packets(self, share: float) -> None:
-        """Lose a share of the packets of each frame on the wire."""
+        """Lose a fraction of the packets of each frame on the wire."""
         gobject = ctypes.CDLL("libgobject-2.0.so.0")
         gobject.g_object_set.argtypes = (c_void_p, c_char_p, c_double, c_void_p)
         gobject.g_object_set(self._camera, b"gvsp-lost-ratio", share, None)
@@ -108,23 +125,23 @@ class FakeCamera:
         self._call("arv_fake_camera_set_fill_pattern", self._registers, self._callback, None)
 
     def send_when_triggered(self, frame_rate_hz: float, ready: Callable[[], bytes]) -> None:
-        """Send a frame for each `trigger`, at most so many a second, with the pixels that `ready` hands over."""
+        """Send a frame for each `trigger`, at most `frame_rate_hz` a second, with the pixels that `ready` returns."""
         self._call("arv_fake_camera_set_trigger_frequency", self._registers, frame_rate_hz)
         self.fill_frames(lambda _: ready())
         self.hold_trigger()
 
     def hold_trigger(self) -> None:
-        """Keep the camera waiting for triggers, whatever a client switched."""
-        self.write(TRIGGER_SOURCE, 1)
-        self.write(TRIGGER_MODE, 1)
+        """Keep the camera in trigger mode, whatever a client set."""
+        self.write(Register.TRIGGER_SOURCE, 1)
+        self.write(Register.TRIGGER_MODE, 1)
 
     def trigger(self) -> None:
         """Have one frame sent."""
-        self.write(TRIGGER_SOFTWARE, 1)
+        self.write(Register.TRIGGER_SOFTWARE, 1)
 
     def take_trigger_back(self) -> None:
-        """Forget a trigger that no frame was sent for."""
-        self.write(TRIGGER_SOFTWARE, 0)
+        """Cancel a trigger for which no frame was sent."""
+        self.write(Register.TRIGGER_SOFTWARE, 0)
 
     def _call(self, name: str, *arguments: Any) -> Any:
         return getattr(self._library, name)(*arguments)
@@ -149,7 +166,7 @@ def genicam_description(longest_exposure_us: float) -> str:
 
 
 def load() -> ctypes.CDLL:
-    """Load the library; where it is absent a `BadInput` says so."""
+    """Load the library; raises `BadInput` where it is absent."""
     found = ctypes.util.find_library("aravis-0.8")
     for name in (*_NAMES, *([found] if found else [])):
         try:

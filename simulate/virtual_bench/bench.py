@@ -1,4 +1,4 @@
-"""The virtual bench as a whole: a specimen nobody has measured, its instruments and its camera, each on a real wire."""
+"""Virtual bench: a random device, its instruments and its camera, each on a real wire."""
 
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -31,19 +31,20 @@ class VirtualBench:
     folder
         Folder of the bench, apart from every session; made where it is missing, gone on with where it is not.
     sensor
-        Description from whose ranges the specimen is drawn.
+        Description from whose ranges the device is drawn.
     seed
-        Seed of the specimen and of every frame.
+        Seed of the device and of every frame.
     wires
-        Which instruments stand at the bench, and where they live. "virtual": camera and instruments are processes on
-        real wires, save those whose port is named, which are real; where Aravis cannot be had, the camera's wire is
-        left out and said to be. "in-process": everything inside this process; `inside` then holds the instruments.
+        Which instruments stand at the bench, and where they live. "virtual": camera and instruments are processes
+        on real wires, save those whose port is named, which are real; where Aravis cannot be had, the camera's wire
+        is left out and said to be. "in-process": everything inside this process; `inside` then holds the
+        instruments.
     lamp
         Calibration of the light source that the wires name; what the lamp truly makes is drawn within it.
     time_scale
         How much faster than life high voltage and filter wheel move, dimensionless.
     say
-        Told in a sentence what was left out or is waited for.
+        Called with a sentence on what is omitted or awaited.
 
     Raises
     ------
@@ -123,13 +124,13 @@ class VirtualBench:
         return InProcessCamera(self.folder, self.outputs)
 
     def outputs(self) -> Outputs:
-        """What the instruments put on the tube's wires now."""
+        """Return the present outputs of the instruments."""
         if self.inside is None:
             return read_outputs(self._wires_folder)
         return replace(self.inside.outputs(), room_light_lux=read_room_light_lux(self._wires_folder))
 
     def provoke(self, instrument: str, faults: Faults) -> None:
-        """Give an instrument at a place of the bench, the camera or the surroundings faults; a real one is BadInput."""
+        """Inject faults into a virtual instrument, the camera or the surroundings; BadInput for a real instrument."""
         there = [one for one in self._asked.instruments if not one.port]
         virtual: dict[str, Role] = {virtual_model(one.model).place: one.role for one in there}
         if instrument in virtual and self.inside is not None:
@@ -140,7 +141,7 @@ class VirtualBench:
             raise BadInput(f"a fault must strike an instrument on the wires of this bench, got {instrument}")
 
     def truth(self) -> BenchTruth:
-        """Return what the bench really is: for whoever compares afterwards, never for whoever measures."""
+        """Return the true state of the bench, for comparison after a measurement."""
         return read_truth(self.truth_folder)
 
     def _start_instruments(self, running: ExitStack) -> None:
@@ -188,6 +189,6 @@ class VirtualBench:
 
 
 def _next_wires_folder(folder: Path) -> Path:
-    """Return a folder for the wires of this run: instruments of a killed one may still be at their own."""
+    """Return an unused folder for the wires of this run: instruments of a killed run may still use theirs."""
     runs = (int(path.suffix[1:]) for path in folder.glob("wires.*") if path.suffix[1:].isdigit())
     return folder / f"wires.{max(runs, default=0) + 1}"

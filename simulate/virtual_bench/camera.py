@@ -1,4 +1,4 @@
-"""The virtual camera's own process: a GigE Vision camera on loopback whose frames are drawn as they are exposed."""
+"""Virtual GigE Vision camera on loopback, in a process of its own, and its start and stop."""
 
 import argparse
 import contextlib
@@ -69,8 +69,8 @@ def main(arguments: list[str]) -> int:
 class VirtualCamera:
     """A camera that exposes as long as a client asks for frames.
 
-    Frames are drawn here, at the pace of drawing, and handed to the wire's own thread, which never waits for a
-    drawing and so answers its client at any time.
+    Frames are drawn in this thread. The wire's own thread takes them without waiting, and so answers its client at any
+    time.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ class VirtualCamera:
     description
         File to which its GenICam description is written.
     lost_packet_share
-        Share of the packets that get lost on the wire, dimensionless.
+        Fraction of the packets that get lost on the wire, dimensionless.
     faults
         Faults provoked from the simulator's side.
     """
@@ -107,19 +107,19 @@ class VirtualCamera:
         video, ccd = tube.sensor.video, tube.sensor.ccd
         field_rate_hz, fields = float(video.field_rate_hz), 2 if video.interlaced else 1
         for register, value in {
-            aravis.SENSOR_WIDTH: ccd.columns,
-            aravis.SENSOR_HEIGHT: ccd.rows,
-            aravis.WIDTH: ccd.columns,
-            aravis.HEIGHT: ccd.rows,
-            aravis.PIXEL_FORMAT: aravis.MONO_8 if video.bit_depth <= 8 else aravis.MONO_16,
-            aravis.EXPOSURE_US: field_us,
-            aravis.FRAME_PERIOD_US: round(1e6 * fields / field_rate_hz),
+            aravis.Register.SENSOR_WIDTH: ccd.columns,
+            aravis.Register.SENSOR_HEIGHT: ccd.rows,
+            aravis.Register.WIDTH: ccd.columns,
+            aravis.Register.HEIGHT: ccd.rows,
+            aravis.Register.PIXEL_FORMAT: aravis.MONO_8 if video.bit_depth <= 8 else aravis.MONO_16,
+            aravis.Register.EXPOSURE_US: field_us,
+            aravis.Register.FRAME_PERIOD_US: round(1e6 * fields / field_rate_hz),
         }.items():
             self._wire.write(register, value)
         self._wire.send_when_triggered(field_rate_hz / fields, self._next_pixels)
 
     def turn(self) -> None:
-        """Expose the next frame if one is asked for; else look at what stands before the camera."""
+        """Expose the next frame if one is requested; otherwise render a changed target."""
         self._wire.hold_trigger()
         wrong = self._faults.now()
         self._lose_packets(max(wrong.lost_packet_share, self._lost_packet_share))
@@ -128,7 +128,7 @@ class VirtualCamera:
         if wrong.stalled:
             self._take_back()
             time.sleep(IDLE_S)
-        elif not self._wire.read(aravis.ACQUISITION):
+        elif not self._wire.read(aravis.Register.ACQUISITION):
             self._take_back()
             self._prepare(scene)
             time.sleep(IDLE_S)
@@ -148,7 +148,8 @@ class VirtualCamera:
 
     def _scene(self) -> Scene:
         return self._tube.scene(
-            exposure_s=self._wire.read(aravis.EXPOSURE_US) * 1e-6, gain_db=float(self._wire.read(aravis.GAIN_RAW))
+            exposure_s=self._wire.read(aravis.Register.EXPOSURE_US) * 1e-6,
+            gain_db=float(self._wire.read(aravis.Register.GAIN_RAW)),
         )
 
     def _prepare(self, scene: Scene) -> None:
@@ -157,13 +158,13 @@ class VirtualCamera:
             self._prepared = scene.placement
 
     def _take_back(self) -> None:
-        """Take a frame back that was not sent, and its trigger first: the wire would wait for another frame."""
+        """Withdraw an unsent frame, its trigger first: the wire would wait for another frame."""
         self._wire.take_trigger_back()
         with contextlib.suppress(queue.Empty):
             self._slot.get_nowait()
 
     def _next_pixels(self) -> bytes:
-        """Give the wire a frame of what stands before the camera now; called by the wire's thread."""
+        """Return the pixels of the present scene; called by the wire's thread."""
         try:
             while True:
                 scene, pixels = self._slot.get(timeout=STUCK_S)
@@ -176,9 +177,11 @@ class VirtualCamera:
 
     def _as_sent(self, frame: NDArray) -> bytes:
         """Return the frame's window in the pixel format; 8-bit pixels of a deeper digitiser are its upper bits."""
-        row, col = self._wire.read(aravis.Y_OFFSET), self._wire.read(aravis.X_OFFSET)
-        pixels = frame[row : row + self._wire.read(aravis.HEIGHT), col : col + self._wire.read(aravis.WIDTH)]
-        pixel_format = self._wire.read(aravis.PIXEL_FORMAT)
+        row, col = self._wire.read(aravis.Register.Y_OFFSET), self._wire.read(aravis.Register.X_OFFSET)
+        pixels = frame[
+            row : row + self._wire.read(aravis.Register.HEIGHT), col : col + self._wire.read(aravis.Register.WIDTH)
+        ]
+        pixel_format = self._wire.read(aravis.Register.PIXEL_FORMAT)
         if pixel_format == aravis.MONO_16:
             return pixels.astype("<u2").tobytes()
         if pixel_format == aravis.MONO_8:
@@ -187,7 +190,7 @@ class VirtualCamera:
 
 
 def hold_loopback(parent: int, *, folder: Path | None = None) -> IO[bytes]:
-    """Wait for the one GigE Vision port that loopback has, and hold it for this process.
+    """Wait for the single GigE Vision port of the loopback interface and lock it for this process.
 
     Parameters
     ----------
@@ -203,15 +206,15 @@ def hold_loopback(parent: int, *, folder: Path | None = None) -> IO[bytes]:
     """
     lock = _open_lock((folder or Path(tempfile.gettempdir())) / f"charact-virtual-camera-{os.getuid()}.lock")
     until_s = time.monotonic() + LOCK_WAIT_S
-    told = False
+    reported = False
     while True:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             return lock
         except OSError:
-            if not told:
+            if not reported:
                 tell({"waiting": "another virtual camera holds the loopback"})
-                told = True
+                reported = True
         if os.getppid() != parent or time.monotonic() > until_s:
             lock.close()
             raise BadInput(f"one virtual camera runs on a machine at a time, waited {LOCK_WAIT_S:g} s for another")
@@ -219,7 +222,7 @@ def hold_loopback(parent: int, *, folder: Path | None = None) -> IO[bytes]:
 
 
 def _open_lock(path: Path) -> IO[bytes]:
-    """Open the lock without following a link, waiting for a pipe or changing what is there."""
+    """Open the lock file without following links, blocking on a pipe or changing its contents."""
     rule = "the lock of the virtual camera must be a regular file of this user alone"
     remedy = f"{path}: remove it, or set TMPDIR to a folder of your own"
     try:
@@ -237,7 +240,7 @@ def _open_lock(path: Path) -> IO[bytes]:
 
 
 def tell(message: dict[str, str]) -> None:
-    """Tell the bench, one JSON object a line."""
+    """Send a message to the bench, one JSON object a line."""
     print(json.dumps(message), flush=True)
 
 
@@ -258,9 +261,9 @@ class CameraProcess:
     wires
         Folder where the instruments publish what they put out.
     lost_packet_share
-        Share of the packets that get lost on the wire, dimensionless.
+        Fraction of the packets that get lost on the wire, dimensionless.
     say
-        Told in a sentence what is waited for.
+        Called with a sentence on what is awaited.
 
     Raises
     ------
@@ -327,7 +330,7 @@ class CameraProcess:
         raise BadInput(f"the virtual camera must come up within {READY_S:g} s, see {self._log}")
 
     def _message(self, until_s: float) -> dict[str, str] | None:
-        """Return the next message of the camera, or None if it ended or said nothing in time."""
+        """Return the next message of the camera, or None if it ended or sent none in time."""
         if self._process.stdout is None:
             return None
         ready, _, _ = select.select([self._process.stdout], [], [], max(0.0, until_s - time.monotonic()))

@@ -241,7 +241,7 @@ class DelayGenerator:
         )
 
     def _trigger_hz(self) -> float:
-        """Triggers a second; nobody presses the button."""
+        """Triggers a second; the trigger button is never pressed."""
         sources = {0: self._now("TRAT"), 1: self._external_hz, 2: self._external_hz, 6: LINE_HZ}
         return sources.get(int(self._now("TSRC")), 0.0)
 
@@ -265,7 +265,7 @@ class DelayGenerator:
         return used_hz * (self._now("BURC") if self._now("BURM") else 1.0) / prescale
 
     def advance(self, now_s: float, faults: Faults) -> None:
-        """Note triggers used and lost since the last look."""
+        """Update the status of triggers used and lost."""
         self._external_hz = 0.0 if faults.untriggered else self._wired_hz
         if triggers_hz := self._trigger_hz():
             self._instrument_status |= (
@@ -275,12 +275,12 @@ class DelayGenerator:
             )
 
     def power_cycle(self) -> None:
-        """Lose power and get it back: settings stay (recalled), the error queue is empty, StandardEvent.PON is set."""
+        """Lose power and get it back: settings stay (recalled), the error queue is empty, PON is set."""
         self._clear()
         self._event_status, self._line, self._armed = StandardEvent.PON, b"", False
 
     def publish(self, folder: Path) -> None:
-        """Put the gate's drive on the wire, where it changed."""
+        """Publish the gate drive if it changed."""
         gate = self.gate()
         if gate != self._published:
             publish_gate(folder, gate)

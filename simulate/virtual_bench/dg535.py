@@ -101,7 +101,7 @@ class Dg535:
                     self._take(command)
 
     def talk(self) -> bytes:
-        """Bytes to say, EOI with the last; empty if nothing was asked."""
+        """Return the answer, EOI with its last byte; empty without a query."""
         said, self._output = self._output, b""
         return said
 
@@ -110,11 +110,11 @@ class Dg535:
         return self._status
 
     def clear(self) -> None:
-        """Device clear: forget what was half said."""
+        """Device clear: empty both buffers."""
         self._input = self._output = b""
 
     def power_cycle(self) -> None:
-        """Lose power and get it back: settings stay, registers and what was half said do not."""
+        """Power cycle: settings stay, registers and buffers are cleared."""
         self.clear()
         self._errors = self._status = 0
 
@@ -245,15 +245,13 @@ class Dg535:
         mode = self._values["OM", AB]
         if mode == OutputMode.VAR:
             return self._values["OO", AB], self._values["OO", AB] + self._values["OA", AB]
-        low_v, high_v = {OutputMode.TTL: (0.0, 4.0), OutputMode.NIM: (-0.8, 0.0), OutputMode.ECL: (-1.8, -0.8)}[
-            int(mode)
-        ]
+        levels_v = {OutputMode.TTL: (0.0, 4.0), OutputMode.NIM: (-0.8, 0.0), OutputMode.ECL: (-1.8, -0.8)}
+        low_v, high_v = levels_v[OutputMode(int(mode))]
         return (low_v, high_v) if self._values["OP", AB] else (high_v, low_v)
 
     def _trigger_hz(self) -> float:
-        return {TriggerMode.INTERNAL: self._values["TR", 0], TriggerMode.LINE: LINE_HZ}.get(
-            int(self._values["TM", 0]), 0.0
-        )
+        rates_hz = {TriggerMode.INTERNAL: self._values["TR", 0], TriggerMode.LINE: LINE_HZ}
+        return rates_hz.get(TriggerMode(int(self._values["TM", 0])), 0.0)
 
     def _busy_s(self) -> float:
         return max(self._after_trigger_s(edge) for edge in EDGES) + DEAD_S
@@ -263,14 +261,14 @@ class Dg535:
         return triggers_hz / math.ceil(triggers_hz * self._busy_s() - 1e-12) if triggers_hz else 0.0
 
     def advance(self, now_s: float, faults: Faults) -> None:
-        """Note triggers used and lost since the last look."""
+        """Update the status of triggers used and lost."""
         if triggers_hz := self._trigger_hz():
             self._status |= InstrumentStatus.TRIGGERED | (
                 InstrumentStatus.RATE if triggers_hz * self._busy_s() > 1 else 0
             )
 
     def publish(self, folder: Path) -> None:
-        """Put the gate's drive on the wire, where it changed."""
+        """Publish the gate drive if it changed."""
         gate = self.gate()
         if gate != self._published:
             publish_gate(folder, gate)

@@ -47,7 +47,7 @@ class RefusedCommand(Exception):
 
 
 def numbers(arguments: tuple[str, ...], kinds: tuple[type, ...]) -> list:
-    """Read arguments as numbers of the given kinds; a wrong count or form is refused with its own code."""
+    """Parse arguments as numbers of the given kinds; a wrong count or form raises its own code."""
     if len(arguments) != len(kinds):
         raise RefusedCommand(
             Dg645Error.MISSING_PARAMETERS if len(arguments) < len(kinds) else Dg645Error.EXTRA_PARAMETERS
@@ -90,7 +90,7 @@ class Command:
 
 
 def commands_of(line: str) -> list[Command | None]:
-    """Split a line into commands; None stands for text that is no command at all."""
+    """Split a line into commands; None stands for invalid text."""
     return [_command(part) for part in line.upper().split(";") if part.strip()]
 
 

@@ -1,4 +1,4 @@
-"""Faults of the virtual instruments, provoked from the simulator's side only, through a file in the bench's folder."""
+"""Faults of the virtual instruments, injected through a file in the bench's folder."""
 
 import json
 from dataclasses import asdict, dataclass
@@ -9,7 +9,7 @@ from simulate.virtual_bench.outputs import faults_file, replace_file
 
 @dataclass(frozen=True, kw_only=True)
 class Faults:
-    """What is wrong with one instrument.
+    """Faults of one instrument.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ class Faults:
     stalled
         The camera answers, and sends no frame.
     lost_packet_share
-        Share of the camera's packets that get lost, dimensionless.
+        Fraction of the camera's packets that get lost, dimensionless.
     clock_jump_s
         How far the camera's clock is off its time, s.
     panel
@@ -68,7 +68,7 @@ class Faults:
         object.__setattr__(self, "panel", tuple(self.panel))  # JSON knows lists only
 
     def arrives(self, answer: bytes) -> bytes:
-        """Return what of an answer arrives."""
+        """Return the bytes of an answer that arrive."""
         if self.mute:
             return b""
         if self.half_lines:
@@ -77,7 +77,7 @@ class Faults:
 
 
 def inject_faults(folder: Path, instrument: str, faults: Faults) -> None:
-    """Give an instrument its faults; `Faults()` heals it.
+    """Set the faults of an instrument; `Faults()` removes them.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def inject_faults(folder: Path, instrument: str, faults: Faults) -> None:
 
 
 class FaultFile:
-    """The faults of one instrument as its file says now; the file is read again only after a change."""
+    """File with the faults of one instrument, read again after a change."""
 
     def __init__(self, folder: Path, instrument: str) -> None:
         self._path = faults_file(folder, instrument)

@@ -1,4 +1,4 @@
-"""A virtual Thorlabs FW102C filter wheel: echo, prompt, and a wheel that takes its time."""
+"""Virtual Thorlabs FW102C filter wheel: echo, prompt and turning time."""
 
 import json
 import time
@@ -19,7 +19,7 @@ _ALLOWED = {"pcount": (6, 12), "trig": (0, 1), "speed": (0, 1), "sensors": (0, 1
 
 
 class FilterWheel:
-    """The wheel, power just switched on, standing at its first position.
+    """Filter wheel after power-on, at its first position.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ class FilterWheel:
         return said
 
     def _obey(self, line: str) -> tuple[float, str]:
-        """Time that it takes, s, and the answer."""
+        """Return the time of the command, s, and its answer."""
         name, mark, value = line.partition("=")
         if line == "*idn?":
             return 0.0, IDENTITY
@@ -87,15 +87,15 @@ class FilterWheel:
         return turning_s, ""
 
     def advance(self, now_s: float, faults: Faults) -> None:
-        """The wheel turns on by itself, see `position`."""
+        """Do nothing: the wheel turns by the clock, see `position`."""
 
     @property
     def position(self) -> int | None:
-        """Where the wheel stands, counted from 1; None while it turns and nothing but its body is in the light."""
+        """Position of the wheel, from 1; None while it turns and blocks the light."""
         return self._position if time.monotonic() >= self._turns_until_s else None
 
     def publish(self, folder: Path) -> None:
-        """Put the position, and whether its own lamps burn, where the light passes."""
+        """Publish the position and the state of the sensor lamps."""
         now = {"position": self.position, "sensors_lit": bool(self._settings["sensors"])}
         if now != self._published:
             replace_file(folder / OUTPUT, json.dumps(now))

@@ -37,7 +37,7 @@ LATCHED = StatusByte.VOLTAGE_TRIP | StatusByte.CURRENT_TRIP | StatusByte.CURRENT
 
 
 class HighVoltageSupply:
-    """The instrument behind its GPIB connector, power just switched on: high voltage off.
+    """High-voltage supply behind its GPIB connector after power-on: high voltage off.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ class HighVoltageSupply:
     # The bus
 
     def listen(self, data: bytes, *, end: bool) -> None:
-        """Take bytes from the bus; `end` says that EOI came with the last. A line feed or EOI ends a message."""
+        """Take bytes from the bus; `end`: EOI with the last byte. A line feed or EOI ends a message."""
         self._input += data + (b"\n" if end else b"")
         *lines, self._input = self._input.split(b"\n")
         if len(self._input) > BUFFER_LENGTH:
@@ -69,7 +69,7 @@ class HighVoltageSupply:
             self._message(line.decode("ascii", "replace").replace("\r", ""))
 
     def talk(self) -> bytes:
-        """Bytes to say when addressed to talk, EOI with the last; empty, and a query error, if nothing was asked."""
+        """Return the answer, EOI with its last byte; empty, with a query error, without a query."""
         if not self._output:
             self._event_status |= StandardEvent.QYE
             return b""
@@ -81,7 +81,7 @@ class HighVoltageSupply:
         return self._status_byte()
 
     def clear(self) -> None:
-        """Device clear: forget what was half said."""
+        """Device clear: empty both buffers."""
         self._input = self._output = b""
 
     def _message(self, line: str) -> None:
@@ -243,7 +243,7 @@ class HighVoltageSupply:
         return volts / LOAD_OHM
 
     def advance(self, now_s: float, faults: Faults) -> None:
-        """Let the output move until a time, s: up at a constant rate, down as the load and bleeder discharge it."""
+        """Advance the output to a time, s: up at a constant rate, down by discharge through load and bleeder."""
         elapsed_s = 0.0 if self._now_s is None else (now_s - self._now_s) * self._time_scale
         self._now_s = now_s
         self._trip_where_due(faults.tripped)
@@ -269,7 +269,7 @@ class HighVoltageSupply:
         self._event_status = StandardEvent.PON
 
     def publish(self, folder: Path) -> None:
-        """Put the voltage on the wire, where it changed."""
+        """Publish the voltage if it changed."""
         if self.output_v != self._published_v:
             publish_voltage(folder, self.output_v)
             self._published_v = self.output_v

@@ -1,4 +1,4 @@
-"""The virtual instruments inside this process, behind ports of bytes, where there are no pseudo-terminals."""
+"""Virtual instruments and camera in this process, without pseudo-terminals and without Aravis."""
 
 import copy
 import threading
@@ -24,11 +24,11 @@ from simulate.virtual_bench.thermometer import TEMPERATURE_C
 from simulate.virtual_bench.tube import VirtualTube
 
 AT_ONCE_S = 2.5e-3
-"""What an instrument does within this time is done at once, s."""
+"""Commands that take less time are answered at once, s."""
 
 
 class InProcessPort:
-    """A port whose far end is an instrument in this process; it answers at once what takes no time to do.
+    """Port of an instrument in this process.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class InProcessPort:
 
     @property
     def faults(self) -> Faults:
-        """What is wrong with the instrument; replace it to provoke a fault."""
+        """Faults of the instrument; assign to inject faults."""
         return self._faults
 
     @faults.setter
@@ -72,7 +72,7 @@ class InProcessPort:
                 self._ready_s = time.monotonic() + making_s
 
     def receive(self, timeout_s: float) -> bytes:
-        """Bytes that came; where none did, the wait takes its time."""
+        """Return the received bytes; waits for the time-out without any."""
         if (left_s := self._ready_s - time.monotonic()) > 0.0:
             time.sleep(min(left_s, timeout_s))
             if left_s > timeout_s:
@@ -84,7 +84,7 @@ class InProcessPort:
         return answers
 
     def advance(self) -> None:
-        """Let the instrument's physics catch up with the clock."""
+        """Advance the instrument's physics to the present time."""
         with self._turn:
             if not self._faults.disobedient:
                 self._instrument.advance(time.monotonic(), self._faults)
@@ -110,7 +110,7 @@ class InProcessPort:
         return -1
 
     def close(self) -> None:
-        """Nothing to let go of."""
+        """Nothing to close."""
 
 
 class InProcessInstruments:
@@ -141,7 +141,7 @@ class InProcessInstruments:
         return self.ports["supply"]
 
     def outputs(self) -> Outputs:
-        """What reaches the tube at this moment."""
+        """Return the present inputs of the tube."""
         light, wheel = self.ports.get("light-source"), self.ports.get("filter-wheel")
         return Outputs(
             mcp_v=self.supply_port.volts(),
@@ -154,7 +154,7 @@ class InProcessInstruments:
 
 
 def _behind_adapter(instrument: Any) -> Any:
-    """The instrument itself, where it stands behind an adapter."""
+    """Return the instrument behind an adapter, or the instrument itself."""
     return instrument.only if isinstance(instrument, PrologixAdapter) else instrument
 
 
@@ -163,7 +163,7 @@ POLL_S = 0.05
 
 
 class InProcessCamera:
-    """A camera with the interface of the driver's; it sends the frames that the virtual camera on its wire would.
+    """Camera with the driver's interface and the frames of the virtual camera.
 
     Parameters
     ----------
@@ -199,7 +199,7 @@ class InProcessCamera:
         return None
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
-        """Set what is not None and return every setting; the picture's size and format are the sensor's own."""
+        """Set the settings that are not None and return all; size and pixel format are fixed by the sensor."""
         given = {item.name: value for item in fields(settings) if (value := getattr(settings, item.name)) is not None}
         for name in ("rows", "columns", "pixel_format"):
             own = getattr(self._settings, name)
@@ -211,11 +211,11 @@ class InProcessCamera:
     def capture(
         self, *, frames: int, discard: int = 0, while_waiting: Callable[[], None] = lambda: None
     ) -> "InProcessCapture":
-        """Return a capture of `frames` frames after `discard` that are thrown away."""
+        """Return a capture of `frames` frames after `discard` discarded ones."""
         return InProcessCapture(self, frames=frames, discard=discard, while_waiting=while_waiting)
 
     def begin_exposure(self) -> Future[Frame]:
-        """Start to expose a frame, as soon as the one before is drawn."""
+        """Start to expose a frame after the previous one."""
         return self._drawing.submit(self._expose)
 
     def _expose(self) -> Frame:

@@ -21,11 +21,11 @@ SYNTAX, WRONG_CHANNEL = "????", "?WCN"
 
 
 class _Refused(Exception):
-    """The unit answers with an error instead."""
+    """The unit answers with an error."""
 
 
 class IsegSupply:
-    """The unit, power just switched on: 0 V, positive, under remote control.
+    """High-voltage supply after power-on: 0 V, positive, remote control.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class IsegSupply:
         self.power_cycle()
 
     def power_cycle(self) -> None:
-        """Lose power and get it back: nothing that was set survives, and the load discharges the output."""
+        """Power cycle: settings are lost and the load discharges the output."""
         self._break_ms, self._break_said = LONGEST_BREAK_MS, 0
         self._set_v, self._goal_v, self._ramp_v_per_s = 0.0, 0.0, 2
         self._trip_a = 0.0
@@ -154,7 +154,7 @@ class IsegSupply:
     # Physics
 
     def advance(self, now_s: float, faults: Faults) -> None:
-        """Let the output ramp until a time, s; a trip or a loss of power lets the load discharge it."""
+        """Advance the ramp to a time, s; after a trip or a loss of power the load discharges the output."""
         elapsed_s = 0.0 if self._now_s is None else (now_s - self._now_s) * self._time_scale
         self._now_s = now_s
         if self._goal_v and (faults.tripped or 0 < self._trip_a < self.output_v / LOAD_OHM):
@@ -170,14 +170,14 @@ class IsegSupply:
             self.output_v = 0.0
 
     def publish(self, folder: Path) -> None:
-        """Put the voltage on the wire, where it changed."""
+        """Publish the voltage if it changed."""
         if self.output_v != self._published_v:
             publish_voltage(folder, self.output_v)
             self._published_v = self.output_v
 
 
 def _format_scaled(value: float, exponent: int) -> str:
-    """A number as an SHQ writes it: sign, five digits, signed exponent, no E."""
+    """Format a number as the SHQ does: sign, five digits, signed exponent, no E."""
     return f"{round(value / 10.0**exponent):+06d}{exponent:+03d}"
 
 

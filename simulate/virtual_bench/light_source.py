@@ -20,7 +20,7 @@ _COMMAND = re.compile(r"([a-z]+)(\?)?(?: (-?\d{1,9}))?")
 
 
 class LightSource:
-    """The driver, power just switched on: dark."""
+    """LED driver after power-on: dark."""
 
     def __init__(self) -> None:
         self._limit_ma = MAXIMUM_MA
@@ -29,7 +29,7 @@ class LightSource:
         self.power_cycle()
 
     def power_cycle(self) -> None:
-        """Lose power and get it back: dark, the limit as it was set."""
+        """Power cycle: dark, the current limit stays."""
         self._on, self._mode, self._current_ma, self._open = False, 0, 0, False
         self._errors: deque[tuple[int, str]] = deque(maxlen=10)
         self._line = b""
@@ -48,10 +48,10 @@ class LightSource:
             return None
         name, asks, value = match.groups()
         if asks:
-            return self._asked(name) if value is None else self._complain(UNKNOWN)
+            return self._answer_query(name) if value is None else self._complain(UNKNOWN)
         return self._complain(UNKNOWN) if value is None else self._set(name, int(value))
 
-    def _asked(self, name: str) -> str | None:
+    def _answer_query(self, name: str) -> str | None:
         if name == "e":
             code, meaning = self._errors.popleft() if self._errors else (0, "no error")
             return f"ERROR {code}: {meaning}"
@@ -91,7 +91,7 @@ class LightSource:
         self._errors.append(error)
 
     def advance(self, now_s: float, faults: Faults) -> None:
-        """A trip opens the diode as long as it holds."""
+        """Open the diode during a trip."""
         self._open = faults.tripped
         self._on = self._on and not self._open
 
@@ -101,7 +101,7 @@ class LightSource:
         return self._current_ma * 1e-3 if self._on and self._mode == 0 else 0.0
 
     def publish(self, folder: Path) -> None:
-        """Put the current through the diode where the light is made."""
+        """Publish the current through the diode."""
         now = {"current_a": self.current_a}
         if now != self._published:
             replace_file(folder / OUTPUT, json.dumps(now))

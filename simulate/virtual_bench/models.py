@@ -1,4 +1,4 @@
-"""The virtual instruments by the names that plans give their models: shipped ones, and those of other packages.
+"""Virtual instruments by model name: built-in ones and those of other packages.
 
 A package brings one with a Python entry point of the group `charact.virtual_instruments` whose value is a
 `VirtualModel`; its name is the one of the driver's model in the group `charact.instruments`.
@@ -99,7 +99,7 @@ SHIPPED = (
 
 
 def virtual_models() -> dict[str, VirtualModel]:
-    """Every virtual model that is known here, by name."""
+    """Return all virtual models by name."""
     known = {each.name: each for each in SHIPPED}
     for point in entry_points(group=GROUP):
         brought = point.load()

@@ -1,4 +1,4 @@
-"""The electrical wires of the virtual bench: what the instruments put out now, where the virtual tube can read it."""
+"""State files of the virtual bench: outputs of its instruments, and the target placed by its operator."""
 
 import json
 import math
@@ -47,7 +47,7 @@ class GateOutput:
 
 @dataclass(frozen=True, kw_only=True)
 class Outputs:
-    """What reaches the tube at this moment.
+    """Present inputs of the tube.
 
     Parameters
     ----------
@@ -90,17 +90,17 @@ class Outputs:
 
 
 def publish_gate(folder: Path, gate: GateOutput) -> None:
-    """Put the gate's drive on the wire."""
+    """Publish the gate drive."""
     replace_file(folder / _GATE_FILE, json.dumps(vars(gate)))
 
 
 def publish_voltage(folder: Path, mcp_v: float) -> None:
-    """Put the voltage, V, on the wire."""
+    """Publish the voltage, V."""
     replace_file(folder / _VOLTAGE_FILE, json.dumps({"mcp_v": mcp_v}))
 
 
 def read_outputs(folder: Path) -> Outputs:
-    """Read the wires of the bench in a folder; an instrument that was never switched on puts out nothing."""
+    """Read the outputs of the instruments of a bench; an instrument without a file has no output."""
     gate = _read(Path(folder) / _GATE_FILE) or vars(GateOutput())
     voltage = _read(Path(folder) / _VOLTAGE_FILE) or {"mcp_v": 0.0}
     warm = _read(Path(folder) / _THERMOMETER_FILE)
@@ -117,7 +117,7 @@ def read_outputs(folder: Path) -> Outputs:
 
 
 def read_room_light_lux(folder: Path) -> float:
-    """Read the light of the surroundings, lux; a bench whose door nobody opened has none."""
+    """Read the light of the surroundings, lux; 0 without a file."""
     surroundings = _read(faults_file(folder, "surroundings"))
     return 0.0 if surroundings is None else surroundings["room_light_lux"]
 
@@ -128,7 +128,7 @@ def faults_file(folder: Path, instrument: str) -> Path:
 
 
 def replace_file(path: Path, text: str) -> None:
-    """Write a file so that a reader sees the old text or the new one, never a part."""
+    """Replace a file atomically."""
     unfinished = path.with_name(f".{path.name}.{os.getpid()}")
     unfinished.write_text(text)
     unfinished.replace(path)
@@ -147,7 +147,7 @@ _FILE = "operator.json"
 
 @dataclass(frozen=True, kw_only=True)
 class TargetPlacement:
-    """What stands before the camera.
+    """Target and light before the camera.
 
     Parameters
     ----------
@@ -182,12 +182,12 @@ class VirtualOperator:
     def __init__(self, folder: Path) -> None:
         self._folder = Path(folder)
         self.while_waiting: Callable[[], None] = lambda: None
-        """Never called: nobody is waited for."""
+        """Never called: the virtual operator acts at once."""
 
     def place(
         self, *, kind: Kind, target: Target, illuminance_lux: float, filter_density: float | None = None
     ) -> Conditions:
-        """Put a target before the camera, set the light until the meter reads what is asked, and return its reading."""
+        """Place a target, set the light to the requested meter reading, and return the reading."""
         placement = TargetPlacement(
             number=read_placement(self._folder).number + 1, kind=kind, target=target, illuminance_lux=illuminance_lux
         )
@@ -203,7 +203,7 @@ class VirtualOperator:
 
 
 def read_placement(folder: Path) -> TargetPlacement:
-    """Read what stands before the camera; a bench that nobody touched is dark."""
+    """Read the target and light before the camera; initially dark."""
     try:
         text = (Path(folder) / _FILE).read_text()
     except FileNotFoundError:

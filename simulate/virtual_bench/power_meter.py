@@ -12,7 +12,7 @@ from simulate.virtual_bench.outputs import replace_file
 
 IDENTITY = "Thorlabs,PM101R,M00654321,1.2.0"
 LUX_PER_W = 1.6e5
-"""Illuminance on the photocathode for a watt on the head: 1 cm2 of light of 16 lm/W beside the tube."""
+"""Illuminance on the photocathode for a watt on the head: 1 cm2 of light of 16 lm/W next to the tube."""
 
 NOISE_W = 2e-12
 READINGS_PER_S = 3000.0
@@ -24,7 +24,7 @@ _UNITS, _SWITCHES = ("W", "DBM"), {"ON": 1, "OFF": 0, "1": 1, "0": 0}
 
 
 class PowerMeter:
-    """The meter, power just switched on."""
+    """Power meter after power-on."""
 
     def __init__(self) -> None:
         self._rng = np.random.default_rng(0x9A)
@@ -34,7 +34,7 @@ class PowerMeter:
         self.power_cycle()
 
     def power_cycle(self) -> None:
-        """Lose power and get it back: settings as delivered."""
+        """Power cycle: factory settings."""
         self._wavelength_nm, self._averaged, self._unit, self._automatic = 635.0, 1, "W", 1
         self._line = b""
         self._errors.clear()
@@ -85,14 +85,14 @@ class PowerMeter:
         return self._light() / LUX_PER_W + NOISE_W * float(self._rng.standard_normal())
 
     def advance(self, now_s: float, faults: Faults) -> None:
-        """Nothing goes on by itself."""
+        """Do nothing: the meter has no dynamics."""
 
     def publish(self, folder: Path) -> None:
-        """Say that it is there; it puts nothing out."""
+        """Publish that the meter is on."""
         if not self._published:
             replace_file(folder / OUTPUT, json.dumps({"meter_on": True}))
             self._published = True
 
     def connect_light(self, light: Callable[[], float]) -> None:
-        """Take what falls on its head from the bench around it, lux on the photocathode."""
+        """Connect the head to the light of the bench, lux on the photocathode."""
         self._light = light

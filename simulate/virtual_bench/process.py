@@ -1,4 +1,4 @@
-"""The serial half of the virtual bench: its instruments started as processes, stopped on leaving."""
+"""Virtual serial instruments as processes."""
 
 import os
 import subprocess

@@ -14,14 +14,14 @@ BUS_S = 1e-3
 
 
 class BusInstrument(Protocol):
-    """What hangs on the bus."""
+    """Instrument on the GPIB bus."""
 
     def listen(self, data: bytes, *, end: bool) -> None:
         """Take bytes; `end`: EOI came with the last."""
         ...
 
     def talk(self) -> bytes:
-        """Bytes to say, EOI with the last; empty if there is nothing to say."""
+        """Return the answer, EOI with its last byte; empty without an answer."""
         ...
 
     def serial_poll(self) -> int:
@@ -33,24 +33,24 @@ class BusInstrument(Protocol):
         ...
 
     def advance(self, now_s: float, faults: Faults) -> None:
-        """Let physics go on until a time, s."""
+        """Advance the physics to a time, s."""
         ...
 
     def publish(self, folder: Path) -> None:
-        """Put the physical outputs on the wire."""
+        """Publish the outputs."""
         ...
 
     def power_cycle(self) -> None:
-        """Lose power and get it back."""
+        """Power cycle."""
         ...
 
 
 class _Unrecognized(Exception):
-    """The adapter does not know this ++ command."""
+    """Unknown ++ command."""
 
 
 class PrologixAdapter:
-    """The adapter as it comes: a controller that reads after each write, talking to address 0.
+    """GPIB-USB adapter with factory settings: controller, read after write, address 0.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ class PrologixAdapter:
         return [answer for line, own in self._lines(data) for answer in (self._own(line) if own else self._pass(line))]
 
     def _lines(self, data: bytes) -> Iterator[tuple[bytes, bool]]:
-        """Finished lines, unescaped, and whether each is the adapter's own."""
+        """Yield complete lines, unescaped, and whether each is a ++ command."""
         for byte in data:
             if self._escaped:
                 self._line.append(byte)
@@ -162,17 +162,17 @@ class PrologixAdapter:
         return []
 
     def advance(self, now_s: float, faults: Faults) -> None:
-        """Let the instruments on the bus go on until a time, s."""
+        """Advance the instruments on the bus to a time, s."""
         for instrument in self._bus.values():
             instrument.advance(now_s, faults)
 
     def power_cycle(self) -> None:
-        """Let the instruments behind it lose their power; the adapter hangs on the computer's."""
+        """Power cycle the instruments; the adapter is powered by the computer."""
         for instrument in self._bus.values():
             instrument.power_cycle()
 
     def publish(self, folder: Path) -> None:
-        """Put the physical outputs of the instruments on the wire."""
+        """Publish the outputs of the instruments."""
         for instrument in self._bus.values():
             instrument.publish(folder)
 

@@ -1,4 +1,4 @@
-"""A serial line to nowhere: a virtual instrument answers on a pseudo-terminal as it would on its cable."""
+"""Virtual serial instrument on a pseudo-terminal."""
 
 import contextlib
 import os
@@ -23,22 +23,22 @@ ORPHAN_S = 5.0
 
 
 class SerialInstrument(Protocol):
-    """What hangs on the line."""
+    """Instrument on a serial line."""
 
     def receive(self, data: bytes) -> list[tuple[float, bytes]]:
         """Take bytes from the line; return answers, each with the time it takes to make, s."""
         ...
 
     def advance(self, now_s: float, faults: Faults) -> None:
-        """Let physics go on until a time, s."""
+        """Advance the physics to a time, s."""
         ...
 
     def publish(self, folder: Path) -> None:
-        """Put the physical outputs on the wire, where they changed."""
+        """Publish the outputs that changed."""
         ...
 
     def power_cycle(self) -> None:
-        """Lose power and get it back."""
+        """Power cycle."""
         ...
 
 
@@ -60,7 +60,7 @@ class PseudoTerminal:
         self.plug()
 
     def plug(self, name: str = "") -> None:
-        """Put the plug in: a new terminal behind the same link, or behind one of another name."""
+        """Plug in: a new terminal behind the same link, or behind one of another name."""
         self._link = self.link.with_name(name) if name else self.link
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)  # else the line echoes our own answers back to us until a client opens it
@@ -70,7 +70,7 @@ class PseudoTerminal:
         self.plugged = True
 
     def close(self) -> None:
-        """Pull the plug."""
+        """Unplug."""
         if not self.plugged:
             return
         self.plugged = False
@@ -79,7 +79,7 @@ class PseudoTerminal:
         os.close(self._slave)
 
     def read(self, timeout_s: float) -> bytes:
-        """Bytes that arrived, at most `timeout_s` later; empty if none, or with the plug out."""
+        """Return the bytes that arrive within `timeout_s`; empty if none or unplugged."""
         if not self.plugged:
             time.sleep(timeout_s)
             return b""
@@ -88,7 +88,7 @@ class PseudoTerminal:
         return self._as_heard(os.read(self._master, 4096))
 
     def write(self, data: bytes) -> None:
-        """Send bytes; with nobody reading, what does not fit is lost as on a cable."""
+        """Send bytes; those beyond the buffer of an unread terminal are lost."""
         if not self.plugged:
             return
         with contextlib.suppress(BlockingIOError):
@@ -108,7 +108,7 @@ class PseudoTerminal:
 def serve(
     instrument: SerialInstrument, terminal: PseudoTerminal, *, folder: Path, faults: FaultFile, parent: int
 ) -> None:
-    """Answer on the terminal until the bench that started us is gone and the line has fallen quiet.
+    """Answer on the terminal until the bench process has ended and the line has been idle for `ORPHAN_S`.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ def serve(
 
 
 def enter_at_panel(instrument: SerialInstrument, commands: Iterable[str]) -> None:
-    """Enter commands at an instrument's own front panel; what it answers is shown to nobody on the line."""
+    """Enter commands at an instrument's front panel; answers do not reach the line."""
     for command in commands:
         if isinstance(instrument, PrologixAdapter):
             instrument.only.listen(command.encode(), end=True)

@@ -1,4 +1,4 @@
-"""A rehearsal: a script of faults strikes a running virtual bench, each at its time, and never twice."""
+"""Injection of scripted faults."""
 
 import json
 import threading
@@ -72,7 +72,7 @@ class ScriptedFault:
     for_s
         How long it lasts, s; a power cycle is over at once.
     value
-        For late answers how late, s; for packet loss the share lost; for a clock jump how far, s; for room light the
+        For late answers how late, s; for packet loss the fraction lost; for a clock jump how far, s; for room light the
         illuminance on the photocathode, lux.
     panel
         For the front panel: what is entered there, in the instrument's own language.
@@ -105,13 +105,13 @@ class ScriptedFault:
 
     @property
     def words(self) -> str:
-        """What happens, for people."""
+        """Description of the fault."""
         much = "" if self.value is None else f" ({self.value:g} {_COUNTED[self.kind]})"
         return f"{self.kind} of {self.instrument}{much}"
 
     @property
     def faults(self) -> Faults:
-        """The same as the virtual instruments know it; a power cycle is counted by whoever strikes."""
+        """The fault as `Faults`; the caller counts power cycles."""
         value = self.value or 0.0
         known = {
             "garbage": Faults(garbage=True),
@@ -152,7 +152,7 @@ class FaultScript:
 
 
 def combine_faults(strikes: list[ScriptedFault], power_cycles: int) -> Faults:
-    """Return what is wrong with one instrument while several faults hold.
+    """Combine several faults of one instrument.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ STRUCK = "fault strikes"
 
 
 class Rehearsal:
-    """Strikes as long as its `with` block lasts, in a thread of its own; on leaving all is healed.
+    """Injects scripted faults during its `with` block, in a thread of its own, and removes them at its end.
 
     Parameters
     ----------
@@ -184,7 +184,7 @@ class Rehearsal:
     log
         File that remembers what struck: a resumed run goes on with the rest of the script.
     say
-        Told in a sentence what strikes.
+        Called with a sentence on each fault.
 
     Raises
     ------
@@ -209,8 +209,8 @@ class Rehearsal:
         self._thread = threading.Thread(target=self._strike, daemon=True)
 
     def __enter__(self) -> Self:
-        told = read_events(self._log_path) if self._log_path.exists() else []
-        struck = {each["number"] for each in told if each["event"] == STRUCK}
+        logged = read_events(self._log_path) if self._log_path.exists() else []
+        struck = {each["number"] for each in logged if each["event"] == STRUCK}
         self._left = {number: one for number, one in enumerate(self._script.fault) if number not in struck}
         for instrument in {one.instrument for one in self._script.fault}:
             self._provoke(instrument, Faults())
@@ -241,7 +241,7 @@ class Rehearsal:
                     self._end(number)
 
     def _begins_s(self, one: ScriptedFault) -> float | None:
-        """When a fault strikes; None where its step has not begun."""
+        """Start time of a fault; None before its step has begun."""
         since_s = self._began_s if one.at_step is None else self._steps.began_s.get(one.at_step)
         return None if since_s is None else since_s + one.at_s
 

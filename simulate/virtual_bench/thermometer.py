@@ -15,13 +15,13 @@ OUTPUT = "thermometer.output.json"
 
 
 class Thermometer:
-    """The controller with a sensor at its first input; the others are open."""
+    """Temperature controller with a sensor at its first input; the others are open."""
 
     def __init__(self) -> None:
         self._line, self._published = b"", False
 
     def power_cycle(self) -> None:
-        """Lose power and get it back."""
+        """Power cycle."""
         self._line = b""
 
     def receive(self, data: bytes) -> list[tuple[float, bytes]]:
@@ -42,10 +42,10 @@ class Thermometer:
         return b"Error: unknown command"
 
     def advance(self, now_s: float, faults: Faults) -> None:
-        """The room is kept at one temperature."""
+        """Do nothing: the temperature is constant."""
 
     def publish(self, folder: Path) -> None:
-        """Let the tube be as warm as the sensor beside it."""
+        """Publish the temperature of the tube."""
         if not self._published:
             replace_file(folder / OUTPUT, json.dumps({"temperature_c": TEMPERATURE_C}))
             self._published = True

@@ -1,4 +1,4 @@
-"""The specimen behind the virtual bench: a camera of the sheet's type whose numbers nobody was told."""
+"""True state of a virtual bench: a random device of the described type, and the errors of meter, lamp and filters."""
 
 import json
 import zlib
@@ -17,7 +17,7 @@ from simulate.virtual_bench.outputs import METER_RELATIVE_SD, Outputs, TargetPla
 # A range holds its value with 95 % probability: 1.96 standard deviations on either side.
 TWO_SIDED_95 = 1.959964
 
-# The parameters in which specimens differ, where the camera has them; the rest are the type's.
+# The parameters in which devices differ, where the camera has them; the rest are the type's.
 VARIED = (
     "optics.aberration_blur_um",
     "photocathode.luminous_sensitivity_ua_per_lm",
@@ -39,14 +39,14 @@ VARIED = (
 
 
 def draw_true_sensor(sensor: Sensor, seed: int) -> Sensor:
-    """Draw a specimen within the ranges of a description.
+    """Draw a device within the ranges of a description.
 
     Parameters
     ----------
     sensor
         The type: each varied parameter's `low` and `high` hold it with 95 % probability.
     seed
-        Seed; it names the specimen.
+        Seed; it names the device.
 
     Returns
     -------
@@ -55,7 +55,7 @@ def draw_true_sensor(sensor: Sensor, seed: int) -> Sensor:
 
     Notes
     -----
-    Each side of the value is half a normal law whose 95 % point is the bound, cut off at the bound: a specimen outside
+    Each side of the value is half a normal law whose 95 % point is the bound, cut off at the bound: a device outside
     what the sheet calls possible would be another camera.
     """
     known = sensor.parameters()
@@ -66,7 +66,7 @@ def draw_true_sensor(sensor: Sensor, seed: int) -> Sensor:
 
 
 def _stream(seed: int, path: str) -> np.random.Generator:
-    """A parameter's own random numbers: to vary one more moves none of the others."""
+    """Random generator of one parameter, independent of the other parameters."""
     return np.random.default_rng([seed, zlib.crc32(path.encode())])
 
 
@@ -87,14 +87,14 @@ _LAMP = "lamp.toml"
 
 @dataclass(frozen=True, kw_only=True)
 class BenchTruth:
-    """What the virtual bench really is.
+    """True state of the virtual bench.
 
     Parameters
     ----------
     sensor
-        The specimen, every parameter exact.
+        The device, every parameter exact.
     seed
-        Seed of the specimen and of every frame.
+        Seed of the device and of every frame.
     light_per_reading
         True illuminance over the meter's reading, dimensionless.
     lamp
@@ -107,7 +107,7 @@ class BenchTruth:
     lamp: LampCalibration | None = None
 
     def illuminance_lux(self, placement: TargetPlacement, outputs: Outputs) -> float:
-        """True illuminance on the photocathode, lux: the room's, and the lamp's or, without one, an operator's."""
+        """True illuminance on the photocathode, lux: room light plus lamp or, without a lamp, the operator's light."""
         return outputs.room_light_lux + self._source_lux(placement, outputs)
 
     def _source_lux(self, placement: TargetPlacement, outputs: Outputs) -> float:
@@ -121,7 +121,7 @@ class BenchTruth:
 
 
 def load_or_draw_truth(folder: Path, sensor: Sensor, seed: int, lamp: LampCalibration | None = None) -> BenchTruth:
-    """Draw a specimen of a sensor, its meter and its lamp and keep them in a folder, or find the same ones there again.
+    """Draw a device, its meter and its lamp and save them in a folder, or load them from there.
 
     Raises
     ------
@@ -157,7 +157,7 @@ def read_truth(folder: Path) -> BenchTruth:
 
 
 def _true_lamp(lamp: LampCalibration, seed: int) -> LampCalibration:
-    """Draw what a lamp truly makes, within its calibration's uncertainty: one error for all currents, one a filter."""
+    """Draw the true lamp within its calibration uncertainty: one error for all currents, one per filter."""
     rng = np.random.default_rng(np.random.SeedSequence((seed, 0x1A)))
     brighter = float(rng.standard_normal())
     densities = (

@@ -1,4 +1,4 @@
-"""The virtual tube: frame after frame of what stands before it, under the voltages on its wires at that moment."""
+"""Virtual tube: frames under the present target, light, voltage and gate of the virtual bench."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -20,12 +20,12 @@ CLOCKS_DIFFER = 2e-5
 """Relative difference between the clock of a gate generator and that of a camera, two ordinary crystals."""
 
 STEPS = 32
-"""Open times are told apart to this share of one opening: each is a light of its own to be drawn."""
+"""Open times are rounded to this fraction of one opening, since each is drawn as a scene of its own."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fields:
-    """Gate and fields of a camera, and how they run against one another.
+    """Timing of gate and fields of a camera.
 
     Parameters
     ----------
@@ -49,14 +49,14 @@ class Fields:
 
     @classmethod
     def of(cls, outputs: Outputs, *, field_hz: float, exposure_s: float, phase: float) -> "Fields":
-        """Return how a gate meets the fields; `phase`: that of a gate which the camera does not trigger, 0 to 1."""
+        """Return the timing of a gate and the fields; `phase`: of a gate that the camera does not trigger, 0 to 1."""
         rates = {"clock": outputs.gate_hz * (1.0 + CLOCKS_DIFFER), "mains": outputs.gate_hz, "camera": field_hz}
         rate_hz = rates[outputs.gate_trigger]
         first_s = -outputs.gate_delay_ns * 1e-9 if outputs.gate_trigger == "camera" else phase / rate_hz
         return cls(width_ns=outputs.gate_ns, rate_hz=rate_hz, field_hz=field_hz, exposure_s=exposure_s, first_s=first_s)
 
     def open_ns(self, first_field: int, fields: int) -> NDArray[np.floating]:
-        """Return how long the gate is open in each of some fields, ns."""
+        """Return the open time of the gate in each field, ns."""
         ends_s = self.first_s + (np.arange(first_field, first_field + fields) + 1.0) / self.field_hz
         return fields_open_ns(ends_s - self.exposure_s, self.exposure_s, width_ns=self.width_ns, rate_hz=self.rate_hz)
 
@@ -72,12 +72,12 @@ class Fields:
 
 
 GATE_EXTINCTION = 1e-7  # light that a closed gate lets through, over an open one: 1e6 to 1e7 to one in the visible
-MCP_FLOOR_V = 1.0  # a plate without voltage multiplies by next to nothing
+MCP_FLOOR_V = 1.0  # an MCP without voltage multiplies by next to nothing
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """All that the next frame depends on, but its noise."""
+    """Target and conditions of the next frame."""
 
     placement: TargetPlacement
     conditions: Conditions
@@ -111,11 +111,11 @@ class VirtualTube:
 
     @property
     def sensor(self) -> Sensor:
-        """The specimen."""
+        """The device."""
         return self._truth.sensor
 
     def scene(self, *, exposure_s: float, gain_db: float) -> Scene:
-        """Return what stands before the camera now, and the true conditions at the tube.
+        """Return the present target and the true conditions at the tube.
 
         Parameters
         ----------
@@ -143,8 +143,8 @@ class VirtualTube:
         return Scene(placement=placement, conditions=conditions, fields=beating)
 
     def prepare(self, scene: Scene) -> None:
-        """Render the picture of what stands before the camera, so that its first frame does not wait for it."""
-        self._bench.photoelectrons(scene.placement.kind, scene.placement.target, scene.conditions)
+        """Render the target ahead of its first frame."""
+        self._bench.mcp_input(scene.placement.kind, scene.placement.target, scene.conditions)
 
     def expose(self, scene: Scene) -> NDArray:
         """Expose one frame of a scene, shape (row, col), DN."""
@@ -152,7 +152,7 @@ class VirtualTube:
             return self._woven(scene, scene.fields)
         if scene != self._scene:
             same_placement = self._scene is not None and scene.placement.number == self._scene.placement.number
-            # What the screen remembers is drawn anew at the start of a segment: a changed scene begins with one.
+            # The lag of the phosphor is drawn again at the start of a segment: a changed scene begins with one.
             self._frame = -(-self._frame // SEGMENT_FRAMES) * SEGMENT_FRAMES if same_placement else 0
             self._scene = scene
             self._frames = self._bench.stream(
@@ -166,7 +166,7 @@ class VirtualTube:
         return next(self._frames)
 
     def _fields(self, outputs: Outputs, field_hz: float, exposure_s: float) -> Fields | None:
-        """How gate and fields meet; None where the gate idles open or shut, or its phase makes no difference."""
+        """Timing of gate and fields; None where the gate idles or its phase has no effect."""
         pulsed = outputs.gate_open and 0.0 < outputs.gate_ns * outputs.gate_hz < 1e9
         whole_fields = outputs.gate_trigger == "clock" and exposure_s == 1.0 / field_hz
         if not pulsed or whole_fields:
@@ -175,7 +175,7 @@ class VirtualTube:
         return Fields.of(outputs, field_hz=field_hz, exposure_s=exposure_s, phase=phase)
 
     def _woven(self, scene: Scene, fields: Fields) -> NDArray:
-        """Expose one frame whose fields have light of their own: rows of the one between rows of the other."""
+        """Expose one frame whose fields have different open times."""
         if scene != self._scene:
             self._scene, self._frame, self._lights = scene, 0, {}
         count = 2 if self.sensor.video.interlaced else 1

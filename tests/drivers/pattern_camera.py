@@ -27,18 +27,18 @@ def main(folder: Path, serial: str, parent: int, lost_packet_share: float) -> No
     wire = aravis.FakeCamera(LOOPBACK, serial, description)
     wire.lose_packets(lost_packet_share)
     for register, value in {
-        aravis.SENSOR_WIDTH: COLUMNS,
-        aravis.SENSOR_HEIGHT: ROWS,
-        aravis.WIDTH: COLUMNS,
-        aravis.HEIGHT: ROWS,
-        aravis.PIXEL_FORMAT: aravis.MONO_8,
-        aravis.FRAME_PERIOD_US: PERIOD_US,
+        aravis.Register.SENSOR_WIDTH: COLUMNS,
+        aravis.Register.SENSOR_HEIGHT: ROWS,
+        aravis.Register.WIDTH: COLUMNS,
+        aravis.Register.HEIGHT: ROWS,
+        aravis.Register.PIXEL_FORMAT: aravis.MONO_8,
+        aravis.Register.FRAME_PERIOD_US: PERIOD_US,
     }.items():
         wire.write(register, value)
 
     def pixels(number: int) -> bytes:
-        deep = wire.read(aravis.PIXEL_FORMAT) == aravis.MONO_16
-        size = wire.read(aravis.HEIGHT), wire.read(aravis.WIDTH)
+        deep = wire.read(aravis.Register.PIXEL_FORMAT) == aravis.MONO_16
+        size = wire.read(aravis.Register.HEIGHT), wire.read(aravis.Register.WIDTH)
         return luma(number, *size, deep=deep).astype("<u2" if deep else "u1").tobytes()
 
     wire.fill_frames(pixels)

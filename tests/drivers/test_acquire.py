@@ -150,7 +150,7 @@ def test_what_was_taken_while_the_bench_failed_is_put_aside_and_taken_anew(tmp_p
     session = take(rig, tmp_path / "s", resume=True)
     assert rig.diary.count("frame") == 8
     assert session.stack("low").read().frame_number.tolist() == [1, 2, 3, 4]
-    assert any("taken anew" in note and "low.aside-1.zarr" in note for note in session.stack("low").notes)
+    assert any("acquired again" in note and "low.aside-1.zarr" in note for note in session.stack("low").notes)
     assert (tmp_path / "s" / "frames" / "low.aside-1.zarr").is_dir()
 
 
@@ -161,7 +161,7 @@ def test_a_stack_that_is_full_when_the_bench_fails_is_doubted_as_well(tmp_path):
     with pytest.raises(InstrumentTripped):
         take(rig, tmp_path / "s")
     assert len(open_session(tmp_path / "s").stack("low").read()) == 4
-    assert any("taken anew" in note for note in take(FakeRig(), tmp_path / "s", resume=True).stack("low").notes)
+    assert any("acquired again" in note for note in take(FakeRig(), tmp_path / "s", resume=True).stack("low").notes)
 
 
 def test_resuming_a_complete_run_switches_nothing_on(tmp_path):

@@ -23,7 +23,8 @@ CLIENT = """
     from labdata.limits import Limits
     from labdata.instrument_config import InstrumentConfig
     gate, supply, log = sys.argv[1:]
-    with open_bench(InstrumentConfig(gate_port=gate, supply_port=supply), Limits(ramp_v_per_s=8000.0), log=log) as bench:
+    wires = InstrumentConfig(gate_port=gate, supply_port=supply)
+    with open_bench(wires, Limits(ramp_v_per_s=8000.0), log=log) as bench:
         bench.set_conditions(Conditions(mcp_v=800.0, gate_ns=1.6e7))
         print(bench.process.pid, flush=True)
         while True:

@@ -136,7 +136,7 @@ def test_nothing_gets_hotter_by_what_waits_when_the_server_ends(hot):
     hot.make_safe()
     hot.obey()
     assert not hot.is_hot
-    assert "opened anew after a failure" in str(hot.last_error)
+    assert "reopened after a failure" in str(hot.last_error)
 
 
 def test_a_run_without_a_sign_of_life_makes_safe_a_hot_tube_alone(bench):

@@ -304,5 +304,5 @@ def test_after_a_trip_nothing_gets_hotter_before_the_bench_is_opened_anew(bench,
         virtual.outputs()
         with pytest.raises(InstrumentTripped):
             bench.check()
-        with pytest.raises(BadInput, match="opened anew after a failure"):
+        with pytest.raises(BadInput, match="reopened after a failure"):
             bench.interlock.permit(OpenGate(width_ns=1e6, rate_hz=50.0))

@@ -183,7 +183,7 @@ def light(lux: float, **changes) -> SetLight:
         ),
         (LightRead(illuminance_lux=1e-4), TurnFilter(position=2), "must be out while a filter turns, got up to 0.0001"),
         (FilterMoved(), light(1e-4), "the filter must be read before there is light, got none read before 0.0001 lux"),
-        (Failed(sentence="the supply tripped"), light(1e-4), "opened anew after a failure, got: the supply tripped"),
+        (Failed(sentence="the supply tripped"), light(1e-4), "reopened after a failure, got: the supply tripped"),
         (Heard(now_s=99.0), light(1e-4), "shown life within 0.6 s, got 1 s of silence"),
     ],
 )
@@ -200,7 +200,7 @@ def test_more_light_is_allowed_at_less_gain():
     tube.permit(light(9e-3))
     tube = hot()
     tube.tell(GainRead(mcp_v=890.0))
-    with pytest.raises(InterlockRefused, match=r"more than 120 nA/cm2 of the plate, got 169.2.*lower the gain before"):
+    with pytest.raises(InterlockRefused, match=r"exceed 120 nA/cm2 of MCP output, got 169.2.*lower the gain before"):
         tube.permit(light(9e-3))
     tube.permit(light(6e-3))
 

@@ -90,7 +90,7 @@ def test_frames_that_are_played_back_are_never_taken_for_new_ones(recorded):
 def test_more_frames_than_were_recorded_are_refused(recorded):
     with (
         ReplayCamera(recorded, label="whole", speed=None) as camera,
-        pytest.raises(CameraError, match="must hold the 41 frames asked for, stack 'whole' has 40"),
+        pytest.raises(CameraError, match="must hold the 41 requested frames, stack 'whole' has 40"),
     ):
         camera.capture(frames=38, discard=3)
 

@@ -53,13 +53,16 @@ class TestV4l2(CameraLaws):
             refused=(
                 (CameraSettings(rows=5000), "rows and columns that it offers .*24x32, 12x16"),
                 (CameraSettings(rows=13, columns=17), "got 13x17, which it makes 12x16"),
-                (CameraSettings(frame_rate_hz=500.0), "must take the frame rate asked, 500 Hz, but reads back 60"),
+                (
+                    CameraSettings(frame_rate_hz=500.0),
+                    "must accept the requested frame rate, 500 Hz, but reads back 60",
+                ),
                 (CameraSettings(pixel_format="RGB8"), "must be one of Mono8, Mono16, YUYV, got 'RGB8'"),
                 (CameraSettings(pixel_format="Mono12"), "must be one of Mono8, Mono16, YUYV, got 'Mono12'"),
                 (CameraSettings(exposure_s=100.0), r"must lie in 0\.0001\.\.1 s, got 100"),
                 (CameraSettings(gain_db=999.0), r"must lie in 0\.\.255 of its own steps, got 999"),
                 (CameraSettings(first_row=3), "must begin at row 0 and column 0"),
                 (CameraSettings(trigger="Line1"), "V4L2 has no trigger"),
-                (CameraSettings(field_order="top first"), "must take the field order asked"),
+                (CameraSettings(field_order="top first"), "must accept the requested field order"),
             ),
         )

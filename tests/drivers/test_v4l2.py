@@ -267,7 +267,7 @@ def test_a_control_that_takes_another_value_is_told():
     device._s_ctrl = lambda it: None
     with (
         camera_on(device) as camera,
-        pytest.raises(CameraError, match="'Brightness' must take the value asked, 9"),
+        pytest.raises(CameraError, match="'Brightness' must accept the requested value, 9"),
     ):
         camera.set_control("Brightness", 9)
 

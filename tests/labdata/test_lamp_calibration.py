@@ -43,9 +43,9 @@ def test_the_filters_uncertainty_is_added_to_the_lamps():
 @pytest.mark.parametrize(
     ("lux", "density", "rule"),
     [
-        (2.0, None, "within what the lamp makes, 1e-07 to 1, got 2"),
-        (1e-8, None, "within what the lamp makes, 1e-07 to 1, got 1e-08"),
-        (1e-1, 3.0, "within what the lamp makes, 1e-05 to 0.001, got 0.1"),
+        (2.0, None, "within the range of the lamp, 1e-07 to 1, got 2"),
+        (1e-8, None, "within the range of the lamp, 1e-07 to 1, got 1e-08"),
+        (1e-1, 3.0, "within the range of the lamp, 1e-05 to 0.001, got 0.1"),
         (1e-4, 2.5, "filter_density must be one of the wheel's 0, 1, 2, 3, 4, 5, got 2.5"),
     ],
 )

@@ -252,12 +252,12 @@ import numpy as np
 from labdata.capture import Frame
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
-from labdata.store import SessionWriter, storage
+from labdata.store import SessionWriter, storage_thread
 
-storage.STALLED_S = 0.3
+storage_thread.STALLED_S = 0.3
 writer = SessionWriter.create(sys.argv[1], name="stuck")
 try:
-    with storage.Storage(writer) as disk:
+    with storage_thread.Storage(writer) as disk:
         stack = disk.begin_stack("flat", "flat", (4, 4), np.uint8, Conditions())
         disk.wait()
         os.fsync = lambda file: threading.Event().wait()

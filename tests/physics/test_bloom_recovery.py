@@ -110,7 +110,7 @@ def test_the_share_of_a_small_halo_is_known_no_better_than_the_light_of_its_core
 def density_at_half_gain_dn(sensor):
     """Light per pixel at which the plate's gain has halved, DN."""
     camera = IntensifiedCamera(sensor)
-    plate = camera.plate(SETTINGS)
+    plate = camera.mcp(SETTINGS)
     at_half_gain_pe = (
         plate.saturation_e_per_s_cm2 * plate.field_s * true_quantities.field_pixel_area_cm2(camera) / plate.gain
     )

@@ -60,13 +60,13 @@ def test_steady_scene_stays_and_a_flash_decays():
     flash[1] = 1.0
     seen = glow.mean(StageImage(values=flash)).values[:, 0, 0]
     assert seen[0] == 0.0
-    assert seen[1 : 1 + glow.memory + 1] == pytest.approx(glow.weights, rel=1e-4)
+    assert seen[1 : 1 + glow.n_lag_fields + 1] == pytest.approx(glow.weights, rel=1e-4)
     assert seen.sum() == pytest.approx(1.0, rel=1e-5)
 
 
 def test_screen_without_decay_keeps_nothing():
     glow = PhosphorDecay(fast_fraction=0.9, fast_decay_ms=0.0, slow_decay_ms=0.0, gate_s=FIELD_S, field_s=FIELD_S)
-    assert glow.memory <= 1
+    assert glow.n_lag_fields <= 1
     assert glow.weights[0] == pytest.approx(1.0, abs=1e-6)
 
 

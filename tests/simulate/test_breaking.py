@@ -147,7 +147,7 @@ def test_a_plate_at_its_strip_current_gives_that_and_no_more(plain, seed):
         video__conversion_gain_dn_per_e=1.0,
     )
     camera = IntensifiedCamera(sensor)
-    plate = camera.plate(Conditions())
+    plate = camera.mcp(Conditions())
     area = 2.0 * camera.cells.cell_area_cm2 * camera.cells.per_column * camera.cells.per_row
     limit_e = plate.saturation_e_per_s_cm2 * camera.field_s * area * 205.0 * 0.225 * 0.32
     levels = []

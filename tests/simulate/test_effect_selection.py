@@ -27,7 +27,7 @@ from simulate.iiccd.fast_sampler.prepare import CameraStages
 from simulate.iiccd.scene_to_photoelectrons import photoelectrons_from_image
 from simulate.iiccd.stage_image import StageImage
 from simulate.iiccd.transfer import PixelAperture, product
-from simulate.iiccd.video import Video, filter_lines
+from simulate.iiccd.video import filter_lines
 from tests.simulate.random_scenes import random_scene
 
 Map = NDArray[np.float64]
@@ -110,7 +110,7 @@ class Pair:
     thin: IntensifiedCamera
     plan: EffectSelection
     conditions: Conditions
-    at_plate: tuple[StageImage, StageImage]
+    at_mcp: tuple[StageImage, StageImage]
 
     @classmethod
     def of(
@@ -142,7 +142,7 @@ class Pair:
 
     @property
     def _both(self) -> tuple[tuple[IntensifiedCamera, StageImage], tuple[IntensifiedCamera, StageImage]]:
-        return (self.whole, self.at_plate[0]), (self.thin, self.at_plate[1])
+        return (self.whole, self.at_mcp[0]), (self.thin, self.at_mcp[1])
 
     def frames(self, count: int, seed: int) -> Iterator[Map]:
         """Frames of both, the whole one by the exact law of pulses, from the same random numbers, (frame, row, col)."""
@@ -158,7 +158,7 @@ class Pair:
         return self.means[0] + 6.0 * self.noise < top
 
 
-def temporal_variance(camera: IntensifiedCamera, at_plate: StageImage, conditions: Conditions) -> Map:
+def temporal_variance(camera: IntensifiedCamera, at_mcp: StageImage, conditions: Conditions) -> Map:
     """Temporal variance of every pixel, DN^2, rounding included, wells and digitiser without end, shape (row, col).
 
     Notes
@@ -166,17 +166,17 @@ def temporal_variance(camera: IntensifiedCamera, at_plate: StageImage, condition
     Pulses: sum over cells of m <q^2> h^2, m their expected number, q their charge, h what of a pulse in that cell the
     pixel reads, times the mean over pulses of the squared shares of fields.
     """
-    stages, grid = CameraStages.of(camera.chain(conditions), camera.fields_per_frame), at_plate.grid
+    stages, grid = CameraStages.of(camera.chain(conditions), camera.fields_per_frame), at_mcp.grid
     assert grid is not None
-    plate, ccd, video = stages.plate, stages.ccd, stages.video
-    height = 2 if camera.interlaced else 1
+    plate, ccd, video = stages.mcp, stages.ccd, stages.video
+    height = 2 if camera.is_interlaced else 1
     wider = 1.0 + 1.0 / plate.pulse_height_shape
     size, p = plate.ion_event_size_pe, plate.detection_probability
-    number = np.maximum(at_plate.values.astype(float), 0.0) * p * wider
-    number += plate.ions_per_cell(at_plate) * (size**2 + size * wider)
-    left = np.broadcast_to(plate.gain_under_load(at_plate) / plate.gain, at_plate.values.shape).astype(np.float32)
-    evenly = at_plate.with_values(np.ones_like(at_plate.values))
-    screen = stages.behind_plate.mean(replace(plate, gain_map=left, ion_events_per_s_cm2=0.0).mean(evenly))
+    number = np.maximum(at_mcp.values.astype(float), 0.0) * p * wider
+    number += plate.ions_per_cell(at_mcp) * (size**2 + size * wider)
+    left = np.broadcast_to(plate.gain_under_load(at_mcp) / plate.gain, at_mcp.values.shape).astype(np.float32)
+    evenly = at_mcp.with_values(np.ones_like(at_mcp.values))
+    screen = stages.behind_mcp.mean(replace(plate, gain_map=left, ion_events_per_s_cm2=0.0).mean(evenly))
     charge = screen.values.astype(float) * ccd.quantum_efficiency / p
     decay = float(np.mean(np.sum(stages.afterglow.pulse_shares**2, axis=1)))
     taps = np.asarray(video.low_pass.impulse_response(), float)
@@ -184,14 +184,12 @@ def temporal_variance(camera: IntensifiedCamera, at_plate: StageImage, condition
     pulses = np.fft.irfft2(np.fft.rfft2(number * charge**2 * decay) * np.fft.rfft2(kernel**2), grid.shape)
     rows = slice(2 * grid.margin_rows, 2 * (grid.margin_rows + camera.shape[0]), 2)
     cols = slice(2 * grid.margin_columns, 2 * (grid.margin_columns + camera.shape[1]), 2)
-    response = pattern.prnu_map(camera.shape, ccd.prnu, ccd.specimen) if ccd.prnu > 0.0 else 1.0
-    light = ccd.mean_charge(stages.collection.mean(stages.behind_plate.mean(plate.mean(at_plate))).values)
+    response = pattern.prnu_map(camera.shape, ccd.prnu, ccd.pattern_seed) if ccd.prnu > 0.0 else 1.0
+    light = ccd.mean_charge(stages.collection.mean(stages.behind_mcp.mean(plate.mean(at_mcp))).values)
     own = filter_lines(light + ccd.dark(camera.shape) + ccd.read_noise_e**2, taps**2)
     variance = (pulses[rows, cols] * response**2 + own) * video.conversion_gain_dn_per_e**2 + 1.0 / 12.0
-    if isinstance(video, Video):
-        slope = np.gradient(filter_lines(light, taps), axis=1) * video.conversion_gain_dn_per_e
-        variance += (video.sync_jitter_px * slope) ** 2 + video.line_noise_dn**2
-    return variance
+    slope = np.gradient(filter_lines(light, taps), axis=1) * video.conversion_gain_dn_per_e
+    return variance + (video.sync_jitter_px * slope) ** 2 + video.line_noise_dn**2
 
 
 @lru_cache(maxsize=8)

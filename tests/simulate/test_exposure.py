@@ -55,7 +55,7 @@ def _per_pixel(camera, light) -> np.ndarray:
     """Photoelectrons that every pixel as read collects."""
     from simulate.iiccd.pixels import Collection
 
-    return Collection(row_pairs=camera.interlaced).mean(light).values
+    return Collection(row_pairs=camera.is_interlaced).mean(light).values
 
 
 def test_a_flat_picture_of_x_gives_x_photoelectrons_per_pixel_as_read(camera):
@@ -69,8 +69,8 @@ def test_a_spot_keeps_its_photoelectrons(camera):
     image = np.zeros(camera.shape)
     image[20, 30] = 1000.0
     light = mcp_input_from_photoelectrons(camera, image, Conditions())
-    at_plate = 500.0 if camera.interlaced else 1000.0
-    assert light.values.sum(dtype=float) == pytest.approx(at_plate, rel=1e-3)
+    at_mcp = 500.0 if camera.is_interlaced else 1000.0
+    assert light.values.sum(dtype=float) == pytest.approx(at_mcp, rel=1e-3)
 
 
 def test_a_row_of_the_picture_is_read_by_its_own_row(plain):
@@ -107,7 +107,7 @@ def test_a_scene_of_known_radiance_meets_the_bench_of_known_illuminance(plain):
     sensor = plain(40, 56, **IDEAL_LENS)
     camera, lux = IntensifiedCamera(sensor), 2e-4
     scene = mcp_input_from_radiance(camera, _scene(lux, camera.lens().gathering_sr), Conditions())
-    bench = LabBench(sensor).photoelectrons("flat", Target(), Conditions(illuminance_lux=lux))
+    bench = LabBench(sensor).mcp_input("flat", Target(), Conditions(illuminance_lux=lux))
     assert scene.values == pytest.approx(bench.values, rel=1e-3)
 
 

@@ -71,11 +71,11 @@ def test_borders_of_shears_are_the_dark_lines_of_the_pattern():
 
 def test_shear_leaves_a_flat_flat_and_follows_its_specimen():
     flat = StageImage(values=np.full(GRID.shape, 2.0, np.float32), grid=GRID)
-    sheared = FibreGeometry(shear_um=25.0, demagnification=1.6, specimen=3)
+    sheared = FibreGeometry(shear_um=25.0, demagnification=1.6, pattern_seed=3)
     assert sheared.mean(flat).values == pytest.approx(2.0, rel=1e-5)
     spot = _spot(0.3, 0.2)
     assert np.array_equal(sheared.mean(spot).values, sheared.mean(spot).values)
-    assert not np.array_equal(sheared.mean(spot).values, replace(sheared, specimen=4).mean(spot).values)
+    assert not np.array_equal(sheared.mean(spot).values, replace(sheared, pattern_seed=4).mean(spot).values)
     moved = _centre(sheared.mean(spot)) - _centre(spot)
     assert 0.0 < np.hypot(*moved) < 5 * 0.025 * 1.6
 

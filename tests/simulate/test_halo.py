@@ -74,9 +74,9 @@ def test_halo_of_the_camera_ends_at_four_gaps_at_every_light_level(plain):
 def test_halo_holds_its_fraction_of_the_light(plain):
     sensor = plain(120, 120, photocathode__ebi_lm_per_cm2=0.0, photocathode__halo_fraction=0.2)
     bench, conditions = LabBench(sensor), Conditions(illuminance_lux=1e-2)
-    plate = bench.photoelectrons("point", Target(pinhole_px=3.0), conditions).values
+    plate = bench.mcp_input("point", Target(pinhole_px=3.0), conditions).values
     none = LabBench(sensor.with_values({"photocathode.halo_fraction": 0.0}))
-    sharp = none.photoelectrons("point", Target(pinhole_px=3.0), conditions).values
+    sharp = none.mcp_input("point", Target(pinhole_px=3.0), conditions).values
     # The holder's ring glows beside the picture and its halo reaches in.
     assert plate.sum() == pytest.approx(sharp.sum(), rel=2e-3)
     grid = bench.camera.cells

@@ -176,9 +176,9 @@ def test_light_switched_off_leaves_the_p20_residuals_in_the_fields_of_frames(pla
     """Frame after frame two fields: 0.48 and 0.28, 0.17 and 0.11, 0.07 of the steady light."""
     camera = IntensifiedCamera(plain(60, 90, photocathode__ebi_lm_per_cm2=0.0))
     lit, dark = (mcp_input_from_photoelectrons(camera, np.full(camera.shape, pe), Conditions()) for pe in (200.0, 0.0))
-    memory = steady_state(camera, lit, Conditions(), seed=seed)
-    steady, error = _fields(camera, [lit] * 16, memory, seed)
-    fading, _ = _fields(camera, [dark] * 6, memory, seed)
+    state = steady_state(camera, lit, Conditions(), seed=seed)
+    steady, error = _fields(camera, [lit] * 16, state, seed)
+    fading, _ = _fields(camera, [dark] * 6, state, seed)
     level = steady.mean()
     assert level == pytest.approx(200.0 * slow.of_sensor(camera.sensor).charge_e * 0.2, rel=0.01)
     residual = fading.ravel()[:5] / level
@@ -186,10 +186,10 @@ def test_light_switched_off_leaves_the_p20_residuals_in_the_fields_of_frames(pla
 
 
 def _fields(
-    camera: IntensifiedCamera, scenes: list[StageImage], memory: ChainState, seed: int
+    camera: IntensifiedCamera, scenes: list[StageImage], state: ChainState, seed: int
 ) -> tuple[NDArray[Any], float]:
     """Means above black of both fields of each frame, shape (frame, 2), and the scatter of such a mean, DN."""
-    run = sequence(camera, scenes, Conditions(), seed=seed, memory=memory)
+    run = sequence(camera, scenes, Conditions(), seed=seed, state=state)
     frames = np.stack([frame.astype(float) for frame in run]) - 400.0
     means = np.stack([frames[:, parity::2].mean(axis=(1, 2)) for parity in (0, 1)], axis=1)
     return means, float(means.std(ddof=1))

@@ -51,10 +51,10 @@ CASES = [
 
 
 def drawn(
-    sensor: Sensor, at_plate: StageImage, frames: int, seed: int, tier: sampler_choice.Tier
+    sensor: Sensor, at_mcp: StageImage, frames: int, seed: int, tier: sampler_choice.Tier
 ) -> Iterator[NDArray[Any]]:
     """Yield blocks of so many frames of a steady scene by one of the simulator's tiers, DN, shape (frame, row, col)."""
-    stream = sampler_choice.generate_frames(IntensifiedCamera(sensor), at_plate, Conditions(), seed=seed, tier=tier)
+    stream = sampler_choice.generate_frames(IntensifiedCamera(sensor), at_mcp, Conditions(), seed=seed, tier=tier)
     while True:
         codes = np.stack([frame.copy() for frame in islice(stream, frames)])
         assert codes.min() > 0 and codes.max() < 2**sensor.video.bit_depth - 1
@@ -66,7 +66,7 @@ def flat_frames(
 ) -> Iterator[NDArray[Any]]:
     """Yield blocks of so many frames of a flat by one of the simulator's tiers, DN, shape (frame, row, col)."""
     camera = IntensifiedCamera(sensor)
-    cells = camera.cells.per_column * camera.cells.per_row * (2 if camera.interlaced else 1)
+    cells = camera.cells.per_column * camera.cells.per_row * (2 if camera.is_interlaced else 1)
     flat = np.full(camera.cells.shape, photoelectrons_per_pixel / cells, np.float32)
     return drawn(sensor, StageImage(values=flat, grid=camera.cells), frames, seed, tier)
 

@@ -32,7 +32,7 @@ def _transfer(bench: LabBench, fx_cy_per_px: np.ndarray, fy_cy_per_px: np.ndarra
     camera = bench.camera
     pitch = camera.cells.pitch_x_mm
     blurs = (*true_quantities._before_gain(camera), *true_quantities._after_gain(camera))
-    video = np.abs(true_quantities._video(camera).low_pass.transfer(fx_cy_per_px))
+    video = np.abs(camera.video().low_pass.transfer(fx_cy_per_px))
     return product(blurs, fx_cy_per_px / pitch, fy_cy_per_px / pitch) * video
 
 
@@ -116,7 +116,7 @@ def test_edge_turned_by_a_small_angle_leans_to_lower_columns_further_down(bench,
 def test_blur_keeps_the_light(plain, full, bench):
     dark, signal = full
     image = (bench.mean("point", Target(pinhole_px=6.0), LUX) - dark) / signal
-    plate = bench.photoelectrons("point", Target(pinhole_px=6.0), LUX)
+    plate = bench.mcp_input("point", Target(pinhole_px=6.0), LUX)
     q = true_quantities.true_quantities(bench.camera.sensor)
     # A pixel as read is two rows high and holds eight cells.
     lit = plate.values.sum(dtype=float) - plate.values.size * q["ebi_per_field"] / 8.0
@@ -130,7 +130,7 @@ def test_paid_blur_keeps_the_sum_and_makes_no_light(bench):
     values = np.zeros(grid.shape, np.float32)
     values[40:60, 50:70] = 100.0
     blurred = (
-        StageImage(values=values, grid=grid).blurred(*true_quantities._after_gain(bench.camera)).with_blurs_applied()
+        StageImage(values=values, grid=grid).with_blurs(*true_quantities._after_gain(bench.camera)).with_blurs_applied()
     )
     assert blurred.values.sum(dtype=float) == pytest.approx(values.sum(), rel=1e-5)
 

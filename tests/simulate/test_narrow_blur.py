@@ -88,7 +88,7 @@ def test_flats_of_a_camera_that_does_not_blur_are_white(level, tier, plain, seed
     assert frames.min() > 0
     black = float(camera.sensor.video.black_level_dn)
     step, mean = float(camera.sensor.video.conversion_gain_dn_per_e), frames.mean() - black
-    p, shape = camera.plate(Conditions()).detection_probability, camera.plate(Conditions()).pulse_height_shape
+    p, shape = camera.mcp(Conditions()).detection_probability, camera.mcp(Conditions()).pulse_height_shape
     variance = mean**2 / level * (1.0 + 1.0 / shape) / p + step * mean + 1.0 / 12.0
     centred = frames - frames.mean(axis=0)
     found = centred.var(axis=0, ddof=1).mean()

@@ -151,7 +151,7 @@ def _captured(sensor, rows: int, columns: int) -> float:
         for n in (-2, -1, 0, 1, 2):
             fx, fy = np.broadcast_arrays((x[None, :] + m) / pitch_x, (y[:, None] + n) / pitch_y)
             power += product(true_quantities._after_gain(camera), fx, fy) ** 2
-    power *= np.abs(true_quantities._video(camera).low_pass.transfer(x)) ** 2
+    power *= np.abs(camera.video().low_pass.transfer(x)) ** 2
     kernel = [(np.sin(np.pi * n * f) / np.sin(np.pi * f)) ** 2 / n for n, f in ((columns, x), (rows, y))]
     return float(np.mean(power * kernel[0][None, :] * kernel[1][:, None]))
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from labdata.phosphors import load_phosphor
-from simulate.iiccd.phosphor import FORGOTTEN, PhosphorDecay
+from simulate.iiccd.accuracy import ACCURACY
+from simulate.iiccd.phosphor import PhosphorDecay
 
 
 def _glow(name: str, field_s: float, gate_s: float | None = None) -> PhosphorDecay:
@@ -65,8 +66,8 @@ def test_every_screen_gives_all_its_light_at_any_rate(name, field_s):
     assert glow.weights.sum() == pytest.approx(1.0, abs=1e-12)
     assert glow.weights.min() >= 0.0
     # What is remembered reaches as far as the slow component does.
-    exact = _late(glow, glow.memory + 1)
-    assert exact < FORGOTTEN
+    exact = _late(glow, glow.n_lag_fields + 1)
+    assert exact < ACCURACY.max_lag_fraction
 
 
 def _late(glow: PhosphorDecay, fields: int) -> float:
@@ -81,8 +82,8 @@ def _late(glow: PhosphorDecay, fields: int) -> float:
 @pytest.mark.parametrize("gate_s", [1e-9, 1e-6, 1e-4, 1e-2])
 def test_gates_shorter_than_a_decay_leave_what_the_closed_integral_says(name, gate_s):
     glow = _glow(name, 0.01668, gate_s)
-    for fields in range(1, min(glow.memory, 5) + 1):
-        assert glow.residuals(5)[fields - 1] == pytest.approx(_late(glow, fields), abs=1e-4 + FORGOTTEN)
+    for fields in range(1, min(glow.n_lag_fields, 5) + 1):
+        assert glow.residuals(5)[fields - 1] == pytest.approx(_late(glow, fields), abs=1e-4 + ACCURACY.max_lag_fraction)
 
 
 def test_p43_leaves_video_fields_almost_free_and_p20_not():
@@ -95,6 +96,6 @@ def test_p43_leaves_video_fields_almost_free_and_p20_not():
 def test_a_fast_camera_remembers_slow_fields_beyond_any_fixed_number():
     """P20 at a thousand exposures per second glows for a fifth of a second."""
     glow = _glow("P20", 1e-3)
-    assert glow.memory > 150
+    assert glow.n_lag_fields > 150
     assert glow.residuals(100)[63] == pytest.approx(_late(glow, 64), rel=2e-2)
-    assert replace(glow, slow_decay_ms=1e-6).memory < glow.memory
+    assert replace(glow, slow_decay_ms=1e-6).n_lag_fields < glow.n_lag_fields

@@ -36,8 +36,8 @@ def test_control_word_follows_the_published_table(sheet, word, luminous_gain):
 
 def test_control_word_sets_the_gain_of_the_plate(sheet):
     camera = IntensifiedCamera(sheet)
-    nominal = camera.plate(Conditions()).gain
-    assert camera.plate(Conditions(gain_control=187.5)).gain == pytest.approx(1.95 * nominal, rel=1e-3)
+    nominal = camera.mcp(Conditions()).gain
+    assert camera.mcp(Conditions(gain_control=187.5)).gain == pytest.approx(1.95 * nominal, rel=1e-3)
     with pytest.raises(BadInput, match="same gain"):
         camera.chain(Conditions(gain_control=100.0, mcp_v=800.0))
     with pytest.raises(BadInput, match="em_gain"):

@@ -339,7 +339,7 @@ def test_truth_20_p20_correlates_lines_by_23_hundredths_and_pixels_2_1_times_as_
 def test_truth_20_the_staircase_of_the_pixel_clock_adds_to_the_correlation_along_lines(sheet):
     """Pixels are held for a clock before the filter: along lines the chain's noise is smoother than the reference's."""
     camera = IntensifiedCamera(sheet)
-    beside, overlap = _row_pairs(sheet, true_quantities._video(camera).low_pass)
+    beside, overlap = _row_pairs(sheet, camera.video().low_pass)
     assert beside == pytest.approx(true_quantities.true_quantities(sheet)["correlation_horizontal"], abs=2e-3)
     ratio = beside / (true_quantities.true_quantities(sheet)["field_correlation"] * overlap)
     assert 2.1 * 1.05 < ratio < 3.0

@@ -42,7 +42,7 @@ def test_a_steady_sequence_is_the_steady_run(plain, local):
     scene = _scene(camera, 20.0)
     steady = islice(steady_frames(camera, scene, NONE, seed=7), 4)
     start = steady_state(camera, scene, NONE, seed=7)
-    changing = sequence(camera, [scene] * 8, NONE, seed=7, memory=start)
+    changing = sequence(camera, [scene] * 8, NONE, seed=7, state=start)
     for one, other in zip(steady, changing, strict=True):
         different = one.astype(int) - other
         assert np.abs(different).max() <= 1
@@ -52,10 +52,10 @@ def test_a_steady_sequence_is_the_steady_run(plain, local):
 def test_a_frame_is_drawn_again_alone_from_the_memory_before_it(camera):
     scenes = [_scene(camera, level) for level in (5.0, 50.0, 0.0, 20.0, 3.0, 3.0)]
     run = list(sequence(camera, scenes, NONE, seed=7))
-    memory = initial_state(camera, NONE)
+    state = initial_state(camera, NONE)
     for n in range(2):
-        _, memory = next_frame(camera, scenes[2 * n : 2 * n + 2], NONE, memory, seed=7)
-    alone, after = next_frame(camera, scenes[4:], NONE, memory, seed=7)
+        _, state = next_frame(camera, scenes[2 * n : 2 * n + 2], NONE, state, seed=7)
+    alone, after = next_frame(camera, scenes[4:], NONE, state, seed=7)
     assert alone.tobytes() == run[2].tobytes()
     assert after.frame == 3
 
@@ -64,7 +64,7 @@ def test_light_switched_off_leaves_the_screens_residuals(camera, seed):
     """Truth 19 in frames: the field residuals 0.48, 0.28, 0.17, 0.11, ... are the shares of later fields."""
     light, dark = _scene(camera, 400.0), _scene(camera, 0.0)
     start = steady_state(camera, light, NONE, seed=seed)
-    frames = np.stack(list(sequence(camera, [dark] * 8, NONE, seed=seed, memory=start))).astype(float) - 400.0
+    frames = np.stack(list(sequence(camera, [dark] * 8, NONE, seed=seed, state=start))).astype(float) - 400.0
     full = camera.mean_frame(light, NONE).mean() - 400.0
     residual = np.concatenate([[1.0], camera.afterglow(NONE).residuals(9)])
     for n, frame in enumerate(frames):
@@ -95,10 +95,10 @@ def test_channels_recover_after_a_flash(plain, seed):
     )
     camera = IntensifiedCamera(replace(sensor, video=replace(sensor.video, interlaced=False)), local_depletion=True)
     flash, probe = (mcp_input_from_photoelectrons(camera, np.full(camera.shape, level), NONE) for level in (3e4, 20.0))
-    plate = camera.plate(NONE)
+    plate = camera.mcp(NONE)
     load = plate.depletion.load(plate.gain * flash.in_whole_rows().values, flash.in_whole_rows().grid)
-    memory = replace(initial_state(camera, NONE), depletion=load)
-    frames = np.stack(list(sequence(camera, [probe] * 8, NONE, seed=seed, memory=memory))).astype(float) - 400.0
+    state = replace(initial_state(camera, NONE), depletion=load)
+    frames = np.stack(list(sequence(camera, [probe] * 8, NONE, seed=seed, state=state))).astype(float) - 400.0
     found = frames.mean(axis=(1, 2))
     undiminished = camera.mean_frame(probe, NONE).mean() - 400.0
     state = float(load.mean())
@@ -115,15 +115,15 @@ def test_a_lamp_that_enters_the_picture_pumps_the_tubes_brightness(plain, seed):
     per_lux = tube_photometry.photoelectrons_per_lumen_s(sensor) * 1e-4 * camera.field_s
     per_lux *= 2.0 * camera.cells.pitch_x_mm * camera.cells.pitch_y_mm * 1e-2
     threshold = float(sensor.tube.brightness_control_lux) * per_lux
-    memory = initial_state(camera, on)
+    state = initial_state(camera, on)
     bright = mcp_input_from_photoelectrons(camera, np.full(camera.shape, 10.0 * threshold), on)
     for _ in range(40):
-        _, memory = next_frame(camera, [bright, bright], on, memory, seed=seed)
-    assert memory.automatic.brightness == pytest.approx(0.1, rel=0.03)
+        _, state = next_frame(camera, [bright, bright], on, state, seed=seed)
+    assert state.automatic.brightness == pytest.approx(0.1, rel=0.03)
     dim = mcp_input_from_photoelectrons(camera, np.full(camera.shape, 0.1 * threshold), on)
     for _ in range(40):
-        _, memory = next_frame(camera, [dim, dim], on, memory, seed=seed)
-    assert memory.automatic.brightness == 1.0
+        _, state = next_frame(camera, [dim, dim], on, state, seed=seed)
+    assert state.automatic.brightness == 1.0
 
 
 def test_automatic_gain_follows_the_frames_it_has_seen(plain, seed):
@@ -142,7 +142,7 @@ def test_a_frame_of_the_wrong_number_of_exposures_is_refused(camera):
 
 
 def test_memory_of_a_rested_camera_is_dark(camera):
-    memory = initial_state(camera, NONE)
-    assert isinstance(memory, ChainState)
-    assert memory.glow.shape == (camera.afterglow(NONE).memory, 2, *camera.shape)
-    assert not memory.glow.any()
+    state = initial_state(camera, NONE)
+    assert isinstance(state, ChainState)
+    assert state.glow.shape == (camera.afterglow(NONE).n_lag_fields, 2, *camera.shape)
+    assert not state.glow.any()

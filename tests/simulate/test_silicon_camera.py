@@ -122,7 +122,7 @@ def test_dark_signal_is_fixed_positive_and_of_its_spread():
 
 
 def test_dark_pattern_stays_from_frame_to_frame_and_is_in_the_mean(seed):
-    ccd = Ccd(quantum_efficiency=0.5, full_well_e=1e5, dark_e=40.0, dsnu_e=5.0, specimen=2)
+    ccd = Ccd(quantum_efficiency=0.5, full_well_e=1e5, dark_e=40.0, dsnu_e=5.0, pattern_seed=2)
     nothing = StageImage(values=np.zeros((60, 80), np.float32))
     rng = np.random.default_rng(seed)
     average = np.mean([ccd.draw(nothing, rng).values for _ in range(400)], axis=0)

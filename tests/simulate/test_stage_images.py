@@ -40,11 +40,11 @@ def test_every_stage_of_the_chain_is_shown_once_in_its_order(name):
 def test_light_at_the_plate_is_that_of_the_exposure():
     camera = _small("pulnix-ag5745ef3")
     shown = {stage: image for stage, _, image in stage_images(camera, CUBE, Conditions(), seed=1)}
-    at_plate = mcp_input_from_radiance(camera, CUBE, Conditions())
-    grid = at_plate.grid
+    at_mcp = mcp_input_from_radiance(camera, CUBE, Conditions())
+    grid = at_mcp.grid
     assert grid is not None
     top, left = grid.margin_rows * 2, grid.margin_columns * 2
-    whole = at_plate.values[top : top + 2 * grid.rows, left : left + 2 * grid.columns]
+    whole = at_mcp.values[top : top + 2 * grid.rows, left : left + 2 * grid.columns]
     assert shown["fibre geometry"] == pytest.approx(whole, rel=1e-4)
 
 

@@ -172,12 +172,12 @@ def test_a_chain_refuses_neighbours_that_do_not_fit(camera):
 
 
 def test_changing_one_stage_leaves_the_noise_of_the_others(camera):
-    chain = camera.chain(Conditions()).part("microchannel plate", "taper")
-    light = _light_for(camera, camera.plate(Conditions()))
+    chain = camera.chain(Conditions()).between("microchannel plate", "taper")
+    light = _light_for(camera, camera.mcp(Conditions()))
     whole = chain.draw(light, np.random.default_rng(9)).values
     without = chain.without("taper").draw(light, np.random.default_rng(9)).values
     assert np.allclose(whole, without * chain.stages[-1].transmission, rtol=1e-6)
-    gap, plate = camera.chain(Conditions()).part("gap", "microchannel plate").stages
+    gap, plate = camera.chain(Conditions()).between("gap", "microchannel plate").stages
     light = _light_for(camera, gap)
     behind_gap = Chain((gap, plate)).draw(light, np.random.default_rng(9)).values
     alone = Chain((plate,)).draw(gap.mean(light), np.random.default_rng(9)).values
@@ -187,7 +187,7 @@ def test_changing_one_stage_leaves_the_noise_of_the_others(camera):
 def test_parts_of_an_exposure_add_up_to_the_whole(camera):
     """Ions and the load of the plate included."""
     plate = camera.chain(Conditions()).stages[3]
-    light = _light_for(camera, camera.plate(Conditions()))
+    light = _light_for(camera, camera.mcp(Conditions()))
     half = plate.under_load(light, parts=2).mean(light.with_values(light.values / 2)).values
     assert np.allclose(2.0 * half, plate.mean(light).values, rtol=1e-5)
 

@@ -10,6 +10,7 @@ from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.sensors import load_sensor
 from simulate.iiccd import sampler_choice, true_quantities
+from simulate.iiccd.accuracy import ACCURACY
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.fast_sampler import charge_distribution, frame_generator, kernel, prepare
 from simulate.iiccd.fast_sampler.sparse_events import SparseEventSampler
@@ -58,7 +59,7 @@ def test_a_row_has_the_skewness_and_kurtosis_of_the_compound_law(shape, mean):
 def _kernels(sensor, divisions):
     camera = IntensifiedCamera(sensor)
     stages = prepare.CameraStages.of(camera.chain(Conditions()), camera.fields_per_frame)
-    blurs = stages.behind_plate.mean(StageImage(values=np.zeros((1, 1), np.float32))).pending_blurs
+    blurs = stages.behind_mcp.mean(StageImage(values=np.zeros((1, 1), np.float32))).pending_blurs
     known = kernel.DIVISIONS
     try:
         kernel.DIVISIONS = (divisions,)
@@ -120,7 +121,7 @@ def test_single_pulses_light_pixels_as_the_continuous_blur_does(name):
     """Sums of powers of what a pixel sees of pulses anywhere, and of all it sees: integrals over the plane."""
     camera = IntensifiedCamera(load_sensor(name))
     stages = prepare.CameraStages.of(camera.chain(Conditions()), camera.fields_per_frame)
-    blurs = stages.behind_plate.mean(StageImage(values=np.zeros((1, 1), np.float32))).pending_blurs
+    blurs = stages.behind_mcp.mean(StageImage(values=np.zeros((1, 1), np.float32))).pending_blurs
     made = kernel.pulse_kernel(blurs, camera.cells, stages.height)
     places = made.shares.shape[0] * made.shares.shape[1]
     assert made.shares.sum() / places + made.wing.sum() * kernel.COARSE**2 == pytest.approx(stages.height, rel=1e-5)
@@ -184,7 +185,7 @@ def test_single_pulses_fall_evenly_within_a_pixel(plain, seed):
     # The cells of one pixel amid the frame, in which there is hardly ever more than one pulse.
     expected[42:44, 42:44] = 0.01
     alone = replace(light, expected=expected, ions_per_field=0.0)
-    screen, found = alone.screen(seed), []
+    screen, found = alone.phosphor_sampler(seed), []
     for frame in range(20000):
         screen.expose(frame, 1.0, lambda work, rows, block: work(0, rows))
         image = screen.shown[0, 0] + alone.near_e
@@ -204,7 +205,7 @@ def test_single_pulses_arrive_evenly_while_the_gate_is_open(plain, seed):
     camera = IntensifiedCamera(plain(64, 64, photocathode__ebi_lm_per_cm2=0.0))
     light = _made(camera, StageImage(values=np.full(camera.cells.shape, 0.05, np.float32), grid=camera.cells)).light
     assert isinstance(light, SparseEventSampler)
-    pulses = light.screen(seed)._drawn(0, np.float32(1.0))
+    pulses = light.phosphor_sampler(seed)._draw_pulses(0, np.float32(1.0))
     own = 1.0 - pulses.later.sum(axis=0) / pulses.charge
     truth = camera.afterglow(Conditions()).pulse_shares[:, 0]
     for power in (1, 2):
@@ -231,7 +232,7 @@ def test_what_a_pulse_leaves_is_what_the_screen_shows_later(gate_s):
     assert first == pytest.approx(truth[:, 1].mean(), abs=1e-3)
     both = (1.0 - later.sum()) * first - spread.sum() * np.sum(spread * (1.0 - kept))
     assert both == pytest.approx(np.mean(truth[:, 0] * truth[:, 1]), abs=1e-3)
-    assert np.sum(later * kept**memory) < prepare.FORGOTTEN
+    assert np.sum(later * kept**memory) < ACCURACY.max_lag_fraction
 
 
 @pytest.fixture(scope="module")

@@ -42,7 +42,7 @@ def test_gap_keeps_all_electrons_under_protection(plain):
     camera = IntensifiedCamera(plain(24, 40))
     rng = np.random.default_rng(1)
     light = StageImage(values=rng.random(camera.scene_cells.shape, np.float32), grid=camera.scene_cells)
-    free, bright = (camera.chain(Conditions(), cathode_lux=lux).part("gap", "gap").mean(light) for lux in (0.0, 1.0))
+    free, bright = (camera.chain(Conditions(), cathode_lux=lux).between("gap", "gap").mean(light) for lux in (0.0, 1.0))
     assert bright.values.sum(dtype=float) == pytest.approx(free.values.sum(dtype=float), rel=1e-3)
     assert bright.values.std() < 0.99 * free.values.std()
 

@@ -51,7 +51,7 @@ def test_noise_of_few_large_pulses_is_found_from_as_many_frames_as_it_needs():
 
 
 def test_a_picture_short_of_the_rays_that_it_needs_says_so():
-    seen = case_of(4).night.seen(tolerance=0.2, seed=1, threads=1)
+    seen = case_of(4).night.render(tolerance=0.2, seed=1, threads=1)
     assert seen.chance < 1.1 * seen.plan.chance and not seen.short
     assert not any("most rays" in note for note in seen.notes)
     limit = np.full(seen.picture.variance.shape, (2.0 * seen.plan.chance) ** 2)

@@ -167,7 +167,7 @@ class AravisSettings:
         self._library.call("arv_camera_set_region", self._camera, column, row, columns, rows)
         if (is_now := self._region()) != (column, row, columns, rows):
             raise CameraError(
-                f"camera {self._identifier} must take the region asked (column, row, columns, rows), "
+                f"camera {self._identifier} must accept the requested region (column, row, columns, rows), "
                 f"{(column, row, columns, rows)}, but reads back {is_now}"
             )
 
@@ -179,7 +179,7 @@ class AravisSettings:
             self._library.call("arv_camera_set_trigger", self._camera, source.encode())
         if (is_now := self._trigger()) != source:
             raise CameraError(
-                f"camera {self._identifier} must take the trigger asked, {source!r}, but reads back {is_now!r}"
+                f"camera {self._identifier} must accept the requested trigger, {source!r}, but reads back {is_now!r}"
             )
 
     def _require_no_fields(self, settings: CameraSettings) -> None:
@@ -200,7 +200,8 @@ class AravisSettings:
         # Exposures have steps of 1 us, raw gains of 1.
         if not math.isclose(is_value, value, rel_tol=0.01, abs_tol=1.0):
             raise CameraError(
-                f"camera {self._identifier} must take the {word} asked, {value:g} {unit}, but reads back {is_value:g}"
+                f"camera {self._identifier} must accept the requested {word}, {value:g} {unit}, "
+                f"but reads back {is_value:g}"
             )
 
     def _number(self, feature: str) -> float | None:

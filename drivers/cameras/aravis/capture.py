@@ -1,4 +1,4 @@
-"""A running capture of an Aravis camera: buffers become frames that are whole, or are counted lost.
+"""Frames from the buffers of an Aravis camera.
 
 Sources of the packed pixel formats: GenICam Pixel Format Naming Convention 2.4, section 6.2 (Mono10p, Mono12p: lower
 bits first, without gaps); GigE Vision 1.2, section 26.1 (Mono10Packed, Mono12Packed: two pixels in three bytes, the

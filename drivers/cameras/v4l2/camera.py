@@ -148,7 +148,7 @@ class V4l2Camera:
         is_now = structures.GET_INPUT.structure()
         query_device(device, structures.GET_INPUT, is_now, f"camera {self.identifier} must report its input")
         if is_now.value != number:
-            raise CameraError(f"camera {self.identifier} must take the input asked, {number}, got {is_now.value}")
+            raise CameraError(f"camera {self.identifier} must accept the requested input, {number}, got {is_now.value}")
 
     @property
     def _open(self) -> Device:
@@ -255,11 +255,11 @@ class V4l2Settings:
             order = fields.field_order(pix.field, self.standard())
             if order != settings.field_order:
                 return (
-                    f"camera {self._identifier} must take the field order asked, {settings.field_order!r}, "
+                    f"camera {self._identifier} must accept the requested field order, {settings.field_order!r}, "
                     f"but reads back {order!r}"
                 )
         if settings.pixel_format is not None and pix.pixelformat not in self._codes(settings.pixel_format):
-            return f"camera {self._identifier} must take the pixel format asked, {settings.pixel_format}, it does not"
+            return f"camera {self._identifier} must accept the pixel format {settings.pixel_format}, it does not"
         return None
 
     def _code(self, name: str | None, *, now: int) -> int:
@@ -291,7 +291,7 @@ class V4l2Settings:
             if before is not None:
                 self._ask_parameters(before)
             raise BadInput(
-                f"camera {self._identifier} must take the frame rate asked, {frame_rate_hz:g} Hz, "
+                f"camera {self._identifier} must accept the requested frame rate, {frame_rate_hz:g} Hz, "
                 f"but reads back {'none' if is_now is None else f'{is_now:g}'}"
             )
 

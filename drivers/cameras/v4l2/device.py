@@ -1,4 +1,4 @@
-"""The boundary to the kernel: one open video device and its mapped buffers."""
+"""Open V4L2 device and its mapped buffers."""
 
 import errno
 import fcntl

@@ -1,4 +1,4 @@
-"""Fields of interlaced video: which rows of a frame were exposed first, and frames made of two fields.
+"""Fields of interlaced video: field order, and frames from two fields.
 
 Source: Linux Media userspace API, "Field Order": of video of 525 lines the bottom field is the older one, of any other
 the top field. V4L2_FIELD_ALTERNATE: both fields of a frame have the same sequence number, and each buffer says which

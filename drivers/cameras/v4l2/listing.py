@@ -104,7 +104,9 @@ def write_control(device: Device, control: Control, value: int) -> int | None:
         return None
     is_now = read_control(device, control)
     if abs(is_now - value) > max(0, control.step - 1):
-        raise CameraError(f"the control {control.name!r} must take the value asked, {value}, but reads back {is_now}")
+        raise CameraError(
+            f"the control {control.name!r} must accept the requested value, {value}, but reads back {is_now}"
+        )
     return is_now
 
 

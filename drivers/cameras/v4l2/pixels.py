@@ -1,4 +1,4 @@
-"""Pictures in memory: grey pixels as they are, luma taken out of colour video, fields woven into rows."""
+"""Grey images from the memory of V4L2 buffers."""
 
 from dataclasses import dataclass
 

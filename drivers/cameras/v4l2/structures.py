@@ -1,4 +1,4 @@
-"""The requests of V4L2: the kernel's structures, byte for byte, of a 64-bit Linux, and the numbers of the requests.
+"""Structures and request numbers of V4L2 on a 64-bit Linux.
 
 Names, order and sizes are those of the kernel's `linux/videodev2.h` (Linux Media userspace API, part I).
 """

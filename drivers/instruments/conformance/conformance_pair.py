@@ -1,4 +1,4 @@
-"""A pair of driver and instrument on trial: what it can be made to suffer, and how a rule asks of it."""
+"""Conformance tests of every instrument, and the pair of driver and instrument they run on."""
 
 import contextlib
 import time

@@ -1,4 +1,4 @@
-"""What every gate must do: open as read back, refuse what it cannot, and shut, heard or not."""
+"""Conformance tests by role: gates, filter wheels, light sources, meters and supplies."""
 
 import math
 import time
@@ -252,7 +252,7 @@ def a_trip_and_a_loss_of_power_are_reported(pair: ConformancePair) -> None:
         except InstrumentTripped:
             pass
         else:
-            raise AssertionError(f"a {wrong} must be reported, got a supply that is said to be on")
+            raise AssertionError(f"a {wrong} must be reported, got a supply reported as on")
         pair.heal()
         pair.driver().off()
 

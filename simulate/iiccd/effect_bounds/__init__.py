@@ -1,1 +1,1 @@
-"""What each effect of an intensified camera can change in a picture at most, and which of them it does not need."""
+"""Bounds on the influence of each camera effect, and the selection of effects."""

@@ -1,4 +1,4 @@
-"""A picture that a camera is about to take: its expected light, its noise, and what a change of either comes to.
+"""Noise budget of a frame: expected light, temporal variance, and the influence of a change of either.
 
 Three statistics of every pixel count, and an effect's influence is the largest change of any of them: the mean, in
 units of the temporal noise; the temporal noise itself, relative; and, where the law of the noise changes its shape, the
@@ -16,20 +16,17 @@ from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from simulate.effect_selection import DEFAULT_TOLERANCE
 from simulate.iiccd import true_quantities
+from simulate.iiccd.accuracy import ACCURACY
 from simulate.iiccd.automatic_controls import AutomaticState
 from simulate.iiccd.camera import IntensifiedCamera
 from simulate.iiccd.ccd import Ccd
 from simulate.iiccd.fast_sampler.kernel import noise_kernel
-from simulate.iiccd.fast_sampler.prepare import SHORTEST_TAP, SKEWNESS_TOLERANCE, CameraStages
+from simulate.iiccd.fast_sampler.prepare import CameraStages
 from simulate.iiccd.grid import DRAW_MARGIN_PX, SCENE_MARGIN_PX
 from simulate.iiccd.microchannel import MicrochannelPlate
 from simulate.iiccd.stage_image import StageImage
 from simulate.iiccd.transfer import StageBlur, product
 
-# Chance that the largest of a pattern's random numbers lies beyond the one that bounds take.
-MISSED = 0.1
-# Wells are taken to overflow if a pixel's charge lies so many standard deviations below its full well.
-OVERFLOW_SD = 8.0
 # Steepest growth of the variance of rounded numbers with that of what is rounded, times the latter in steps^2: the
 # largest of x phi(x) (1 - 2 Phi(-x)) / 2.
 ROUNDING = 0.09
@@ -40,7 +37,7 @@ UNTOUCHED = AutomaticState()
 
 @dataclass(frozen=True)
 class NoiseBudget:
-    """The picture that a camera is about to take, as a bound needs it.
+    """Expected light and temporal noise of a frame, from which influences are bounded.
 
     Parameters
     ----------
@@ -52,8 +49,8 @@ class NoiseBudget:
     conditions
         Gate, voltage and temperature.
     tolerance
-        What may change in all, as a share of the temporal noise. Variances do not add like standard deviations: how
-        much a share of the variance counts depends on how much may be left out.
+        What may change in all, as a fraction of the temporal noise. Variances do not add like standard deviations: how
+        much a fraction of the variance counts depends on how much may be left out.
     state
         Where the automatic controls stand.
     """
@@ -74,9 +71,9 @@ class NoiseBudget:
         return CameraStages.of(self.camera.chain(self.conditions), self.camera.fields_per_frame)
 
     @cached_property
-    def plate(self) -> MicrochannelPlate:
-        """The plate, with the brightness control where it stands."""
-        plate = self.camera.plate(self.conditions)
+    def mcp(self) -> MicrochannelPlate:
+        """The MCP in the state of the brightness control."""
+        plate = self.camera.mcp(self.conditions)
         return replace(plate, gain=plate.gain * self.state.brightness)
 
     @cached_property
@@ -96,32 +93,32 @@ class NoiseBudget:
         return np.asarray(self.photoelectrons, np.float64) + self.dark_pe
 
     def frame_of(self, wide: Map, margin: int = 0) -> Map:
-        """Cut the frame out of a map that has the margin, leaving so many pixels of it on every side."""
+        """Crop a map with the scene margin to the frame and `margin` pixels on each side."""
         first, (rows, cols) = SCENE_MARGIN_PX - margin, self.camera.shape
         return wide[first : first + rows + 2 * margin, first : first + cols + 2 * margin]
 
     @cached_property
-    def expected(self) -> Map:
+    def mean_pe(self) -> Map:
         """Photoelectrons per pixel and exposure, dark ones included, shape (row, col)."""
         return self.frame_of(self.surroundings)
 
     @cached_property
     def gain_at_rest_e(self) -> float:
-        """CCD electrons per photoelectron of a plate at rest."""
+        """CCD electrons per photoelectron without MCP saturation."""
         sensor = self.camera.sensor
         optical = float(sensor.phosphor.photons_per_electron) * float(sensor.taper.transmission)
         behind = optical * self.ccd.quantum_efficiency
-        return self.plate.gain * behind
+        return self.mcp.gain * behind
 
     def load(self, photoelectrons: Map) -> Map:
-        """Output of the plate at rest over its saturating output, of photoelectrons per pixel and exposure."""
+        """Unsaturated MCP output over its saturation output, from photoelectrons per pixel and exposure."""
         area = true_quantities.field_pixel_area_cm2(self.camera)
-        per_pe = self.plate.gain / area / self.plate.field_s / self.plate.saturation_e_per_s_cm2
+        per_pe = self.mcp.gain / area / self.mcp.field_s / self.mcp.saturation_e_per_s_cm2
         return np.asarray(photoelectrons * per_pe)
 
     @cached_property
     def mean_load(self) -> float:
-        """Load of the whole plate as far as it is drawn."""
+        """Load of the whole MCP within the drawing margin."""
         return float(self.load(self.frame_of(self.surroundings, DRAW_MARGIN_PX)).mean())
 
     @cached_property
@@ -136,47 +133,47 @@ class NoiseBudget:
 
     @cached_property
     def blurs(self) -> tuple[float, float]:
-        """What blur behind the gain leaves of a pulse's second and third moment, dimensionless.
+        """Factors by which blur behind the gain reduces the second and third moment of a pulse, dimensionless.
 
         The kernel is the one that frames of many pulses will be drawn with, so that it is worked out once.
         """
-        owed = self.stages.behind_plate.mean(StageImage(values=np.zeros((1, 1), np.float32))).pending_blurs
-        taps = self.impulse[: np.flatnonzero(np.abs(self.impulse) > SHORTEST_TAP)[-1] + 1]
-        height, impulse = 2 if self.camera.interlaced else 1, tuple(float(tap) for tap in taps)
-        kernel = noise_kernel(owed, self.camera.cells, height, impulse, SKEWNESS_TOLERANCE)
+        pending = self.stages.behind_mcp.mean(StageImage(values=np.zeros((1, 1), np.float32))).pending_blurs
+        taps = self.impulse[: np.flatnonzero(np.abs(self.impulse) > ACCURACY.min_filter_tap)[-1] + 1]
+        height, impulse = 2 if self.camera.is_interlaced else 1, tuple(float(tap) for tap in taps)
+        kernel = noise_kernel(pending, self.camera.cells, height, impulse, ACCURACY.skewness_tolerance)
         return kernel.blur_factor, kernel.third_factor
 
     @cached_property
     def shares(self) -> Map:
-        """Shares of a pulse's light that come out in its own field and in later ones, shape (pulse, field)."""
+        """Fractions of a pulse's light emitted in its own field and in later ones, shape (pulse, field)."""
         return self.camera.afterglow(self.conditions).pulse_shares
 
     @cached_property
     def decay(self) -> tuple[float, float]:
-        """What the screen's decay leaves of a pulse's second and third moment: a field shows earlier ones as well."""
+        """Factors by which phosphor decay reduces the second and third moment of a pulse."""
         return float(np.mean(np.sum(self.shares**2, axis=1))), float(np.mean(np.sum(self.shares**3, axis=1)))
 
     @cached_property
     def pulse_e(self) -> float:
         """CCD electrons of one mean pulse."""
-        return self.charge_e / self.plate.detection_probability
+        return self.charge_e / self.mcp.detection_probability
 
     @cached_property
     def pulses(self) -> tuple[float, float]:
-        """Second and third moment of one photoelectron's share of a pixel, over the first moment, e- and e-^2."""
-        wider = 1.0 + 1.0 / self.plate.pulse_height_shape
+        """Second and third moment of one photoelectron's fraction of a pixel, over the first moment, e- and e-^2."""
+        wider = 1.0 + 1.0 / self.mcp.pulse_height_shape
         second = self.pulse_e * wider * self.blurs[0] * self.decay[0]
-        third = self.pulse_e**2 * wider * (wider + 1.0 / self.plate.pulse_height_shape) * self.blurs[1] * self.decay[1]
+        third = self.pulse_e**2 * wider * (wider + 1.0 / self.mcp.pulse_height_shape) * self.blurs[1] * self.decay[1]
         return second, third
 
     @cached_property
     def white(self) -> float:
-        """What the filter along lines leaves of the variance of noise that is independent from pixel to pixel."""
+        """Factor by which the line filter reduces the variance of white noise."""
         return float(np.sum(self.impulse**2))
 
     @cached_property
     def step_e(self) -> float:
-        """One step of the digitiser, e-; of a curved characteristic the finest, none."""
+        """Quantisation step, e-; 0 with gamma, whose smallest step tends to 0."""
         video = self.camera.sensor.video
         gain = float(video.conversion_gain_dn_per_e) * self.state.gain
         return 1.0 / gain if float(video.gamma) == 1.0 else 0.0
@@ -193,19 +190,19 @@ class NoiseBudget:
 
     @cached_property
     def of_pulses(self) -> Map:
-        """Temporal variance that pulses, those of ions among them, bring to every pixel, e-^2, shape (row, col)."""
-        return self.expected * self.charge_e * (self.pulses[0] + self.white) + self.of_ions
+        """Temporal variance of pulses, ion feedback included, e-^2, shape (row, col)."""
+        return self.mean_pe * self.charge_e * (self.pulses[0] + self.white) + self.of_ions
 
     @cached_property
     def ions(self) -> float:
         """Ion events per pixel and exposure."""
-        return self.plate.ion_events_per_s_cm2 * self.plate.gate_s * true_quantities.field_pixel_area_cm2(self.camera)
+        return self.mcp.ion_events_per_s_cm2 * self.mcp.gate_s * true_quantities.field_pixel_area_cm2(self.camera)
 
     @cached_property
     def of_ions(self) -> float:
-        """Temporal variance that ion events bring, e-^2: a Poisson number of pulses each."""
-        size = self.plate.ion_event_size_pe
-        squared = self.pulse_e**2 * (size**2 + size * (1.0 + 1.0 / self.plate.pulse_height_shape))
+        """Temporal variance of ion feedback, e-^2: each event is a Poisson number of pulses."""
+        size = self.mcp.ion_event_size_pe
+        squared = self.pulse_e**2 * (size**2 + size * (1.0 + 1.0 / self.mcp.pulse_height_shape))
         return self.ions * squared * self.blurs[0] * self.decay[0]
 
     @cached_property
@@ -220,21 +217,21 @@ class NoiseBudget:
 
     @cached_property
     def smear(self) -> Map:
-        """Photoelectrons' worth of charge that smear adds to every pixel of a column, shape (col,)."""
-        return self.expected.sum(axis=0) * self.ccd.smear_fraction / (self.expected.shape[0] / 10.0)
+        """Charge that smear adds to each pixel of a column, in photoelectrons, shape (col,)."""
+        return self.mean_pe.sum(axis=0) * self.ccd.smear_fraction / (self.mean_pe.shape[0] / 10.0)
 
     @cached_property
     def brightest_e(self) -> Map:
-        """Charge that hardly any frame exceeds, e-, shape (row, col); the plate is nowhere brighter than at rest."""
-        charge = self.gain_at_rest_e * (self.expected + self.smear) + self.ccd.dark_e + self.hottest_e
-        return charge + OVERFLOW_SD * np.sqrt(self.variance)
+        """Upper bound of the charge, e-, shape (row, col), without MCP saturation."""
+        charge = self.gain_at_rest_e * (self.mean_pe + self.smear) + self.ccd.dark_e + self.hottest_e
+        return charge + ACCURACY.overflow_sd * np.sqrt(self.variance)
 
     @cached_property
     def hottest_e(self) -> float:
-        """How far a pixel's dark charge lies off the mean at most, e-: a gamma law's extremes, the hot or the cold."""
+        """Largest deviation of a pixel's dark charge from the mean, e-: extremes of a gamma distribution."""
         from scipy.special import gammainccinv, gammaincinv
 
-        missed = MISSED / self.expected.size
+        missed = ACCURACY.extreme_probability / self.mean_pe.size
         if self.ccd.dsnu_e == 0.0 or self.ccd.dark_e == 0.0:
             return 0.0
         shape = (self.ccd.dark_e / self.ccd.dsnu_e) ** 2
@@ -243,20 +240,20 @@ class NoiseBudget:
 
     @cached_property
     def running(self) -> NDArray[np.bool_]:
-        """Columns in which charge may run over that no drain carries off, shape (col,)."""
+        """Columns that may bloom, shape (col,)."""
         limit = self.ccd.full_well_e * max(self.ccd.antibloom_ratio, 1.0)
         return np.asarray(self.brightest_e.max(axis=0) > limit)
 
     @cached_property
     def quiet(self) -> Map:
-        """Variance of every pixel, e-^2, where it may be full that of reading alone: a full well has no noise."""
+        """Variance of each pixel, e-^2; that of reading alone where the well may be full."""
         reading = self.white * self.ccd.read_noise_e**2 + self.line_noise_e**2 + self.step_e**2 / 12.0 + 1e-12
         full = (self.brightest_e > self.ccd.full_well_e) | self.running
         return np.where(full, reading, self.variance)
 
     @property
-    def dropped(self) -> float:
-        """Largest share of the variance that the tolerance lets go."""
+    def max_neglect_fraction(self) -> float:
+        """Largest fraction of the variance that the tolerance allows to be neglected."""
         return self.tolerance / (1.0 + self.tolerance)
 
     def of_mean(self, change: Map | float) -> float:
@@ -273,12 +270,12 @@ class NoiseBudget:
         return float(max(np.max(size / self.noise), np.max(together, initial=0.0)))
 
     def of_light(self, change: Map | float) -> float:
-        """Influence of more or less light, in photoelectrons per pixel: its mean, and the noise of its pulses.
+        """Influence of a change of light, in photoelectrons per pixel, by its mean and by the noise of its pulses.
 
         Notes
         -----
         Where light is sparse the noise tells more of it than the mean: a standard deviation follows half the relative
-        change of the light, whereas the mean changes by a share of the noise that falls with the root of the light.
+        change of the light, whereas the mean changes by a fraction of the noise that falls with the root of the light.
         """
         noise = np.abs(change) * self.charge_e * (self.pulses[0] + self.white)
         return max(self.of_mean(change), self.of_variance(noise))
@@ -286,17 +283,16 @@ class NoiseBudget:
     def of_gain(self, relative: Map | float) -> float:
         """Influence of a relative change of the gain: of the mean and of the noise of the pulses alike."""
         change = np.abs(relative)
-        return max(self.of_mean(change * self.expected), float(np.max(change * self.of_pulses / self.variance)))
+        return max(self.of_mean(change * self.mean_pe), float(np.max(change * self.of_pulses / self.variance)))
 
     def of_variance(self, part: Map | float) -> float:
         """Influence of a part of the variance, e-^2, that has the correlations of the rest.
 
         Notes
         -----
-        Without a share s the standard deviation falls by 1 - sqrt(1 - s), which grows faster than s: shares that are
-        left out together count more than each alone. s/(2 - T) adds up, and reaches the tolerance T just where the
-        standard deviation has fallen by T.
-        """
+        Without a fraction s the standard deviation falls by 1 - sqrt(1 - s), which grows faster than s: fractions that
+        are left out together count more than each alone. s/(2 - T) adds up, and reaches the tolerance T just where the
+        standard deviation has fallen by T."""
         return float(np.max(part / self.variance)) / (2.0 - min(self.tolerance, 1.0))
 
     def of_white(self, part: Map | float) -> float:
@@ -304,7 +300,7 @@ class NoiseBudget:
 
         Notes
         -----
-        Without a share s of the variance, correlations rise from r to r/(1 - s) at most, or fall as much: s (1 + T)
+        Without a fraction s of the variance, correlations rise from r to r/(1 - s) at most, or fall as much: s (1 + T)
         adds up, and reaches T just where s/(1 - s) does. Where noise is smaller than a step of the digitiser, the
         variance of the codes follows it more steeply, by up to `ROUNDING` over its variance in steps^2 where the mean
         lies as unluckily as it can.
@@ -312,8 +308,8 @@ class NoiseBudget:
         steeper = ROUNDING * self.step_e**2 / max(self.electronics, 1e-300)
         return float(np.max(np.minimum(part / self.quiet, 1.0))) * max(1.0, steeper) * (1.0 + self.tolerance)
 
-    def blurred(self, blur: StageBlur) -> Map:
-        """The picture through a blur, its surroundings taking part."""
+    def with_blur(self, blur: StageBlur) -> Map:
+        """The frame after a blur, surroundings included."""
         cells, wide = self.camera.cells, self.surroundings
         fy = np.fft.fftfreq(wide.shape[0], cells.pitch_y_mm)[:, None]
         fx = np.fft.rfftfreq(wide.shape[1], cells.pitch_x_mm)[None, :]
@@ -321,8 +317,8 @@ class NoiseBudget:
         return np.asarray(self.frame_of(np.fft.irfft2(spectrum, wide.shape)))
 
 
-def per_pixel(camera: IntensifiedCamera, freed: StageImage) -> Map:
-    """Return photoelectrons per pixel as read, of those per cell of `camera.scene_cells`.
+def per_pixel(camera: IntensifiedCamera, photoelectrons: StageImage) -> Map:
+    """Sum photoelectrons per cell of `camera.scene_cells` to photoelectrons per pixel as read.
 
     Returns
     -------
@@ -331,6 +327,6 @@ def per_pixel(camera: IntensifiedCamera, freed: StageImage) -> Map:
     """
     cells = camera.scene_cells
     rows, cols = cells.shape[0] // cells.per_row, cells.shape[1] // cells.per_column
-    chip = freed.values.reshape(rows, cells.per_row, cols, cells.per_column).sum(axis=(1, 3), dtype=float)
+    chip = photoelectrons.values.reshape(rows, cells.per_row, cols, cells.per_column).sum(axis=(1, 3), dtype=float)
     # Field integration sums rows; the last row of the margin has none below it.
-    return chip + np.append(chip[1:], chip[-1:], axis=0) if camera.interlaced else chip
+    return chip + np.append(chip[1:], chip[-1:], axis=0) if camera.is_interlaced else chip

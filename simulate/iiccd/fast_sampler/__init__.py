@@ -1,1 +1,1 @@
-"""The camera at video rate: pulses drawn from tables on a coarse lattice whose noise is matched to the fine one."""
+"""Fast sampler: pulses from tabulated distributions, spread by kernels that conserve the covariance."""

@@ -1,4 +1,4 @@
-"""The charge of a cell as a table: quantiles of a Poisson number of gamma pulses, at any mean, looked up in one step.
+"""Charge distribution of a cell: tabulated quantiles of a Poisson sum of gamma pulses.
 
 A cell that expects N detected photoelectrons holds the sum of Poisson(N) pulses of mean 1 and gamma shape k. The sum is
 zero with probability exp(-N); given that it is not, its standardised law changes slowly with N. That law is kept as
@@ -26,7 +26,7 @@ SUMMED_TO = 32.0
 
 @dataclass(frozen=True, kw_only=True)
 class CellLaw:
-    """What looking up the charge of cells takes.
+    """Tables from which the charge of cells is looked up.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def row_quantiles(shape: float, row: int) -> NDArray[np.float64]:
 
 @lru_cache(maxsize=4096)
 def unit_variance_quantiles(shape: float, mean: float) -> NDArray[np.float64]:
-    """Return the quantiles of a sum that is not zero, brought to mean 0 and variance 1, shape (NODES,).
+    """Return the quantiles of the non-zero sum, scaled to mean 0 and variance 1, shape (NODES,).
 
     Notes
     -----

@@ -1,4 +1,4 @@
-"""The compiled pass over rows of pixels: noise of the cells spread over them, the mean and the charge's own added."""
+"""Compiled passes over rows of pixels: random numbers, spread of the noise, charge and readout."""
 
 import numpy as np
 from numba import njit
@@ -235,7 +235,7 @@ def read_rows(first, last, key, charge, impulse, noise, levels, normal, codes):
 
 @njit(**PART)
 def row_buffers(cols):
-    """Room for the random numbers of a line, two of which are drawn for the line itself, however short it is."""
+    """Buffers for the random numbers of a line, at least two."""
     size = max(cols, 2)
     words, numbers = np.empty((2, size), np.uint32), np.empty((3, size), np.float32)
     return words[0], words[1], numbers[0], numbers[1], numbers[2]
@@ -243,7 +243,7 @@ def row_buffers(cols):
 
 @njit(**PART)
 def line_buffers(cols, impulse):
-    """Room for a line with the pixels that its filter reaches back to and one beyond, its level, and its taps."""
+    """Buffers for a line extended by its filter length, for its level and for its taps."""
     taps = np.empty(impulse.size + 2, np.float32)
     return np.empty(cols + taps.size - 1, np.float32), np.empty(cols, np.float32), taps
 
@@ -266,7 +266,7 @@ def add_correlation(line, weights, out):
 
 @njit(**PART)
 def read_line(line, impulse, two, noise, levels, taps, level, coded):
-    """Read the charge that stands inside a line: late start, filter, gain, offset and digitiser."""
+    """Read one line: line jitter, filter, gain, offset and digitiser."""
     gain, black, top, gamma = levels
     reach, cols = taps.size - 2, level.size
     line[:reach] = line[reach]
@@ -285,7 +285,7 @@ def read_line(line, impulse, two, noise, levels, taps, level, coded):
 
 @njit(**PART)
 def _late(impulse, late, gain, taps):
-    """Weights of the oldest pixel to the next one, in a line that starts late: a parabola through three pixels."""
+    """Filter taps of a line delayed by jitter: a parabola through three pixels."""
     ahead, behind = gain * HALF_ONE * (late * late - late), gain * HALF_ONE * (late * late + late)
     middle = gain * (ONE - late * late)
     taps[:] = ZERO

@@ -1,4 +1,4 @@
-"""Light of many pulses: the charge of every cell drawn from its law, and a screen that glows on cell by cell."""
+"""Dense events: the charge of each cell from its distribution, with phosphor decay on cells."""
 
 from dataclasses import dataclass
 
@@ -14,7 +14,7 @@ ION = 60
 
 @dataclass(frozen=True, kw_only=True)
 class DenseEventSampler:
-    """Pulses added up in cells.
+    """Pulses summed in cells.
 
     Parameters
     ----------
@@ -30,8 +30,8 @@ class DenseEventSampler:
     kernel
         Spread of the noise; the first cell lies under the kernel of the first pixel.
     decay
-        Mean share stored, its standard deviation, and share kept, of each component of the screen's decay, shape
-        (3, component).
+        Mean fraction stored, its standard deviation, and fraction kept, of each component of the phosphor's decay,
+        shape (3, component).
     lateness
         Skewness of what pulses leave to later exposures, over their times of arrival, dimensionless.
     fields
@@ -53,18 +53,18 @@ class DenseEventSampler:
 
     @property
     def pulse_e(self) -> float:
-        """Variance of a pixel's charge over its mean, as pulses make it, e-."""
+        """Variance of a pixel's charge over its mean, from pulses alone, e-."""
         kernel = self.kernel
         squares = float(np.einsum("prj,prk,psj,psk->", kernel.down, kernel.along, kernel.down, kernel.along))
         return float(self.gain.mean()) * (1.0 + 1.0 / self.shape) * squares / (kernel.height * len(kernel.down))
 
-    def screen(self, seed: int) -> "DensePhosphorSampler":
-        """Return a screen that has shown nothing yet."""
+    def phosphor_sampler(self, seed: int) -> "DensePhosphorSampler":
+        """Return the phosphor in its initial state."""
         return DensePhosphorSampler(self, seed)
 
 
 class DensePhosphorSampler:
-    """What the cells still hold from one exposure to the next."""
+    """Phosphor on cells from one exposure to the next."""
 
     def __init__(self, light: DenseEventSampler, seed: int) -> None:
         self._light, self._seed = light, seed
@@ -78,11 +78,11 @@ class DensePhosphorSampler:
         self.far = light.kernel
 
     def forget(self) -> None:
-        """Hold nothing but the mean."""
+        """Reset the stored light to its mean."""
         self._stored[:] = 0.0
 
     def expose(self, frame: int, brightness: float, shared: Shared) -> NDArray[np.float32]:
-        """Draw the pulses of a frame's exposures and let the screen glow; see `Screen`."""
+        """Draw the pulses of a frame's exposures and apply phosphor decay; see `PhosphorSampler`."""
         from simulate.iiccd.fast_sampler.phosphor_rows import glow_rows
 
         light, planes = self._light, len(self._light.gain)

@@ -1,4 +1,4 @@
-"""Frames of a steady scene at video rate: what does not change is computed once, the rest in a few passes."""
+"""Frame generator of the fast sampler: a static scene prepared once, then a few compiled passes per frame."""
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -19,7 +19,7 @@ Shared = Callable[[Callable[[int, int], None], int, int], None]
 
 
 class OuterWing(Protocol):
-    """What reaches farther than the compact kernel; names as in `Kernel`."""
+    """Part of the spread outside the compact kernel; names as in `Kernel`."""
 
     @property
     def height(self) -> int:
@@ -33,7 +33,7 @@ class OuterWing(Protocol):
 
 
 class PhosphorSampler(Protocol):
-    """The screen from one exposure to the next.
+    """The phosphor from one exposure to the next.
 
     Parameters
     ----------
@@ -48,15 +48,15 @@ class PhosphorSampler(Protocol):
 
     @property
     def far(self) -> OuterWing:
-        """What reaches farther than the compact kernels."""
+        """Part of the spread outside the compact kernels."""
         ...
 
     def forget(self) -> None:
-        """Hold nothing but the mean."""
+        """Reset the stored light to its mean."""
         ...
 
     def expose(self, frame: int, brightness: float, shared: Shared) -> NDArray[np.float32]:
-        """Draw the pulses of a frame's exposures, of so much the mean light, and let the screen glow.
+        """Draw the pulses of a frame's exposures, `brightness` times the mean light, and apply phosphor decay.
 
         Returns
         -------
@@ -68,20 +68,20 @@ class PhosphorSampler(Protocol):
 
 
 class EventSampler(Protocol):
-    """Light made ready."""
+    """Prepared light behind the gain."""
 
     @property
     def pulse_e(self) -> float:
-        """Variance of a pixel's charge over its mean, as pulses make it, e-."""
+        """Variance of a pixel's charge over its mean, from pulses alone, e-."""
         ...
 
-    def screen(self, seed: int) -> PhosphorSampler:
-        """Return a screen that has shown nothing yet."""
+    def phosphor_sampler(self, seed: int) -> PhosphorSampler:
+        """Return the phosphor in its initial state."""
         ...
 
 
 def key_of(seed: int, purpose: int, number: int) -> np.uint64:
-    """Return the key of one generator of rows."""
+    """Return the key of the random generator of one exposure."""
     # Exposures before the first frame, whose light it still shows, have numbers below zero; seeds may not.
     return np.random.SeedSequence([seed, purpose, number + 2**32]).generate_state(1, np.uint64)[0]
 
@@ -91,8 +91,8 @@ def float32_values(*numbers: float) -> tuple[np.float32, ...]:
     return tuple(np.float32(number) for number in numbers)
 
 
-# The screen's state is drawn anew, from the fields before, at the start of each run of so many frames: a frame depends
-# on the seed and on its own number alone, whichever frame is drawn first.
+# The phosphor's state is drawn again, from the fields before, at the start of each segment: a frame depends on the seed
+# and on its own number alone.
 SEGMENT_FRAMES = 128
 # What a generator is for; light has others.
 CHARGE, COUNTED, READ = 61, 62, 63
@@ -103,7 +103,7 @@ States = Callable[[int], AutomaticState]
 
 @dataclass(frozen=True, kw_only=True)
 class StaticScene:
-    """A steady scene made ready.
+    """Static scene, prepared for the frame generator.
 
     Parameters
     ----------
@@ -116,10 +116,10 @@ class StaticScene:
     dark_pattern_e
         Dark charge of the pixels about its mean, e-, shape (row, col), or (1, 1) where all are alike.
     stays, kept
-        Mean share of a pulse that each component of the screen's decay stores, and the share of what is stored that
-        stays stored for one exposure more, shape (component,).
-    memory
-        Exposures after which the screen has forgotten.
+        Mean fraction of a pulse that each component of the phosphor's decay stores, and the fraction of what is
+        stored that stays stored for one exposure more, shape (component,).
+    n_lag_fields
+        Number of exposures to which the phosphor decay extends.
     fields
         Exposures in a frame.
     """
@@ -130,13 +130,13 @@ class StaticScene:
     dark_pattern_e: NDArray[np.float32]
     stays: NDArray[np.float64]
     kept: NDArray[np.float64]
-    memory: int
+    n_lag_fields: int
     fields: int
 
 
 @dataclass(frozen=True, kw_only=True)
 class Readout:
-    """What the CCD and the electronics behind it add.
+    """Parameters of CCD readout and electronics.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ class Readout:
         Mean dark charge of a pixel and standard deviation of reading, e-.
     counted
         Whether charge is so little that its electrons are counted out one by one.
-    held
+    limit_charge
         What the wells hold of a frame's charge; None where no well can overflow.
     impulse
         Impulse response along a line, shape (tap,).
@@ -157,7 +157,7 @@ class Readout:
     dark_e: float
     read_noise_e: float
     counted: bool
-    held: Callable[[NDArray[np.float32]], NDArray[np.float32]] | None
+    limit_charge: Callable[[NDArray[np.float32]], NDArray[np.float32]] | None
     impulse: NDArray[np.float32]
     jitter_px: float
     line_noise_dn: float
@@ -169,16 +169,16 @@ class Readout:
     @property
     def reads_apart(self) -> bool:
         """Whether the noise of reading is drawn after the charge has settled, not together with that of the charge."""
-        return self.counted or self.held is not None
+        return self.counted or self.limit_charge is not None
 
 
 class FrameGenerator:
-    """A steady scene in front of a camera, with what the screen still holds from one exposure to the next."""
+    """Generates the frames of a static scene."""
 
     def __init__(self, scene: StaticScene, readout: Readout, states: States, *, seed: int, threads: int) -> None:
         self._scene, self._readout, self._states = scene, readout, states
         self._seed, self._threads = seed, threads
-        self._screen = scene.light.screen(seed)
+        self._sampler = scene.light.phosphor_sampler(seed)
         # What is stored of the mean, relative to a steady scene of untouched brightness.
         self._stored_mean = np.ones(len(scene.stays))
         self._charge = np.empty(scene.light_e.shape, np.float32)
@@ -194,16 +194,16 @@ class FrameGenerator:
                 yield self._read(frame, coarse, brightness)
 
     def _begin_segment(self, frame: int) -> None:
-        before = -(-self._scene.memory // self._scene.fields)
-        self._screen.forget()
+        before = -(-self._scene.n_lag_fields // self._scene.fields)
+        self._sampler.forget()
         self._stored_mean[:] = self._states(max(frame - before, 0)).brightness
         for earlier in range(frame - before, frame):
             self._expose(earlier)
 
     def _expose(self, frame: int) -> tuple[NDArray[np.float32], tuple[float, ...]]:
-        """Let the screen glow: what exposures show on coarse cells, and the factors of their mean light."""
+        """Expose a frame: light beyond the mean on coarse cells, and the factors of the mean light."""
         factor = self._states(max(frame, 0)).brightness
-        coarse = self._screen.expose(frame, factor, self._shared)
+        coarse = self._sampler.expose(frame, factor, self._run_in_bands)
         return coarse, tuple(self._mean_shown(factor) for _ in range(self._scene.fields))
 
     def _mean_shown(self, brightness: float) -> float:
@@ -219,7 +219,7 @@ class FrameGenerator:
 
         scene, readout, normal = self._scene, self._readout, normal_quantiles()
         codes = np.empty(self._charge.shape, np.uint8 if readout.top_dn < 256 else np.uint16)
-        wing = far_wing(self._screen.far, coarse, scene.light_e.shape)
+        wing = far_wing(self._sampler.far, coarse, scene.light_e.shape)
         mean, electronics = self._mean(brightness), self._electronics(frame)
         variance = readout.dark_e + (0.0 if readout.reads_apart else readout.read_noise_e**2)
         noise = readout.counted, np.float32(variance)
@@ -231,8 +231,8 @@ class FrameGenerator:
                 first,
                 last,
                 key,
-                self._screen.shown,
-                self._screen.spread,
+                self._sampler.shown,
+                self._sampler.spread,
                 wing,
                 mean,
                 scene.response,
@@ -243,10 +243,12 @@ class FrameGenerator:
                 codes,
             )
 
-        self._shared(collect, len(codes), 1)
+        self._run_in_bands(collect, len(codes), 1)
         if readout.reads_apart:
-            charge = self._settled(frame)
-            self._shared(lambda a, b: read_rows(a, b, read_key, charge, *electronics, normal, codes), len(codes), 1)
+            charge = self._charge_in_wells(frame)
+            self._run_in_bands(
+                lambda a, b: read_rows(a, b, read_key, charge, *electronics, normal, codes), len(codes), 1
+            )
         return codes
 
     def _mean(self, brightness: tuple[float, ...]) -> NDArray[np.float32]:
@@ -265,8 +267,8 @@ class FrameGenerator:
         noise = float32_values(read, readout.jitter_px, readout.line_noise_dn)
         return readout.impulse, noise, float32_values(gain, readout.black_dn, readout.top_dn, readout.gamma)
 
-    def _settled(self, frame: int) -> NDArray[np.float32]:
-        """Charge of whole electrons where there are few, and no more than wells hold."""
+    def _charge_in_wells(self, frame: int) -> NDArray[np.float32]:
+        """Charge in whole electrons where electrons are few, limited to the full well."""
         charge, readout = self._charge, self._readout
         if readout.counted:
             from simulate.iiccd.pulse_sampling import poisson_charge
@@ -274,9 +276,9 @@ class FrameGenerator:
             dark = np.float32(readout.dark_e)
             rng = np.random.default_rng([self._seed, COUNTED, frame + 2**32])
             charge = poisson_charge(rng, charge + dark) - dark
-        return charge if readout.held is None else readout.held(charge)
+        return charge if readout.limit_charge is None else readout.limit_charge(charge)
 
-    def _shared(self, work: Callable[[int, int], None], rows: int, block: int) -> None:
+    def _run_in_bands(self, work: Callable[[int, int], None], rows: int, block: int) -> None:
         """Do all rows in bands of whole blocks, one for each thread."""
         if self._threads == 1:
             work(0, rows)
@@ -337,7 +339,7 @@ def _transform(wing: bytes, shape: tuple[int, ...], size: tuple[int, ...]) -> ND
 def _places(
     coarse: tuple[int, ...], height: int, shape: tuple[int, ...]
 ) -> tuple[NDArray[np.float32], NDArray[np.uint32], NDArray[np.uint32], NDArray[np.float32]]:
-    """Places of the frame's rows and columns among the centres of coarse cells: columns by the two and the share."""
+    """Positions of the frame's rows and columns between the centres of coarse cells."""
     centres = REACH + 0.5 * height, REACH + 0.5
     rows, cols = (
         np.clip((centre + np.arange(n)) / COARSE - 0.5, 0.0, cells - 1.0).astype(np.float32)

@@ -1,4 +1,4 @@
-"""How the light of a cell spreads over pixels: a kernel on the lattice with the covariance of the continuous blur.
+"""Kernel that spreads the light of cells over pixels with the covariance of the continuous blur.
 
 Pulses fall anywhere; cells gather them on a lattice. Sampled on the lattice, the blur's transfer H would lose or gain
 variance (an eighth at a blur of half a pixel). The kernel is therefore the transform of sqrt(sum_m |H(f + m)|^2), whose
@@ -13,23 +13,20 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from simulate.iiccd.accuracy import ACCURACY
 from simulate.iiccd.grid import Grid
 from simulate.iiccd.transfer import PixelAperture, StageBlur, fold_transfer
 
-# Half-width of the compact part, pixels; what reaches farther goes by the coarse lattice.
+# Half-width of the compact part, pixels; the wing beyond is spread on the coarse lattice.
 REACH = 5
-# Half-width of single pulses that are compact, pixels, and the share of their light that may lie beyond.
-NEAR, LEFT_TO_WING = 3, 0.02
+# Half-width of the compact part of single pulses, pixels.
+NEAR = 3
 # Pixels on one side of a coarse cell.
 COARSE = 8
 # Side of the lattice on which kernels are computed, pixels, and its finest division.
 SIDE, FINEST = 128, 8
 # Cells per row and per column of the chip, coarsest first.
 DIVISIONS = ((1, 1), (1, 2), (2, 2))
-# Share of the squared kernel's transfer below which light is not sharpened.
-FAINT = 0.05
-# Share of the kernel's square that separable parts may leave out.
-LEFT_OUT = 2e-6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,10 +75,11 @@ class PulseKernel:
     height
         Rows of the chip in a pixel as read.
     shares
-        Share of a pulse's light on pixels, shape (row of the place, col of the place, row, col). A place in row R and
-        column C of the chip, counted from `reach` before the first, lights the pixels that end with row R, column C.
+        Fraction of a pulse's light on pixels, shape (row of the place, col of the place, row, col). A place in row R
+        and column C of the chip, counted from `reach` before the first, lights the pixels that end with row R, column
+        C.
     reach
-        Half-width of the shares, pixels: `NEAR` where what lies beyond is little, else `REACH`.
+        Half-width of the fractions, pixels: `NEAR` where what lies beyond is little, else `REACH`.
     wing
         What reaches farther than `REACH`, as in `Kernel`.
     """
@@ -101,7 +99,7 @@ def pulse_kernel(blurs: tuple[StageBlur, ...], grid: Grid, height: int) -> Pulse
     planes, outer = np.array(_compact(whole, height, divisions)), REACH - NEAR
     near = planes.copy()
     near[:, outer:-outer, outer:-outer] = 0.0
-    if np.abs(near).sum() < LEFT_TO_WING * np.abs(planes).sum():
+    if np.abs(near).sum() < ACCURACY.max_near_wing_fraction * np.abs(planes).sum():
         planes -= near
         shares, reach = planes[:, outer:-outer, outer:-outer], NEAR
     else:
@@ -210,7 +208,7 @@ def _sharpening(
     even = np.sinc(fy / down)[:, None] * np.sinc(fx / along)[None, :]
     reached = there * even
     # Where the kernel passes next to nothing the ratio means nothing, and light is left as it is.
-    floor = (FAINT * there[0, 0]) ** 2
+    floor = (ACCURACY.min_sharpened_transfer * there[0, 0]) ** 2
     ratio = (wanted * reached + floor) / (reached**2 + floor)
     near = [
         np.maximum(1.0 - np.abs(np.fft.fftfreq(n, 1.0 / n)) / (REACH * d), 0.0)
@@ -234,7 +232,7 @@ def _shift(
 
 
 def _places(height: int, divisions: tuple[int, int]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Rows and columns of the kernel's lattice on which cells within `REACH` pixels have their shares."""
+    """Rows and columns of the kernel's lattice on which cells within `REACH` pixels have their fractions."""
     down, along = divisions
     rows = np.arange(-REACH * down, (REACH + height) * down)
     columns = np.arange(-REACH * along, (REACH + 1) * along)
@@ -257,7 +255,7 @@ def _separable_parts(plane: NDArray[np.float64]) -> tuple[NDArray[np.float64], N
     """Separable parts, (rank, row) and (rank, col), whose outer products add up to the plane."""
     u, s, v = np.linalg.svd(plane)
     beyond = np.append(np.cumsum(s[::-1] ** 2)[::-1][1:], 0.0)
-    rank = 1 + int(np.argmax(beyond < LEFT_OUT * np.sum(s**2)))
+    rank = 1 + int(np.argmax(beyond < ACCURACY.separable_residual * np.sum(s**2)))
     root = np.sqrt(s[:rank])[:, None]
     return u[:, :rank].T * root, v[:rank] * root
 
@@ -289,7 +287,7 @@ def _fit_wing(rest: NDArray[np.float64], height: int, unseen: tuple[slice, ...] 
     Parameters
     ----------
     rest
-        Share of a cell by its distance from the pixel, -SIDE/2 pixels first, shape (SIDE, SIDE).
+        Fraction of a cell by its distance from the pixel, -SIDE/2 pixels first, shape (SIDE, SIDE).
     height
         Rows of the chip in a pixel as read.
     unseen

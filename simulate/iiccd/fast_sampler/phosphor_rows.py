@@ -1,4 +1,4 @@
-"""The compiled pass over rows of cells: pulses drawn from their law, which the screen stores and gives back."""
+"""Compiled passes that draw pulses on cells or place them on pixels, with phosphor decay."""
 
 import numpy as np
 from numba import njit
@@ -27,7 +27,7 @@ UNIFORM = f4(np.sqrt(12.0) * 2.0**-16)
 MIDDLE = f4(32767.5)
 # Half the variance of u^2 - 1, and inverse of the third moment that adding a little of it to a uniform u brings.
 TWO_FIFTHS, PER_LEAN = f4(0.4), f4(1.0 / 2.4)
-# More lateness than this the scatter does not carry; screens that have it leave next to nothing to later exposures.
+# More lateness than this the scatter does not carry; phosphors that have it leave next to nothing to later exposures.
 MOST_LATENESS = f4(2.1)
 
 
@@ -75,7 +75,7 @@ def _likeness(charge, mean, shape):
 
 @njit(**PART)
 def _scatter(charge, mean, shape, lateness, uniform):
-    """Random scatter of a sum's pulses over the exposure, as a share of the sum: its variance and third moment.
+    """Random scatter of a sum's pulses over the exposure, as a fraction of the sum: its variance and third moment.
 
     The sum of cubes of n pulses that add up to x is x^3 (k + 1)(k + 2)/((n k + 1)(n k + 2)) on average.
     """
@@ -89,7 +89,7 @@ def _scatter(charge, mean, shape, lateness, uniform):
 
 @njit(**FAST)
 def glow_rows(first, last, plane, exposures, cells, law, ions, decay, stored, shown, coarse):
-    """Draw the pulses of consecutive exposures, cell rows first..last, and let the screen decay.
+    """Draw the pulses of consecutive exposures, cell rows first..last, and let the phosphor decay.
 
     Parameters
     ----------
@@ -108,8 +108,8 @@ def glow_rows(first, last, plane, exposures, cells, law, ions, decay, stored, sh
     ions
         (exposures, rows, columns, pulses) of the ion events, each of shape (event,).
     decay
-        (later, spread, kept) of each component, shape (3, component): mean share of a pulse that is stored for later,
-        its standard deviation, and the share of what is stored that stays stored for one exposure more.
+        (later, spread, kept) of each component, shape (3, component): mean fraction of a pulse that is stored for
+        later, its standard deviation, and the fraction of what is stored that stays stored for one exposure more.
     stored
         Electrons still to come from each component, shape (component, row, col); changed.
     shown
@@ -146,7 +146,7 @@ def glow_rows(first, last, plane, exposures, cells, law, ions, decay, stored, sh
 
 @njit(**PART)
 def _linger(charge, split, later, spread, kept, old, own):
-    """One component of the screen: it stores part of new pulses and gives back part of what it held."""
+    """One phosphor component: stores part of the new pulses and emits part of the stored light."""
     released = ONE - kept
     for c in range(own.size):
         new, before = later * charge[c] + spread * split[c], old[c]
@@ -163,13 +163,13 @@ def _block_sums(row, block, sums):
         sums[b] = total
 
 
-# Pixels that the processor adds to at once; shares have a multiple of these columns.
+# Pixels that the processor adds to at once; fractions have a multiple of these columns.
 ADDED_AT_ONCE = 8
 
 
 @njit(**FAST)
 def pulse_rows(first, last, exposure, pulses, shares, expected, decay, stored, shown):
-    """Lay the pulses of one exposure on rows first..last of the frame, and let the screen decay.
+    """Lay the pulses of one exposure on rows first..last of the frame, and let the phosphor decay.
 
     Parameters
     ----------
@@ -177,17 +177,17 @@ def pulse_rows(first, last, exposure, pulses, shares, expected, decay, stored, s
         Rows of the frame, the last excluded.
     exposure
         (number, numbers, reach): which exposure of the frame it is, of how many; row r is read from exposure r modulo
-        those; and how far the shares reach, px.
+        those; and how far the fractions reach, px.
     pulses
         (rows, columns, charge, later): places in fractions of a pixel, counted from before the frame as the kernel
         says, shape (pulse,); electrons; and those that come later, shape (component, pulse).
     shares
-        Share of a pulse on pixels by its place, shape (row of the place, col of the place, row, col).
+        Fraction of a pulse on pixels by its place, shape (row of the place, col of the place, row, col).
     expected
-        (light, later): mean charge by which pulses light the frame, shape (row, col), e-, and the share of it that
+        (light, later): mean charge by which pulses light the frame, shape (row, col), e-, and the fraction of it that
         each component stores, shape (component,).
     decay
-        Share of what is stored that stays stored for one exposure more, shape (component,).
+        Fraction of what is stored that stays stored for one exposure more, shape (component,).
     stored
         Electrons still to come beyond the mean, shape (component, row, col); changed.
     shown
@@ -235,7 +235,7 @@ def pulse_rows(first, last, exposure, pulses, shares, expected, decay, stored, s
 
 @njit(**PART)
 def _add_rows(image, own, charge, begin, end, step, top, left, column):
-    """Add a pulse's shares to so many columns at once of every `step`-th row."""
+    """Add a pulse's fractions to so many columns at once of every `step`-th row."""
     for r in range(begin, end, step):
         row, line, first, second = u8(r), u8(r - top), u8(left + column), u8(column)
         for c in range(ADDED_AT_ONCE):

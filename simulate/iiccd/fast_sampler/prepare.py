@@ -1,4 +1,4 @@
-"""A steady scene made ready for the stream: light on cells becomes pulses, gains and the mean charge of every pixel."""
+"""Preparation of a static scene: light on cells becomes pulses, gains and the mean charge of every pixel."""
 
 from dataclasses import dataclass, replace
 from functools import partial
@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulate.iiccd import pattern
+from simulate.iiccd.accuracy import ACCURACY
 from simulate.iiccd.ccd import Ccd
 from simulate.iiccd.chain import Chain
 from simulate.iiccd.fast_sampler.charge_distribution import normal_law, pulse_law
@@ -21,22 +22,7 @@ from simulate.iiccd.stage_image import StageImage
 from simulate.iiccd.transfer import StageBlur
 from simulate.iiccd.video import Video
 
-# Light that has not come out after the fields that are remembered is less than this share.
-FORGOTTEN = 1e-3
-# Third moments of the lattice may be off by this share; one cell a column is then enough.
-SKEWNESS_TOLERANCE = 0.012
-# Below this mean per pixel single pulses are seen, and drawn.
-SPARSE_PE_PER_PX = 0.8
-# Skewness of the charge's own shot noise, over the whole noise, above which counts are drawn one by one.
-COUNTED_SKEWNESS = 0.01
-# Beyond this many photoelectrons in a cell the noise is that of so many: no camera shows it, and numbers stay finite.
-BLINDING_PE = 1e9
-# Standard deviations above its mean that charge never rises, in any run.
-FARTHEST = 8.0
-# Shares of an impulse response below this are left out.
-SHORTEST_TAP = 1e-6
-# Moments of arrival over which shares of light are averaged, and the least mean share that is stored at all.
-MEAN_OF, LEAST_LATER = (np.arange(2000) + 0.5) / 2000, 1e-6
+# Moments of arrival over which fractions of light are averaged, and the least mean fraction that is stored at all.
 EMPTY = np.zeros((1, 1), np.float32)
 
 
@@ -44,8 +30,8 @@ EMPTY = np.zeros((1, 1), np.float32)
 class CameraStages:
     """The stages of a camera that frames of a steady scene pass, as its chain has them."""
 
-    plate: MicrochannelPlate
-    behind_plate: Chain
+    mcp: MicrochannelPlate
+    behind_mcp: Chain
     collection: Chain
     afterglow: PhosphorDecay
     ccd: Ccd
@@ -60,14 +46,14 @@ class CameraStages:
     @classmethod
     def of(cls, chain: Chain, fields: int) -> "CameraStages":
         """Pick them from a chain."""
-        plate, ccd, video = (chain.part(name, name).stages[0] for name in ("microchannel plate", "ccd", "video"))
-        afterglow = chain.part("afterglow", "afterglow").stages[0]
+        plate, ccd, video = (chain.between(name, name).stages[0] for name in ("microchannel plate", "ccd", "video"))
+        afterglow = chain.between("afterglow", "afterglow").stages[0]
         assert isinstance(plate, MicrochannelPlate) and isinstance(ccd, Ccd) and isinstance(afterglow, PhosphorDecay)
         assert isinstance(video, Video)
         return cls(
-            plate=plate,
-            behind_plate=chain.part("phosphor", "taper"),
-            collection=chain.part("pixels", "pixels"),
+            mcp=plate,
+            behind_mcp=chain.between("phosphor", "taper"),
+            collection=chain.between("pixels", "pixels"),
             afterglow=afterglow,
             ccd=ccd,
             video=video,
@@ -75,54 +61,54 @@ class CameraStages:
         )
 
 
-def prepare_static_scene(stages: CameraStages, at_plate: StageImage, *, normal: bool = False) -> StaticScene:
-    """Return a steady scene ready for the stream.
+def prepare_static_scene(stages: CameraStages, at_mcp: StageImage, *, normal: bool = False) -> StaticScene:
+    """Return a static scene prepared for the frame generator.
 
     Parameters
     ----------
     stages
         The camera's stages.
-    at_plate
-        Expected photoelectrons at the plate, per cell and exposure, two cells per column and row.
+    at_mcp
+        Expected photoelectrons at the MCP input, per cell and exposure, two cells per column and row.
     normal
         Whether a normal law of the same mean and variance stands for the law of a cell's charge.
     """
-    grid = at_plate.grid
+    grid = at_mcp.grid
     if grid is None or (grid.per_column, grid.per_row) != (2, 2):
         raise ValueError("a scene is made ready from two cells per column and row")
-    sparse = is_sparse(at_plate, stages.fields) and not normal
-    screen = stages.behind_plate.mean(stages.plate.mean(at_plate))
+    sparse = is_sparse(at_mcp, stages.fields) and not normal
+    screen = stages.behind_mcp.mean(stages.mcp.mean(at_mcp))
     mean, dark = _mean_charge(stages, stages.collection.mean(screen))
     drawn = _single_light if sparse else partial(_cell_light, normal=normal)
-    (later, _, kept), _, memory = decay_of(stages.afterglow)
+    (later, _, kept), _, n_lag_fields = decay_of(stages.afterglow)
     return StaticScene(
-        light=drawn(stages, at_plate, screen.pending_blurs, mean.shape),
+        light=drawn(stages, at_mcp, screen.pending_blurs, mean.shape),
         light_e=mean,
         dark_pattern_e=dark,
         response=_response(stages.ccd, mean.shape),
         stays=later.astype(float),
         kept=kept.astype(float),
-        memory=memory,
+        n_lag_fields=n_lag_fields,
         fields=stages.fields,
     )
 
 
-def is_sparse(at_plate: StageImage, fields: int) -> bool:
+def is_sparse(at_mcp: StageImage, fields: int) -> bool:
     """Whether there is so little light, on cells two a pixel both ways, that single pulses are seen, and drawn."""
     height = 2 if fields == 2 else 1
-    return max(float(at_plate.values.mean(dtype=float)), 0.0) * 4 * height < SPARSE_PE_PER_PX
+    return max(float(at_mcp.values.mean(dtype=float)), 0.0) * 4 * height < ACCURACY.sparse_pe_per_px
 
 
 def _cell_light(
-    stages: CameraStages, at_plate: StageImage, owed: tuple[StageBlur, ...], _size: tuple[int, ...], *, normal: bool
+    stages: CameraStages, at_mcp: StageImage, pending: tuple[StageBlur, ...], _size: tuple[int, ...], *, normal: bool
 ) -> DenseEventSampler:
     """Light of many pulses, added up in cells behind the blurs that it still owes."""
-    grid = _grid_of(at_plate)
-    kernel = noise_kernel(owed, grid, stages.height, _impulse(stages.video), SKEWNESS_TOLERANCE)
-    light = np.clip(_planes(_sharpen(at_plate.values, kernel), kernel.divisions), 0.0, BLINDING_PE)
-    expected = _cut(light, grid) * stages.plate.detection_probability
-    gain = _cut(_gain(stages, at_plate, kernel.divisions), grid)
-    law = normal_law(expected) if normal else pulse_law(stages.plate.pulse_height_shape, expected)
+    grid = _grid_of(at_mcp)
+    kernel = noise_kernel(pending, grid, stages.height, _impulse(stages.video), ACCURACY.skewness_tolerance)
+    light = np.clip(_planes(_sharpen(at_mcp.values, kernel), kernel.divisions), 0.0, ACCURACY.max_pe_per_cell)
+    expected = _cut(light, grid) * stages.mcp.detection_probability
+    gain = _cut(_gain(stages, at_mcp, kernel.divisions), grid)
+    law = normal_law(expected) if normal else pulse_law(stages.mcp.pulse_height_shape, expected)
     decay, lateness, _ = decay_of(stages.afterglow)
     # One block of memory for what is read together, large enough for large pages.
     cells = np.stack([expected, law.inverse, gain]).astype(np.float32)
@@ -131,10 +117,10 @@ def _cell_light(
         inverse=cells[1],
         rows=law.rows,
         gain=cells[2],
-        shape=stages.plate.pulse_height_shape,
+        shape=stages.mcp.pulse_height_shape,
         quantiles=law.quantiles,
-        ions_per_field=stages.plate.ions_per_cell(at_plate) * 4 * expected[0].size,
-        ion_size=stages.plate.ion_event_size_pe,
+        ions_per_field=stages.mcp.ions_per_cell(at_mcp) * 4 * expected[0].size,
+        ion_size=stages.mcp.ion_event_size_pe,
         kernel=kernel,
         decay=decay,
         lateness=lateness,
@@ -143,40 +129,40 @@ def _cell_light(
 
 
 def _single_light(
-    stages: CameraStages, at_plate: StageImage, owed: tuple[StageBlur, ...], size: tuple[int, ...]
+    stages: CameraStages, at_mcp: StageImage, pending: tuple[StageBlur, ...], size: tuple[int, ...]
 ) -> SparseEventSampler:
     """Light of single pulses behind the blurs that it still owes."""
-    grid = _grid_of(at_plate)
-    light = np.maximum(_planes(at_plate.values, (2, 2)), 0.0)
-    expected = _interleave_planes(_cut(light, grid)) * stages.plate.detection_probability
-    gain = _interleave_planes(_cut(_gain(stages, at_plate, (2, 2)), grid))
+    grid = _grid_of(at_mcp)
+    light = np.maximum(_planes(at_mcp.values, (2, 2)), 0.0)
+    expected = _interleave_planes(_cut(light, grid)) * stages.mcp.detection_probability
+    gain = _interleave_planes(_cut(_gain(stages, at_mcp, (2, 2)), grid))
     (stays, _, kept), _, _ = decay_of(stages.afterglow)
     return SparseEventSampler(
         expected=expected.astype(np.float32),
         gain=gain.astype(np.float32),
-        shape=stages.plate.pulse_height_shape,
-        ions_per_field=stages.plate.ions_per_cell(at_plate) * gain.size,
-        ion_size=stages.plate.ion_event_size_pe,
-        kernel=pulse_kernel(owed, grid, stages.height),
+        shape=stages.mcp.pulse_height_shape,
+        ions_per_field=stages.mcp.ions_per_cell(at_mcp) * gain.size,
+        ion_size=stages.mcp.ion_event_size_pe,
+        kernel=pulse_kernel(pending, grid, stages.height),
         size=(size[0], size[1]),
         stays=stays,
         kept=kept,
-        later=partial(_stored_fractions, stages.afterglow),
+        later=partial(_fractions_to_store, stages.afterglow),
         fields=stages.fields,
     )
 
 
-def _gain(stages: CameraStages, at_plate: StageImage, divisions: tuple[int, int]) -> NDArray[np.float64]:
+def _gain(stages: CameraStages, at_mcp: StageImage, divisions: tuple[int, int]) -> NDArray[np.float64]:
     """CCD electrons for each detected photoelectron, in planes of cells."""
-    quiet = replace(stages.plate, ion_events_per_s_cm2=0.0)
-    photons = stages.behind_plate.mean(quiet.mean(at_plate)).values
-    each = _ratio(photons, at_plate.values, divisions)
-    return each * stages.ccd.quantum_efficiency / stages.plate.detection_probability
+    quiet = replace(stages.mcp, ion_events_per_s_cm2=0.0)
+    photons = stages.behind_mcp.mean(quiet.mean(at_mcp)).values
+    each = _ratio(photons, at_mcp.values, divisions)
+    return each * stages.ccd.quantum_efficiency / stages.mcp.detection_probability
 
 
-def _grid_of(at_plate: StageImage) -> Grid:
-    assert at_plate.grid is not None
-    return at_plate.grid
+def _grid_of(at_mcp: StageImage) -> Grid:
+    assert at_mcp.grid is not None
+    return at_mcp.grid
 
 
 def _sharpen(light: NDArray[np.floating], kernel: Kernel) -> NDArray[np.float64]:
@@ -209,7 +195,7 @@ def _ratio(
 def _impulse(video: Video) -> tuple[float, ...]:
     """The filter along a line as it matters, (tap,)."""
     taps = video.low_pass.impulse_response()
-    return tuple(float(tap) for tap in taps[: np.flatnonzero(np.abs(taps) > SHORTEST_TAP)[-1] + 1])
+    return tuple(float(tap) for tap in taps[: np.flatnonzero(np.abs(taps) > ACCURACY.min_filter_tap)[-1] + 1])
 
 
 def _planes(values: NDArray[np.floating], divisions: tuple[int, int]) -> NDArray[np.float64]:
@@ -244,19 +230,22 @@ def _mean_charge(stages: CameraStages, pixels: StageImage) -> tuple[NDArray[np.f
 def _response(ccd: Ccd, shape: tuple[int, ...]) -> NDArray[np.float32]:
     if ccd.prnu == 0.0:
         return EMPTY
-    return pattern.prnu_map((shape[0], shape[1]), ccd.prnu, ccd.specimen)
+    return pattern.prnu_map((shape[0], shape[1]), ccd.prnu, ccd.pattern_seed)
 
 
 def readout_of(stages: CameraStages, scene: StaticScene) -> Readout:
     """Return what reads a scene."""
     ccd, video = stages.ccd, stages.video
-    overflows = float(scene.light_e.max()) + FARTHEST * np.sqrt(float(_variance(scene, ccd).max())) > ccd.full_well_e
-    counted = _skewness(scene, ccd) > COUNTED_SKEWNESS
+    overflows = (
+        float(scene.light_e.max()) + ACCURACY.max_charge_sd * np.sqrt(float(_variance(scene, ccd).max()))
+        > ccd.full_well_e
+    )
+    counted = _skewness(scene, ccd) > ACCURACY.counted_skewness
     return Readout(
         dark_e=ccd.dark_e,
         read_noise_e=ccd.read_noise_e,
         counted=counted,
-        held=ccd.held if overflows else None,
+        limit_charge=ccd.limit_to_full_well if overflows else None,
         impulse=np.array(_impulse(video), np.float32),
         jitter_px=video.sync_jitter_px,
         line_noise_dn=video.line_noise_dn,
@@ -280,7 +269,7 @@ def _skewness(scene: StaticScene, ccd: Ccd) -> float:
 
 
 def decay_of(afterglow: PhosphorDecay) -> tuple[NDArray[np.float32], float, int]:
-    """Return what the passes need of the screen's decay: (later, spread, kept) of each component, lateness and memory.
+    """Return (later, spread, kept) of each phosphor component, the skewness of the delay and the number of lag fields.
 
     Notes
     -----
@@ -288,31 +277,36 @@ def decay_of(afterglow: PhosphorDecay) -> tuple[NDArray[np.float32], float, int]
     each component over arrival times is its regression on what all leave together, so that the variance of the field
     and its covariance with later ones are exact.
     """
-    left, kept = _remaining_fractions(afterglow, MEAN_OF)
+    left, kept = _remaining_fractions(afterglow, _arrival_times())
     later, together = left.mean(axis=1), left.sum(axis=0)
     scatter = float(together.std())
     spread = (left - later[:, None]) @ together / together.size / (scatter or 1.0)
     seen = _lasting(afterglow)
     remaining = (later[seen, None] * kept[seen, None] ** np.arange(1, 400)).sum(axis=0)
-    memory = 1 + int(np.argmax(remaining < FORGOTTEN)) if seen.any() else 0
+    n_lag_fields = 1 + int(np.argmax(remaining < ACCURACY.max_lag_fraction)) if seen.any() else 0
     lateness = float(np.mean(((together - together.mean()) / scatter) ** 3)) if scatter > 1e-30 else 0.0
-    return np.stack([later, spread, kept]).astype(np.float32)[:, seen], lateness, memory
+    return np.stack([later, spread, kept]).astype(np.float32)[:, seen], lateness, n_lag_fields
 
 
-def _stored_fractions(afterglow: PhosphorDecay, arrival: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Shares that components store of pulses by their time of arrival, a share of the time that the gate is open."""
+def _fractions_to_store(afterglow: PhosphorDecay, arrival: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Fraction that each component stores of a pulse, by arrival time as a fraction of the gate width."""
     return _remaining_fractions(afterglow, arrival)[0][_lasting(afterglow)].astype(np.float32)
+
+
+def _arrival_times() -> NDArray[np.float64]:
+    """Arrival times over which decay is averaged, as fractions of the gate width."""
+    return (np.arange(ACCURACY.n_arrival_times) + 0.5) / ACCURACY.n_arrival_times
 
 
 def _lasting(afterglow: PhosphorDecay) -> NDArray[np.bool_]:
     """Which components leave any light to later exposures, shape (component,)."""
-    return _remaining_fractions(afterglow, MEAN_OF)[0].mean(axis=1) > LEAST_LATER
+    return _remaining_fractions(afterglow, _arrival_times())[0].mean(axis=1) > ACCURACY.min_stored_fraction
 
 
 def _remaining_fractions(
     afterglow: PhosphorDecay, arrival: NDArray[np.floating]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Share of its light that a pulse leaves in each component, by its arrival; share that stays a field longer."""
+    """Fraction of a pulse's light left in each component, by arrival time, and the decay factor of one field."""
     tau = np.maximum(np.array([afterglow.fast_decay_ms, afterglow.slow_decay_ms]) * 1e-3, 1e-12)
     share = np.array([afterglow.fast_fraction, 1.0 - afterglow.fast_fraction]) * tau
     left = share[:, None] / share.sum() * np.exp(-(afterglow.field_s - afterglow.gate_s * arrival) / tau[:, None])

@@ -1,4 +1,4 @@
-"""Light so sparse that single pulses are seen: each drawn at a place and a moment of its own."""
+"""Sparse events: each pulse drawn with its own position and arrival time."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from simulate.iiccd.accuracy import ACCURACY
 from simulate.iiccd.fast_sampler.frame_generator import Shared
 from simulate.iiccd.fast_sampler.kernel import COARSE, FINEST, REACH, PulseKernel
 
@@ -16,8 +17,6 @@ Places = NDArray[np.int32]
 PULSES = 59
 # Cells to a pixel pitch, and places to a cell, both ways.
 CELLS, PLACES = 2, FINEST // 2
-# Parts into which the search for a pulse's cell is cut.
-GUIDES = 2**20
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,10 +39,10 @@ class SparseEventSampler:
     size
         Rows and columns of the frame.
     stays, kept
-        Mean share of a pulse that each component of the screen's decay stores, and the share of what is stored that
-        stays stored for one exposure more, shape (component,).
+        Mean fraction of a pulse that each component of the phosphor's decay stores, and the fraction of what is stored
+        that stays stored for one exposure more, shape (component,).
     later
-        Shares that each component stores of pulses by their time of arrival in the exposure's open time, 0..1, shape
+        Fractions that each component stores of pulses by their time of arrival in the exposure's open time, 0..1, shape
         (component, pulse).
     fields
         Exposures in a frame.
@@ -63,7 +62,7 @@ class SparseEventSampler:
 
     @property
     def pulse_e(self) -> float:
-        """Variance of a pixel's charge over its mean, as pulses make it, e-."""
+        """Variance of a pixel's charge over its mean, from pulses alone, e-."""
         squares = float(np.sum(self.kernel.shares**2)) / (FINEST**2 * self.kernel.height)
         return float(self.gain.mean()) * (1.0 + 1.0 / self.shape) * squares
 
@@ -75,7 +74,7 @@ class SparseEventSampler:
     @cached_property
     def guide(self) -> NDArray[np.int32]:
         """First cell beyond each of evenly spaced parts of the expected photoelectrons, shape (part,)."""
-        parts = np.arange(GUIDES) * (self.running[-1] / GUIDES)
+        parts = np.arange(ACCURACY.n_search_guides) * (self.running[-1] / ACCURACY.n_search_guides)
         return np.searchsorted(self.running, parts, side="right").astype(np.int32)
 
     @cached_property
@@ -103,7 +102,7 @@ class SparseEventSampler:
 
     @cached_property
     def lines(self) -> Array:
-        """The kernel's shares with as many columns as the processor adds at once, shape as they but (..., 8 or 16)."""
+        """The kernel's fractions, padded to a multiple of `ADDED_AT_ONCE` columns."""
         from simulate.iiccd.fast_sampler.phosphor_rows import ADDED_AT_ONCE
 
         shares = self.kernel.shares
@@ -116,8 +115,8 @@ class SparseEventSampler:
         rows, cols = (n // side for n in self.charge_e.shape)
         return self.charge_e.reshape(rows, side, cols, side).sum(axis=(1, 3))
 
-    def screen(self, seed: int) -> "SparsePhosphorSampler":
-        """Return a screen that has shown nothing yet."""
+    def phosphor_sampler(self, seed: int) -> "SparsePhosphorSampler":
+        """Return the phosphor in its initial state."""
         return SparsePhosphorSampler(self, seed)
 
 
@@ -132,7 +131,7 @@ class _Pulses:
 
 
 class SparsePhosphorSampler:
-    """What pixels are still to be lit by, from one exposure to the next."""
+    """Phosphor on pixels from one exposure to the next."""
 
     def __init__(self, light: SparseEventSampler, seed: int) -> None:
         self._light, self._seed = light, seed
@@ -144,25 +143,25 @@ class SparsePhosphorSampler:
         self.far = light.kernel
 
     def forget(self) -> None:
-        """Hold nothing but the mean."""
+        """Reset the stored light to its mean."""
         self._stored[:] = 0.0
         self._coarse_stored[:] = 0.0
 
     def expose(self, frame: int, brightness: float, shared: Shared) -> Array:
-        """Draw the pulses of a frame's exposures and let the screen glow; see `Screen`."""
+        """Draw the pulses of a frame's exposures and apply phosphor decay; see `PhosphorSampler`."""
         from simulate.iiccd.fast_sampler.phosphor_rows import pulse_rows
 
         light, coarse = self._light, []
         near, factor = light.near_e * np.float32(brightness), np.float32(brightness)
         for number in range(light.fields):
-            pulses = self._drawn(frame * light.fields + number, factor)
+            pulses = self._draw_pulses(frame * light.fields + number, factor)
             places, shown = (pulses.rows, pulses.columns, pulses.charge, pulses.later), self.shown[number, 0]
             given = (number, light.fields, light.kernel.reach), places, light.lines, (near, light.stays), light.kept
             shared(lambda a, b, g=given, s=shown: pulse_rows(a, b, *g, self._stored, s), light.size[0], 1)
             coarse.append(self._on_coarse_cells(pulses, factor))
         return np.stack(coarse)
 
-    def _drawn(self, exposure: int, factor: np.float32) -> _Pulses:
+    def _draw_pulses(self, exposure: int, factor: np.float32) -> _Pulses:
         from simulate.iiccd.fast_sampler.phosphor_rows import cells_beyond
 
         light = self._light
@@ -188,7 +187,7 @@ class SparsePhosphorSampler:
         )
 
     def _on_coarse_cells(self, pulses: _Pulses, factor: np.float32) -> Array:
-        """What an exposure shows beyond the mean, summed over coarse cells."""
+        """Light of an exposure beyond the mean, summed over coarse cells."""
         from simulate.iiccd.fast_sampler.phosphor_rows import coarse_sums
 
         light, stored = self._light, self._coarse_stored

@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from labdata.adaptive import StopCriterion
 
 from charact.cli.benches import SaturationJudge, half_interval_dn
 from labdata.conditions import Conditions
-from labdata.plan import Step
+from labdata.plan import Step, StopCriterion
 
 SHAPE = (20, 30)
 

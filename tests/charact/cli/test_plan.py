@@ -104,7 +104,7 @@ def test_every_shipped_plan_passes_its_check(name):
         ("mcp_v = 950.0", "mcp_v must not exceed the limit 900, got 950, in step"),
         ("illuminance_lux = 0.5", "illuminance_lux must not exceed the limit 0.01, got 0.5, in step"),
         ("gate_ns = 1.6668e7", "the gate must be open for at most 0.999 of the time"),
-        ("mcp_v = 890.0\nilluminance_lux = 9e-3", "must not ask more than 120 nA/cm2 of the plate, got 169"),
+        ("mcp_v = 890.0\nilluminance_lux = 9e-3", "must not exceed 120 nA/cm2 of MCP output, got 169"),
     ],
 )
 def test_what_the_interlock_would_refuse_is_refused_before(plan, line, rule):

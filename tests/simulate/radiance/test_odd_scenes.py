@@ -43,7 +43,7 @@ def test_an_odd_scene_is_rendered_without_a_warning_and_finite_for_a_camera(tmp_
     (tmp_path / "scene.toml").write_text(HEAD + text)
     description = load_camera("pulnix-ag5745ef3")
     camera = camera_from_description(replace(description, ccd=replace(description.ccd, rows=12, columns=16)))
-    seen = OutdoorRendering(load_scene(tmp_path / "scene.toml"), camera, Conditions()).seen(
+    seen = OutdoorRendering(load_scene(tmp_path / "scene.toml"), camera, Conditions()).render(
         tolerance=0.2, seed=1, threads=1
     )
     assert np.isfinite(seen.picture.cube.radiance).all()
