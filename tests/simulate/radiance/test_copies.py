@@ -114,20 +114,14 @@ def test_truth_and_refusals_know_shared_copies(shared):
 
 PEAK = """
 from simulate.radiance.outdoor.build import build_surfaces
-from simulate.radiance.outdoor.description.camera import SceneCamera
-from simulate.radiance.outdoor.description.material import MaterialSpec
-from simulate.radiance.outdoor.description.objects import Object, Pose
-from simulate.radiance.outdoor.description.scene import OutdoorScene
-from simulate.radiance.outdoor.build import built
-from simulate.radiance.outdoor.scene import Camera
-from simulate.radiance.outdoor.materials import Surface
-from simulate.radiance.outdoor.scene import Object, Pose
-from simulate.radiance.outdoor.scene import Scene
+from simulate.radiance.outdoor.materials import MaterialSpec
+from simulate.radiance.outdoor.scene import Object, OutdoorScene, Pose, SceneCamera
 
 poses = tuple(Pose(position_m=(3.0 * (i % 150), 3.0 * (i // 150), 1.0), heading_deg=i % 360) for i in range(20_000))
 ball = Object(label="balls", material="grey", shape="sphere", size_m=(1.0,), instances=poses)
 camera = SceneCamera(position_m=(0, -5, 2), look_at_m=(0, 0, 2))
-found = build_surfaces(OutdoorScene(name="balls", camera=camera, material=(MaterialSpec(label="grey", reflectance=(0.5,)),), object=(ball,)))
+grey = MaterialSpec(label="grey", reflectance=(0.5,))
+found = build_surfaces(OutdoorScene(name="balls", camera=camera, material=(grey,), object=(ball,)))
 assert len(found.tracer.planes[3]) == 20_000
 print(next(line.split()[1] for line in open("/proc/self/status") if line.startswith("VmHWM")))
 """
