@@ -23,7 +23,8 @@ READ = """
 (async () => {
   const tried = {};
   try { tried.fetch = (await fetch("%(page)s/view.json")).status; } catch (error) { tried.fetch = "refused"; }
-  try { await fetch("%(page)s/view.json", {mode: "no-cors"}); tried.opaque = "sent"; } catch (error) { tried.opaque = "refused"; }
+  try { await fetch("%(page)s/view.json", {mode: "no-cors"}); tried.opaque = "sent"; }
+  catch (error) { tried.opaque = "refused"; }
   tried.events = await new Promise((done) => {
     const stream = new EventSource("%(page)s/events");
     stream.addEventListener("about", () => { stream.close(); done("READ"); });

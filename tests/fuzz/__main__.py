@@ -1,4 +1,5 @@
-"""`python -m tests.fuzz --seconds 3600`: every parser of bytes from outside, each for its share of the time, in its own processes.
+"""`python -m tests.fuzz --seconds 3600`: every parser of bytes from outside, each for its share of the time, in its
+own processes.
 
 A parser that crashes takes only its own process along: decoders that are not ours are among them. What broke is told
 with the seed that makes it again: `python -m tests.fuzz --again PARSER SEED`.

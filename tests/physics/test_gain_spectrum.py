@@ -37,7 +37,8 @@ def bias_percent(number, interlaced):
     seen = np.bincount(bins.select[held], power[held]) / np.bincount(bins.select[held])
     summary = PooledNoise(
         column_cy_per_px=bins.column_cy_per_px, row_cy_per_px=bins.row_cy_per_px,
-        reading=PixelReadoutModel.of(bins.row_pitch, scene.description), leak_cy2_per_px2=(1e-12, 1e-12), modes=bins.modes,
+        reading=PixelReadoutModel.of(bins.row_pitch, scene.description), leak_cy2_per_px2=(1e-12, 1e-12),
+        modes=bins.modes,
         power_dn=seen, power_sd_dn=seen / np.sqrt(bins.modes * bins.efficiency * EXPOSURES), variance_dn=1.0,
         variance_sd_dn=0.01, height_sd=0.01, lag=NO_LAG,
     )  # fmt: skip

@@ -1,7 +1,8 @@
 """Sessions of a point source far too bright, whose truth is known in closed form.
 
 Neither the simulator nor a formula of the analysis has a part in it: `BloomScene` is the source with all that may be
-wrong, `noiseless_frame` its noiseless picture, `stack` and `bloom_session` draw frames, `truth` says what should be found.
+wrong, `noiseless_frame` its noiseless picture, `stack` and `bloom_session` draw frames, `truth` says what should be
+found.
 """
 
 from collections.abc import Sequence

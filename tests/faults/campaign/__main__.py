@@ -1,4 +1,5 @@
-"""`make study NAME=fault-campaign`: each fault strikes running plans at random moments; what became of each makes a docs page."""
+"""`make study NAME=fault-campaign`: each fault strikes running plans at random moments; what became of each makes a
+docs page."""
 
 import argparse
 import json

@@ -10,7 +10,8 @@ from tests.faults.campaign.trial import Outcome
 
 INTRODUCTION = """# Faults that the tube survives
 
-`make study NAME=fault-campaign` runs a plan of a dark and a flat on the virtual bench, with camera and instruments on real wires,
+`make study NAME=fault-campaign` runs a plan of a dark and a flat on the virtual bench, with camera and instruments
+on real wires,
 and strikes each fault at random moments; this page is what it printed. Times are taken from the outputs of the virtual
 instruments: until the gate was last seen open, and until the voltage was last seen not falling; median and worst. They
 count from the fault, with these exceptions: for a camera that stalls or is gone, from the first frames asked for after

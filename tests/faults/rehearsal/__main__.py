@@ -1,4 +1,5 @@
-"""`make study NAME=rehearsal`: a night compressed: 500 steps of gain by light with faults on, then measured beside the truth.
+"""`make study NAME=rehearsal`: a night compressed: 500 steps of gain by light with faults on, then measured beside
+the truth.
 
 The virtual bench is on real wires, its high voltage moves ten times faster than life, and every so many seconds a fault
 strikes; whoever watches over the night repairs the bench and resumes. The session that comes out is measured as
