@@ -203,7 +203,7 @@ def run(
     methods, cases
         What to try on what.
     context
-        What every method is told; each case sets its own seed and what else it names.
+        Context of every method; each case sets its own seed and what else it names.
     progress
         Called with a sentence and the share done.
     """

@@ -1,4 +1,4 @@
-"""Figures of a study: error against time, and a map of truth beside estimate along every axis."""
+"""Figures of a study: error against time, and a map of truth against estimate along every axis."""
 
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,7 @@ def _pyplot() -> Any:
 
 
 def _save(figure: Any, path: Path) -> Path:
-    """Write the figure as its SVG and, beside it, as PNG."""
+    """Write the figure as its SVG and as PNG next to it."""
     figure.savefig(path, metadata={"Date": None})
     figure.savefig(path.with_suffix(".png"), dpi=110)
     _pyplot().close(figure)

@@ -84,7 +84,7 @@ def _scene(axis: str, position: float, common: dict[str, Any]) -> Scene:
 
 
 def _method_arguments(axis: str, position: float, scene: Scene) -> dict[str, Any]:
-    """What the method is told of the target: the truth, but on the axes of a wrong word."""
+    """Arguments of the method about the target: the truth, but on the axes of a wrong statement."""
     bars = int(position) if axis == "bars asked for, of 4" else scene.bars
     off = 1 + position / 100 if axis == "frequency asked for" else 1.0
     return {"bars": bars, "frequency_cy_per_px": scene.frequency_cy_per_px * off}

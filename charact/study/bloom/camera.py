@@ -1,6 +1,6 @@
 """What an intensified camera makes of a point source far too bright, in closed form, and frames drawn from it.
 
-The light meets the plate (which tires), comes as pulses of random height, is blurred after the gain, overflows its
+The light meets the MCP (which saturates), comes as pulses of random height, is blurred after the gain, overflows its
 columns, smears them, is held by an automatic gain, read and digitised.
 """
 

@@ -67,7 +67,7 @@ class BloomScene:
     wrong_dark_dn
         By how much the dark stack is off, DN.
     second_distance_px, second_ratio, second_angle_deg
-        A second source: how far, how bright beside the first, and in which direction from the columns' one.
+        A second source: how far, its brightness relative to the first, and in which direction from the columns' one.
     light_sd
         Standard deviation of the natural logarithm of each level's stated light.
     """

@@ -159,16 +159,16 @@ def _ellipticity(scene: BloomScene, picture: Array, level_dn: float, dry: Array)
 
 
 def _compression(scene: BloomScene, overload: float) -> float:
-    """Light inside four standard deviations of the core over what a camera that nothing tires would show."""
+    """Light inside four standard deviations of the core over that of a camera without MCP saturation."""
     if scene.plate_saturation_dn is None:
         return 1.0
     calm = replace(scene, full_well_dn=None, smear_fraction=0.0, agc=False)
-    tired, fresh = (noiseless_frame(one, overload) for one in (calm, replace(calm, plate_saturation_dn=None)))
+    saturated, unsaturated = (noiseless_frame(one, overload) for one in (calm, replace(calm, plate_saturation_dn=None)))
     row, col = scene.centre
     down = (np.arange(scene.rows) - row)[:, None] * scene.row_pitch
     near = np.hypot(down, (np.arange(scene.cols) - col)[None, :]) < CORE_SIGMAS * scene.core_sigma_px
     dark = scene.dark_dn + scene.background_dn
-    return float((tired[near] - dark).sum() / (fresh[near] - dark).sum())
+    return float((saturated[near] - dark).sum() / (unsaturated[near] - dark).sum())
 
 
 def halo_truth(scene: BloomScene) -> dict[str, float]:

@@ -195,7 +195,7 @@ class EdgeScene:
     roughness_px, roughness_length_px
         Root mean square of how far the edge wanders along its length, the same in all frames, and the standard
         deviation of the Gaussian that smooths its course, px. Seen by the camera without loss, as courses are that
-        are long beside the blur.
+        are long compared with the blur.
     clip_share
         Share of the step that lies above full scale.
     floor_dn
