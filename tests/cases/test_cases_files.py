@@ -489,7 +489,7 @@ def test_a_folder_that_takes_no_file_holds_no_half_one(tmp_path, options):
     lines = done.stdout.splitlines()
     assert lines[0].startswith("mtf50 0.12")
     assert lines[-1] == "code 1", "no file is left"
-    assert done.stderr.startswith("charact: the file system refused: ") and "x.png" in done.stderr
+    assert done.stderr.startswith("charact: file system error: ") and "x.png" in done.stderr
 
 
 @pytest.mark.parametrize("where", [">&-", ">/dev/full"])

@@ -52,7 +52,7 @@ def test_two_stuck_pixels_saturate_no_flat(case):
     result = case("b1-two-stuck-pixels")
     holds(one(result, "system_gain"), 0.40, 0.05)
     assert [m.value for m in result.find("defect_pixels")] == [2.0, 2.0]
-    assert any("2 misbehaving pixels" in note for note in one(result, "system_gain").notes)
+    assert any("2 defective pixels" in note for note in one(result, "system_gain").notes)
 
 
 def test_one_stuck_pixel_is_no_lag(case):

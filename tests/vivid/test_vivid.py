@@ -85,7 +85,7 @@ class TestWebcam(CameraLaws):
                 (CameraSettings(rows=7, columns=9), "rows and columns that it offers .*180x320"),
                 (CameraSettings(pixel_format="RGB8"), "must be one of"),
                 (CameraSettings(gain_db=999.0), "must lie in 0"),
-                (CameraSettings(frame_rate_hz=7777.0), "must take the frame rate asked"),
+                (CameraSettings(frame_rate_hz=7777.0), "must accept the requested frame rate"),
                 (CameraSettings(exposure_s=0.01), "must have a control for the exposure"),
             ),
         )

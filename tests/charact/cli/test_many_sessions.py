@@ -43,7 +43,7 @@ def test_each_session_gets_one_object_a_line_as_it_would_alone(folders: list[Pat
     assert done.exit_code == 1
     assert [without_times(line) for line in done.stdout.splitlines()] == [without_times(one.stdout) for one in alone]
     assert [one.exit_code for one in alone] == [0, 1, 0]
-    assert f"1 of 3 sessions gave no number: {folders[1]}" in done.stderr
+    assert f"1 of 3 sessions gave no value: {folders[1]}" in done.stderr
 
 
 def test_people_see_which_session_a_number_is_of(folders: list[Path]) -> None:

@@ -142,7 +142,7 @@ def test_a_small_picture_stands_in_the_middle_and_the_session_says_so(tmp_path, 
     )
     assert done.exit_code == 0, done.output
     stack = open_session(tmp_path / "out").stack("scene")
-    assert any("16 x 16 pixels stands centred on the 48 x 64 of the frame" in note for note in stack.notes)
+    assert any("16 x 16 pixels is centred on the frame of 48 x 64" in note for note in stack.notes)
     mean = stack.read().data.mean(axis=0)
     row, col = np.mgrid[:ROWS, :COLS]
     weight = np.where(mean > mean.max() / 4, mean, 0.0)

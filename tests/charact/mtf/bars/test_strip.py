@@ -75,7 +75,7 @@ def test_another_number_than_asked_for_is_told(asked: int, seed) -> None:
         stack = frames_of(strip(gaussian(sigma_px), frequency, 3.0, 0.3), np.random.default_rng(seed), snr=20.0)
         found = read(stack, frequency, bars=asked)
         assert found.status != "ok", (frequency, found.value)
-        assert found.status == "refused" or any(f"that of 4 bars than of {asked}" in note for note in found.notes)
+        assert found.status == "refused" or any(f"favour 4 bars over {asked}" in note for note in found.notes)
 
 
 @pytest.mark.parametrize("turned", [False, True])

@@ -78,7 +78,7 @@ def test_every_result_says_what_its_noise_leaves_open(seed):
     assert told is not None
     low, high = (float(number) for number in told.groups())
     assert 0.5 < low < 1.0 < high < 2.0
-    assert "the noise leaves 0.4 to 2.5 open" in said(replace(stack, data=stack.data[:1]))
+    assert "the noise permits exponents from 0.4 to 2.5" in said(replace(stack, data=stack.data[:1]))
 
 
 def said(stack):

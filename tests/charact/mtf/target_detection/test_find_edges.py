@@ -115,7 +115,7 @@ def test_every_mtf50_lies_in_its_interval_as_often_as_promised() -> None:
     assert misses <= 2
     named = {name for name in result.curves if name.startswith("mtf:")}
     assert len(named) == 8
-    best = [m for m in found if any("known best" in note for note in m.notes)]
+    best = [m for m in found if any("the most precise of" in note for note in m.notes)]
     assert len(best) == 1
     own = result.curves["mtf:" + ",".join(str(number) for number in best[0].region or ())]
     assert np.array_equal(own.value, result.curves["mtf"].value)
