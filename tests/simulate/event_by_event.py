@@ -364,7 +364,7 @@ def frames(
     tau, _ = components(camera)
     decay = np.exp(-camera.field_s / tau)
     left = np.ones((2, *shape)) * _steady_left(camera)[:, None, None] * np.mean(photoelectrons)
-    per_frame = 2 if camera.is_interlaced else 1
+    per_frame = 2 if camera.interlaced else 1
     number = -WARM_UP_FIELDS
     frame = np.zeros(shape)
     while True:
@@ -535,7 +535,7 @@ def campbell(camera: EventCamera, photoelectrons: float, *, step_e: float = 0.0)
     ]
     # Lines an odd number apart come from fields that follow each other.
     vertical = [
-        photoelectrons * g2 * (next_field if camera.is_interlaced and n % 2 else decay[1]) * between(n, 0)
+        photoelectrons * g2 * (next_field if camera.interlaced and n % 2 else decay[1]) * between(n, 0)
         for n in range(1, LAGS + 1)
     ]
     return Moments(
