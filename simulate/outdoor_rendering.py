@@ -47,7 +47,7 @@ def render_sensor_of(camera: IntensifiedCamera | SiliconCamera, conditions: Cond
         response=tuple(response),
         dark_variance=factor * dark + read,
         variance_per_signal=factor,
-        evened=evened,
+        noise_averaging_factor=evened,
         name=camera.sensor.name if isinstance(camera, IntensifiedCamera) else camera.description.name,
     )
 
@@ -112,7 +112,7 @@ class RenderedView:
     @property
     def chance(self) -> float:
         """Monte Carlo error of the pixels over their noise floor, root mean square."""
-        grain = self.eye.grain(self.picture.signal)
+        grain = self.eye.noise_floor(self.picture.signal)
         return float(np.sqrt(np.mean(np.nan_to_num(self.picture.variance) / grain**2)))
 
     @property

@@ -258,9 +258,9 @@ class EdgeAccuracy:
     # Factor of the half width of a 95 % interval over the posterior's (coverage on simulated edges).
     interval_margin: float = 1.03
     # More of it below and above a frequency, per relative uncertainty: the error of a frequency grows as its square.
-    frequency_margin: tuple[float, ...] = (1.0, 3.0)
+    frequency_margin: tuple[float, float] = (1.0, 3.0)
     # More of it below and above a modulus, per relative uncertainty.
-    modulus_margin: tuple[float, ...] = (2.0, 2.0)
+    modulus_margin: tuple[float, float] = (2.0, 2.0)
 
 
 THRESHOLDS = EdgeThresholds()

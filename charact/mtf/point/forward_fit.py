@@ -229,7 +229,8 @@ def _fit_other_prior(found: PointFit, prior: PointPrior) -> PointFit:
     """Return the optimum under another prior with the weights of a fit, for comparison."""
     at = {name: float(value[0]) for name, value in found.model.prior.values_by_name(found.point[None]).items()}
     other = replace(found, model=replace(found.model, prior=prior))
-    centre, fitted = dict(zip(NAMES, prior.centre, strict=True)), found.model.prior.free
+    centre: dict[str, float] = dict(zip(NAMES, prior.centre, strict=True))
+    fitted = found.model.prior.free
     starts = np.array(
         [
             [at[name] if name in fitted else fraction * centre[name] for name in prior.free]

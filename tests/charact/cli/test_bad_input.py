@@ -123,10 +123,12 @@ def test_a_picture_in_place_of_a_session_is_answered_with_what_makes_one(edge: P
 
 
 def test_a_map_of_a_bare_picture_and_the_mtf_of_a_session_name_what_is_needed(edge: Path, tmp_path: Path) -> None:
-    assert_one_sentence(charact("bloom", edge, "--map", "map.png"), "--map needs a session", "--kind point")
+    assert_one_sentence(
+        charact("bloom", edge, "--map", "map.png"), "--map needs a session with point sources", "--kind point"
+    )
     folder = session(tmp_path, "")
     assert_one_sentence(charact("mtf", "edge", folder), "one image or stack", f"charact measure {folder}")
-    assert_one_sentence(charact("mtf", "flats", tmp_path / "nope"), "session's folder", "file of frames", "nope")
+    assert_one_sentence(charact("mtf", "flats", tmp_path / "nope"), "session folder", "file of frames", "nope")
 
 
 @pytest.mark.parametrize("region", ["0,0,65,10", "-1,0,10,10", "0,90,10,10", "0,0,0,10"])
