@@ -18,7 +18,7 @@ STEP = 1500.0
 
 def edge(rng, *, rows=90, cols=90, snr=40.0, frames=1, blur=False, **scene) -> FrameStack:
     mean = edges.mean_edge(rows, cols, dark=600.0, bright=600.0 + STEP, **scene)
-    return edges.exceeds_rounding(mean, rng, snr=snr, step=STEP, frames=frames, blur=blur)
+    return edges.noisy(mean, rng, snr=snr, step=STEP, frames=frames, blur=blur)
 
 
 def measured(stack, context=QUICK, **options) -> Result:
@@ -82,7 +82,7 @@ def test_noise_is_no_edge(seed):
     held = []
     for blur in (False, True):
         for snr in 8 * (3.0, 30.0):
-            result = measured(edges.exceeds_rounding(flat, rng, snr=snr, step=STEP / 4, blur=blur))
+            result = measured(edges.noisy(flat, rng, snr=snr, step=STEP / 4, blur=blur))
             assert all(m.status != "ok" for m in result.measurements)
             refused = all(m.status == "refused" and m.reason for m in result.measurements)
             held.append(refused and "no-target" in result.measurements[0].flags)
@@ -94,7 +94,7 @@ def test_noise_is_no_edge(seed):
 
 def test_a_slope_of_the_light_is_no_edge(seed):
     slope = 600.0 + 900.0 * np.arange(120)[None, :] / 120 + np.zeros((100, 1))
-    found = measured(edges.exceeds_rounding(slope, np.random.default_rng(seed), snr=30.0, step=900.0)).find("mtf50")[0]
+    found = measured(edges.noisy(slope, np.random.default_rng(seed), snr=30.0, step=900.0)).find("mtf50")[0]
     assert found.status in ("refused", "suspect")
 
 
@@ -146,7 +146,7 @@ def test_a_bent_edge_is_told(seed):
         edges.mean_edge(160, 90, offset_px=shift, dark=600.0, bright=600.0 + STEP)[place]
         for place, shift in zip(rows, bow, strict=True)
     ]
-    assert "curved-edge" in flags_of(edges.exceeds_rounding(np.array(bent), rng, snr=60.0, step=STEP))
+    assert "curved-edge" in flags_of(edges.noisy(np.array(bent), rng, snr=60.0, step=STEP))
 
 
 def test_a_curved_response_is_told_where_the_profile_shows_it():
@@ -155,8 +155,8 @@ def test_a_curved_response_is_told_where_the_profile_shows_it():
     share = 0.5 + np.arctan(distance / 1.2) / np.pi
     light = 0.05 + 0.9 * share
     rng = np.random.default_rng(5)
-    straight = edges.exceeds_rounding(4000 * light, rng, snr=60.0, step=3600.0)
-    curved = edges.exceeds_rounding(4000 * light**0.5, rng, snr=60.0, step=3000.0)
+    straight = edges.noisy(4000 * light, rng, snr=60.0, step=3600.0)
+    curved = edges.noisy(4000 * light**0.5, rng, snr=60.0, step=3000.0)
     assert "gamma" in flags_of(curved)
     assert "gamma" not in flags_of(straight)
 
@@ -164,7 +164,7 @@ def test_a_curved_response_is_told_where_the_profile_shows_it():
 def test_one_edge_is_found_among_several_and_its_place_recorded(seed):
     along = edges.mean_edge(240, 320, angle_deg=5.0, offset_px=-60.0, dark=0.0, bright=1.0)
     across = edges.mean_edge(240, 320, angle_deg=95.0, offset_px=-60.0, dark=0.0, bright=1.0)
-    stack = edges.exceeds_rounding(600 + STEP * along * across, np.random.default_rng(seed), snr=50.0, step=STEP)
+    stack = edges.noisy(600 + STEP * along * across, np.random.default_rng(seed), snr=50.0, step=STEP)
     found = measured(stack).find("mtf50")[0]
     row, col, height, width = found.region
     assert height < 240 or width < 320
@@ -181,7 +181,7 @@ def test_a_wide_halo_lowers_the_mtf_that_the_frame_shows(seed):
     row, col = np.arange(200)[:, None] - 99.5, np.arange(260)[None, :] - 129.5
     distance = col * np.cos(np.deg2rad(5)) + row * np.sin(np.deg2rad(5))
     ramp = 0.5 + 0.5 * np.clip(distance / 23.5, -1, 1)
-    stack = edges.exceeds_rounding(
+    stack = edges.noisy(
         600 + STEP * (0.9 * mean + 0.1 * ramp), np.random.default_rng(seed), snr=60.0, step=STEP, frames=4
     )
     found = measured(stack).find("mtf", frequency_cy_per_px=0.1)[0]
