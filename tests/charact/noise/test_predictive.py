@@ -85,7 +85,7 @@ def test_what_the_model_has_not_is_found_by_its_own_sign(pulses, series, in_memo
     found = told(changed(series(camera, rng, LEVELS, frames=frames, dark_frames=5), in_memory, change))
     flags = predictive_check.findings_of(found)
     assert [flag for flag, _ in flags] == ["model-misfit"] * len(flags) and flags
-    assert any(one.sign == sign and one.chance * len(found) < predictive_check.LEVEL for one in found)
+    assert any(one.sign == sign and one.chance * len(found) < predictive_check.PREDICTIVE.false_alarm for one in found)
 
 
 def test_chances_are_no_smaller_than_they_say(seed, monkeypatch):

@@ -18,7 +18,7 @@ from charact.mtf.edge.fit.model_fit import BlurModelFitter
 from charact.mtf.edge.parametric import edge_parametric
 from charact.mtf.edge.pixels.prepare_edge import prepare_edge
 from charact.mtf.edge.pixels.profile import EVEN_PER_PX, UNEVEN_PER_PX
-from charact.mtf.edge.thresholds import THRESHOLDS
+from charact.mtf.edge.thresholds import ACCURACY, THRESHOLDS
 from charact.mtf.known_transfer import known_transfer
 from charact.study.edge.scene import EdgeScene, TrueBlur
 
@@ -117,7 +117,7 @@ def test_a_halo_and_light_that_slopes_do_not_hide_each_other(monkeypatch):
     truth = cell.scene.truth_mtf50
     stack = case_of(cell, truth, 14).drawn()
     away = {}
-    for least in (edge_forms.WORTH_IN_SLOPES_CHI2, np.inf):
+    for least in (THRESHOLDS.component_in_gradient_chi2, np.inf):
         monkeypatch.setattr(edge_forms, "THRESHOLDS", replace(THRESHOLDS, component_in_gradient_chi2=least))
         found = edge_parametric(stack, context=QUICK).find("mtf50")[0]
         assert found.status == "ok"
@@ -163,7 +163,7 @@ def test_forms_are_weighed_by_their_evidence_to_a_power():
     fitter = BlurModelFitter(edge.profile, known_transfer(edge.picture, edge.profile.angle_rad, QUICK))
     core = fitter.fit(BlurModel(core="gaussian"), np.array([0.0, np.log(fitter.guess())]), EVEN_PER_PX)
     fits = [replace(core, log_evidence=core.log_evidence - less) for less in (3.0, 0.0, 1.0, 9.0)]
-    best, second, third = edge_forms._weight_settings(fits)
+    best, second, third = edge_forms._weight_by_evidence(fits)
     assert best.fit is fits[1]
     assert best.share / second.share == pytest.approx(np.exp(THRESHOLDS.evidence_power))
     assert best.share / third.share == pytest.approx(np.exp(3.0 * THRESHOLDS.evidence_power))
@@ -199,7 +199,7 @@ def test_a_95_percent_interval_is_wider_than_its_draws_and_a_68_percent_one_is_n
     column = int(np.argmin(np.abs(curve.value - 0.5)))
     low, half_low, middle, half_high, high = np.quantile(curve.draws[:, column], [0.025, 0.16, 0.5, 0.84, 0.975])
     assert curve.interval68[:, column] == pytest.approx([half_low, half_high])
-    stretch = edge_result.MARGIN + edge_result.MORE_BOTH_SIDES[0] * 0.5 * (half_high - half_low) / middle
+    stretch = ACCURACY.interval_margin + ACCURACY.modulus_margin[0] * 0.5 * (half_high - half_low) / middle
     assert 1.05 < stretch < 1.2
     wide = [middle + stretch * (low - middle), middle + stretch * (high - middle)]
     assert curve.interval95[:, column] == pytest.approx(wide)
