@@ -55,7 +55,7 @@ def test_a_picture_short_of_the_rays_that_it_needs_says_so():
     assert seen.chance < 1.1 * seen.plan.chance and not seen.short
     assert not any("most rays" in note for note in seen.notes)
     limit = np.full(seen.picture.variance.shape, (2.0 * seen.plan.chance) ** 2)
-    variance = limit * seen.eye.grain(seen.picture.signal) ** 2
+    variance = limit * seen.eye.noise_floor(seen.picture.signal) ** 2
     short = replace(seen, picture=replace(seen.picture, variance=variance))
     assert short.chance == pytest.approx(2.0 * seen.plan.chance) and short.short
     assert any("more than the 12 % of the plan" in note for note in short.notes)
