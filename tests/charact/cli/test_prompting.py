@@ -80,7 +80,7 @@ def test_the_run_is_called_ten_times_a_second_and_what_it_raises_ends_the_prompt
 
 def test_the_end_of_the_input_is_one_sentence(typed):
     typed("")
-    with pytest.raises(BadInput, match="somebody must answer what the meter reads, got the end of the input"):
+    with pytest.raises(BadInput, match="a person must answer what the meter reads, got the end of the input"):
         reading(PromptingOperator())
     typed_placer = TargetPlacer()
     with pytest.raises(BadInput, match="once the edge target is placed, got the end"):
