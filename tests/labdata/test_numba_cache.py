@@ -51,4 +51,4 @@ def test_a_loop_forgets_what_another_file_said_before(tmp_path):
 
 def test_loops_of_other_packages_are_left_to_numba():
     assert labdata.numba_cache.stamp_of(Path(os.__file__)) is None
-    assert labdata.numba_cache.stamp_of(labdata.numba_cache.ROOT / "simulate" / "radiance" / "embree.py")
+    assert labdata.numba_cache.stamp_of(labdata.numba_cache.ROOT / "simulate" / "radiance" / "geometry" / "embree.py")

@@ -24,5 +24,5 @@ def test_every_form_before_a_described_intensifier_has_a_halo() -> None:
     context = Context(quick=True, sensor=load_sensor("pulnix-ag5745ef3"), interlaced=True)
     stack = PointScene(photoelectrons=300.0, read_dn=0.2).frames_drawn(np.random.default_rng(3))
     found = mtf.measure("point", stack, method="point-parametric", context=context)
-    (forms,) = {note for note in found.measurements[0].notes if note.startswith("Form of the point spread")}
+    (forms,) = {note for note in found.measurements[0].notes if note.startswith("Blur models by evidence")}
     assert all("halo" in form for form in forms.partition(": ")[2].split(", ")), forms
