@@ -3,7 +3,8 @@
     python -m tests.golden record [SECTION ...]     write tests/golden/*.csv
     python -m tests.golden compare [SECTION ...]    table of what moved; exit 1 beyond a guard
 
-Sections are `methods`, `frames`, `sensors` and `effects`. Guard of a method: value and interval within 0.1 of half the
+Sections are `methods`, `frames`, `sensors` and `effects`; `methods:WORD` compares methods with the word in their name.
+Guard of a method: value and interval within 0.1 of half the
 68 % width (a quarter of the width of the 95 % interval), status equal in 99 % of the cases. Guard of all others: equal
 digests.
 """
@@ -35,8 +36,8 @@ def _cases_of(study, count: int) -> list:
     return [*inside, *(breaking[i] for i in sorted(picked))]
 
 
-def methods() -> list[Row]:
-    """Every registered method of every quantity that has a study."""
+def methods(word: str = "") -> list[Row]:
+    """Every registered method, with a word in its name, of every quantity that has a study."""
     from charact.method import Context
     from charact.study.harness import attempt
     from charact.study.study_registry import STUDIES, methods_of, studies_of
@@ -45,7 +46,7 @@ def methods() -> list[Row]:
     for quantity in STUDIES:
         for case in [case for study in studies_of(quantity) for case in _cases_of(study, CASES[quantity])]:
             for method in methods_of(quantity):
-                if method.kind == case.kind:
+                if method.kind == case.kind and word in method.name:
                     row = attempt(method, case, Context(quick=True))
                     name = f"{quantity} {method.name} {case.kind} {case.name} {case.seed}"
                     numbers = ["" if x is None else f"{x:.7g}" for x in (row.value, row.low95, row.high95)]
@@ -131,11 +132,14 @@ def record(name: str) -> None:
         csv.writer(file, lineterminator="\n").writerows(SECTIONS[name]())
 
 
-def compare(name: str) -> bool:
+def compare(section: str) -> bool:
     """Print what moved; whether all stays within its guard."""
+    name, _, word = section.partition(":")
     with (HERE / f"{name}.csv").open(newline="") as file:
         before = {row[0]: tuple(row[1:]) for row in csv.reader(file)}
-    after = {row[0]: row[1:] for row in SECTIONS[name]()}
+    if word:
+        before = {key: row for key, row in before.items() if word in key.split()[1]}
+    after = {row[0]: row[1:] for row in (methods(word) if word else SECTIONS[name]())}
     missing, added = before.keys() - after.keys(), after.keys() - before.keys()
     changed = [key for key in before if key in after and before[key] != after[key]]
     print(f"\n{name}: {len(before)} rows, {len(changed)} changed, {len(missing)} missing, {len(added)} added")
