@@ -56,13 +56,13 @@ STUDIES = {
     "strangers-points": Study(module="strangers_points", about="points of other generators: printed; 15 minutes"),
     "fault-campaign": Study(
         module="tests.faults.campaign",
-        arguments=("--strikes", "5", "--seed", "20260", "--keep", "docs/faults.md"),
-        about="random faults on the virtual bench: docs/faults.md; 40 minutes",
+        arguments=("--strikes", "5", "--seed", "20260", "--keep", "docs/validation/faults.md"),
+        about="random faults on the virtual bench: docs/validation/faults.md; 40 minutes",
     ),
     "rehearsal": Study(
         module="tests.faults.rehearsal",
-        arguments=("--keep", "docs/rehearsal.md"),
-        about="unattended run with injected faults: docs/rehearsal.md; 30 minutes",
+        arguments=("--keep", "docs/validation/rehearsal.md"),
+        about="unattended run with injected faults: docs/validation/rehearsal.md; 30 minutes",
     ),
     "fuzz": Study(module="tests.fuzz", about="mangled bytes for every external parser; an hour"),
     "acquisition": Study(

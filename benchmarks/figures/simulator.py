@@ -1,4 +1,4 @@
-"""Makes every picture of docs/simulator.md and of the README's tutorial, by simulation, and the tutorial's card."""
+"""Makes every picture of docs/explanation/simulator.md and of the README's tutorial, by simulation, and the tutorial's card."""
 
 import subprocess
 import sys
@@ -9,8 +9,7 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
-import plans
-from lab_card import CARD, card, luminance, radiance, shown
+from benchmarks.figures.lab_card import CARD, card, luminance, radiance, shown
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
@@ -25,7 +24,7 @@ from simulate.iiccd.scene_to_photoelectrons import (
     photoelectrons_from_radiance,
 )
 
-FOLDER = Path(__file__).resolve().parent / "simulator"
+FOLDER = Path("docs/pictures/simulator").resolve()
 CAMERA = "pulnix-ag5745ef3"
 GAINS = (500.0, 2500.0, 15000.0, 60000.0)
 LUX = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
@@ -56,7 +55,7 @@ def main() -> None:
     _save(details(sensor, frames), FOLDER / "details.png")
     stage_sheet(sensor, FOLDER / "stages.png")
     tutorial_frame(FOLDER / "tutorial.png")
-    plans.main()
+    effect_plans.main()
 
 
 def tutorial_card(path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Makes every picture of docs/bloom.md from closed-form scenes, and prints the numbers that stand beside them."""
+"""Makes every picture of docs/explanation/bloom.md from closed-form scenes, and prints the numbers that stand beside them."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -22,7 +22,7 @@ from labdata.frames import FrameStack
 from labdata.measurement import Result
 from labdata.session import Session
 
-FOLDER = Path(__file__).resolve().parent / "bloom"
+FOLDER = Path("docs/pictures/bloom")
 SEED = 5
 OVERLOADS = tuple(float(f"{one:.3g}") for one in np.geomspace(0.3, 1e5, 12))
 SCENE = BloomScene(frames=8, wing_share=0.03, glare_fraction=0.02)

@@ -1,4 +1,4 @@
-"""Pictures of docs/night-scenes.md: shipped scenes as visible radiance in colours, and by the default camera."""
+"""Pictures of docs/explanation/night-scenes.md: shipped scenes as visible radiance in colours, and by the default camera."""
 
 import argparse
 import time
@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from charact.cli.simulation_sources import SimulationRequest, conditions_of, load_described_camera, shot_of
 from simulate.radiance.cube import RadianceCube, band_widths
 
-FOLDER = Path(__file__).resolve().parent / "night-scenes"
+FOLDER = Path("docs/pictures/night-scenes")
 CAMERA = "pulnix-ag5745ef3"
 SCENES = ("airfield", "hangar", "road")
 # Gates, ns, where the whole field would be too long.

@@ -1,17 +1,17 @@
-"""Prints into docs/simulator.md what the simulator plans to leave out of the tutorial's card, lit and dim."""
+"""Prints into docs/explanation/simulator.md what the simulator plans to leave out of the tutorial's card, lit and dim."""
 
 import re
 from pathlib import Path
 
 import numpy as np
-from lab_card import luminance
+from benchmarks.figures.lab_card import luminance
 
 from labdata.conditions import Conditions
 from labdata.sensors import load_sensor
 from simulate.iiccd.effect_bounds.camera_effects import select_camera_effects
 from simulate.iiccd.scene_to_photoelectrons import camera_from_description, photoelectrons_from_image
 
-PAGE = Path(__file__).resolve().parent / "simulator.md"
+PAGE = Path("docs/explanation/simulator.md")
 CAMERA = "pulnix-ag5745ef3"
 BRIGHT_PE, DIM_PE = 10.8, 0.1
 

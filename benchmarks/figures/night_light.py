@@ -1,4 +1,4 @@
-"""Makes the pictures of docs/night-light.md: spectra of night's light, the moon over phase, and four skies."""
+"""Makes the pictures of docs/explanation/night-light.md: spectra of night's light, the moon over phase, and four skies."""
 
 from collections.abc import Sequence
 from datetime import UTC, datetime
@@ -20,7 +20,7 @@ from simulate.radiance.spectrum import LUMENS_PER_WATT, SourceSpectrum, luminous
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 
-FOLDER = Path(__file__).resolve().parent / "night-light"
+FOLDER = Path("docs/pictures/night-light")
 CAMERA = "pulnix-ag5745ef3"
 # Lines are drawn as if a spectrometer of this resolution had seen them.
 RESOLUTION_NM = 4.0
