@@ -1,4 +1,4 @@
-"""Makes every picture of docs/explanation/bloom.md from closed-form scenes, and prints the numbers that stand beside them."""
+"""Figures of docs/explanation/bloom.md from closed-form scenes; prints the numbers of that page."""
 
 from collections.abc import Mapping
 from pathlib import Path

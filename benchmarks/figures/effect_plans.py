@@ -1,11 +1,11 @@
-"""Prints into docs/explanation/simulator.md what the simulator plans to leave out of the tutorial's card, lit and dim."""
+"""Writes into docs/explanation/simulator.md the bounds on each effect for the tutorial's card, lit and dim."""
 
 import re
 from pathlib import Path
 
 import numpy as np
-from benchmarks.figures.lab_card import luminance
 
+from benchmarks.figures.lab_card import luminance
 from labdata.conditions import Conditions
 from labdata.sensors import load_sensor
 from simulate.iiccd.effect_bounds.camera_effects import select_camera_effects

@@ -1,4 +1,4 @@
-"""Makes the pictures of docs/explanation/night-light.md: spectra of night's light, the moon over phase, and four skies."""
+"""Figures of docs/explanation/night-light.md: spectra, magnitude of the moon over phase, and four skies."""
 
 from collections.abc import Sequence
 from datetime import UTC, datetime

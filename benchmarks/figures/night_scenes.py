@@ -1,4 +1,4 @@
-"""Pictures of docs/explanation/night-scenes.md: shipped scenes as visible radiance in colours, and by the default camera."""
+"""Figures of docs/explanation/night-scenes.md: shipped scenes as visible radiance, and by the default camera."""
 
 import argparse
 import time

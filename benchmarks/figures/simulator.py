@@ -1,4 +1,4 @@
-"""Makes every picture of docs/explanation/simulator.md and of the README's tutorial, by simulation, and the tutorial's card."""
+"""Figures of docs/explanation/simulator.md and of the tutorial, by simulation, and the tutorial's card."""
 
 import subprocess
 import sys
@@ -9,10 +9,11 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
-from benchmarks.figures.lab_card import CARD, card, luminance, radiance, shown
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from benchmarks.figures import effect_plans
+from benchmarks.figures.lab_card import CARD, card, luminance, radiance, shown
 from labdata.conditions import Conditions
 from labdata.sensor import Sensor
 from labdata.sensors import load_sensor, save_sensor
