@@ -20,11 +20,12 @@ exclude_patterns = ["_build", "examples/*.rst", "gallery/sg_execution_times.rst"
 myst_enable_extensions = ["colon_fence", "dollarmath"]
 myst_heading_anchors = 3
 numpydoc_show_class_members = False
+autodoc_preserve_defaults = True
 autodoc_typehints = "none"
 autodoc_member_order = "bysource"
 
 html_theme = "alabaster"
-html_theme_options = {"description": "Intensified cameras: measure, simulate, validate", "page_width": "1100px"}
+html_theme_options = {"description": "Intensified cameras: measure, simulate, validate", "page_width": "1280px"}
 html_sidebars = {"**": ["about.html", "searchfield.html", "navigation.html"]}
 html_static_path: list[str] = []
 
