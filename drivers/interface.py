@@ -52,12 +52,9 @@ class Camera(Protocol):
 class FrameLevels:
     """Levels of a frame."""
 
-    mean: float
-    """Mean pixel value, fraction of full scale."""
-    saturated: float
-    """Fraction of pixels at full scale."""
-    allowed: float = 0.0
-    """Fraction allowed by its step."""
+    mean: float  # Mean pixel value, fraction of full scale
+    saturated: float  # Fraction of pixels at full scale
+    allowed: float = 0.0  # Fraction allowed by its step
 
     @classmethod
     def of(cls, pixels: NDArray, full_scale_dn: float, *, allowed: float = 0.0) -> "FrameLevels":
@@ -134,8 +131,8 @@ class Operator(Protocol):
         """Whether a person sets the light; the gate is then shut meanwhile."""
         ...
 
+    # Called at least every 0.1 s while it waits for a person; an exception ends the wait
     while_waiting: Callable[[], None]
-    """Called at least every 0.1 s while it waits for a person; an exception ends the wait."""
 
     def darken(self) -> None:
         """Block the light, without waiting."""

@@ -8,8 +8,7 @@ from typing import Generic, TypeVar
 
 T = TypeVar("T")
 
-CAPACITY = 10_000
-"""Queued items: minutes of events, a few megabytes of memory."""
+CAPACITY = 10_000  # Queued items: minutes of events, a few megabytes of memory
 
 
 class BackgroundWriter(Generic[T]):
@@ -44,12 +43,9 @@ class BackgroundWriter(Generic[T]):
         self._begun, self._writing, self._closed = False, False, False
         # Reentrant: a signal handler may put an item while its thread is inside `enqueue`.
         self._turn = threading.Condition(threading.RLock())
-        self.dropped = 0
-        """Number of items that found no room, or came after `close`."""
-        self.failed = 0
-        """Number of items whose writing raised."""
-        self.failure: Exception | None = None
-        """Last exception raised in the thread."""
+        self.dropped = 0  # Number of items that found no room, or came after `close`
+        self.failed = 0  # Number of items whose writing raised
+        self.failure: Exception | None = None  # Last exception raised in the thread
         self._thread = threading.Thread(target=self._work, name=name, daemon=True)
         self._thread.start()
 

@@ -15,17 +15,6 @@ from labdata.errors import BadInput
 class RisingTable:
     """Pairs of two positive numbers that increase together.
 
-    Parameters
-    ----------
-    of
-        Name of the table in messages, such as "gain table".
-    names
-        Names of the two columns, with their units.
-    first, second
-        The columns.
-    relative_sd
-        Relative standard uncertainty of the second column, dimensionless.
-
     Raises
     ------
     BadInput
@@ -37,11 +26,11 @@ class RisingTable:
     uncertainty of the interpolation, which is added to that of the calibration in quadrature.
     """
 
-    of: str
-    names: tuple[str, str]
-    first: tuple[float, ...]
-    second: tuple[float, ...]
-    relative_sd: tuple[float, ...]
+    of: str  # Name of the table in messages, such as "gain table"
+    names: tuple[str, str]  # Names of the two columns, with their units
+    first: tuple[float, ...]  # The columns
+    second: tuple[float, ...]  # The columns
+    relative_sd: tuple[float, ...]  # Relative standard uncertainty of the second column, dimensionless
 
     def __post_init__(self) -> None:
         columns = (self.first, self.second, self.relative_sd)
@@ -102,53 +91,26 @@ class RisingTable:
             raise BadInput(f"{name} must lie within the {self.of}, {column[0]:g} to {column[-1]:g}, got {value:g}")
 
 
-SETTABLE_A = 1e-3
-"""Current step that every LED driver can set, A."""
+SETTABLE_A = 1e-3  # Current step that every LED driver can set, A
 
+# Margin of the driver's own limit above the end of the calibration, A: a driver at its limit reports an error
 SPARE_A = 1e-3
-"""Margin of the driver's own limit above the end of the calibration, A: a driver at its limit reports an error."""
 
 SAME_DENSITY = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
 class LampSetting:
-    """Lamp and filter setting of one illuminance.
+    """Lamp and filter setting of one illuminance."""
 
-    Parameters
-    ----------
-    current_a
-        Current through the lamp, A.
-    position
-        Position of the filter wheel, counted from 1.
-    read
-        Resulting light: illuminance with uncertainty, filter and current.
-    """
-
-    current_a: float
-    position: int
-    read: Conditions
+    current_a: float  # Current through the lamp, A
+    position: int  # Position of the filter wheel, counted from 1
+    read: Conditions  # Resulting light: illuminance with uncertainty, filter and current
 
 
 @dataclass(frozen=True, kw_only=True)
 class LampCalibration:
     """Calibration of the lamp and its filters.
-
-    Parameters
-    ----------
-    source
-        Origin of the calibration: who measured it, how and when.
-    current_a
-        Currents through the lamp, A, increasing.
-    illuminance_lux
-        Illuminance on the photocathode at each, without filter, lux, increasing.
-    relative_sd
-        Relative standard uncertainty of each illuminance, dimensionless.
-    filter_density
-        Optical densities of the filters by wheel position; a bench without a wheel has the single density of
-        its fixed filter.
-    filter_density_sd
-        Standard uncertainty of a density that is not 0.
 
     Raises
     ------
@@ -160,12 +122,14 @@ class LampCalibration:
     E = E0(I) 10^-D.
     """
 
-    source: str
-    current_a: tuple[float, ...]
-    illuminance_lux: tuple[float, ...]
-    relative_sd: tuple[float, ...]
+    source: str  # Origin of the calibration: who measured it, how and when
+    current_a: tuple[float, ...]  # Currents through the lamp, A, increasing
+    illuminance_lux: tuple[float, ...]  # Illuminance on the photocathode at each, without filter, lux, increasing
+    relative_sd: tuple[float, ...]  # Relative standard uncertainty of each illuminance, dimensionless
+    # Optical densities of the filters by wheel position; a bench without a wheel has the single density of its fixed
+    # filter
     filter_density: tuple[float, ...] = (0.0,)
-    filter_density_sd: float = 0.0
+    filter_density_sd: float = 0.0  # Standard uncertainty of a density that is not 0
 
     def __post_init__(self) -> None:
         if not self.source.strip():
@@ -269,19 +233,6 @@ class LampCalibration:
 class GainTable:
     """A calibration of one tube.
 
-    Parameters
-    ----------
-    source
-        Origin of the calibration: who measured it, how and when.
-    tube
-        Name of the tube; None: not stated.
-    mcp_v
-        Voltages across the MCP, V, increasing.
-    luminous_gain
-        Luminous gain at each, lm/lm or in the unit of the calibration, increasing.
-    relative_sd
-        Relative standard uncertainty of each gain, dimensionless.
-
     Raises
     ------
     BadInput
@@ -293,11 +244,11 @@ class GainTable:
     `RisingTable`.
     """
 
-    source: str
-    tube: str | None = None
-    mcp_v: tuple[float, ...]
-    luminous_gain: tuple[float, ...]
-    relative_sd: tuple[float, ...]
+    source: str  # Origin of the calibration: who measured it, how and when
+    tube: str | None = None  # Name of the tube; None: not stated
+    mcp_v: tuple[float, ...]  # Voltages across the MCP, V, increasing
+    luminous_gain: tuple[float, ...]  # Luminous gain at each, lm/lm or in the unit of the calibration, increasing
+    relative_sd: tuple[float, ...]  # Relative standard uncertainty of each gain, dimensionless
 
     def __post_init__(self) -> None:
         if not self.source.strip():

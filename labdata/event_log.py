@@ -11,8 +11,7 @@ from labdata.background import BackgroundWriter
 from labdata.errors import BadInput
 from labdata.file_io import ends_mid_line
 
-OPENING_S = 1.0
-"""Longest wait for the file to open, s; commands to the tube wait for it."""
+OPENING_S = 1.0  # Longest wait for the file to open, s; commands to the tube wait for it
 
 
 class EventLog:

@@ -12,31 +12,19 @@ from labdata.errors import BadInput
 Sync = Literal["free-running", "line-locked", "triggered"]
 MAINS_HZ = (50.0, 60.0)
 
-HOLDOFF = 0.99
-"""Hold-off of a triggered gate, as a fraction of a field."""
-
-IN_STEP = 1e-3
-"""Largest relative difference of the open times of synchronous fields."""
+HOLDOFF = 0.99  # Hold-off of a triggered gate, as a fraction of a field
+IN_STEP = 1e-3  # Largest relative difference of the open times of synchronous fields
 
 
 @dataclass(frozen=True, kw_only=True)
 class Gating:
-    """Trigger of the gate.
+    """Trigger of the gate."""
 
-    Parameters
-    ----------
-    sync
-        "free-running": the generator's own clock, set to the camera's field rate. "line-locked": the mains.
-        "triggered": the camera's field pulse at the generator's trigger input, one gate pulse per field.
-    delay_ns
-        Delay from the trigger to the gate pulse, ns.
-    line_hz
-        Frequency of the mains, Hz.
-    """
-
+    # "free-running": the generator's own clock, set to the camera's field rate. "line-locked": the mains. "triggered":
+    # the camera's field pulse at the generator's trigger input, one gate pulse per field
     sync: Sync = "free-running"
-    delay_ns: float = 0.0
-    line_hz: float = 60.0
+    delay_ns: float = 0.0  # Delay from the trigger to the gate pulse, ns
+    line_hz: float = 60.0  # Frequency of the mains, Hz
 
     def __post_init__(self) -> None:
         if self.line_hz not in MAINS_HZ:

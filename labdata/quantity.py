@@ -7,18 +7,10 @@ from labdata.errors import BadInput
 
 @dataclass(frozen=True, kw_only=True)
 class Quantity:
-    """A measurable quantity of the command-line contract.
+    """A measurable quantity of the command-line contract."""
 
-    Parameters
-    ----------
-    units
-        Allowed units; the first is the default.
-    title
-        Title in reports.
-    """
-
-    units: tuple[str, ...]
-    title: str
+    units: tuple[str, ...]  # Allowed units; the first is the default
+    title: str  # Title in reports
 
 
 def _entry(title: str, *units: str) -> Quantity:

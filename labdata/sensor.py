@@ -290,18 +290,10 @@ def _present(video: Video, *names: str) -> tuple[str, ...]:
 
 @dataclass(frozen=True, kw_only=True)
 class Draws:
-    """Joint posterior draws of the fitted parameters, by path such as "tube.post_gain_share".
+    """Joint posterior draws of the fitted parameters, by path such as "tube.post_gain_share"."""
 
-    Parameters
-    ----------
-    names
-        Paths of the parameters.
-    values
-        Draws, one tuple per draw in the order of the names.
-    """
-
-    names: tuple[str, ...] = ()
-    values: tuple[tuple[float, ...], ...] = ()
+    names: tuple[str, ...] = ()  # Paths of the parameters
+    values: tuple[tuple[float, ...], ...] = ()  # Draws, one tuple per draw in the order of the names
 
     def __post_init__(self) -> None:
         if any(len(row) != len(self.names) for row in self.values):

@@ -166,19 +166,37 @@ def summary_of(type_: type) -> str:
 
 
 def parameters_of(type_: type) -> dict[str, str]:
-    """Return the numpydoc text of each parameter of a class and its bases, as one line each."""
+    """Return the documentation of each field of a class and its bases, as one line each."""
     words: dict[str, str] = {}
     for base in reversed(type_.__mro__):
-        words.update(_parameters(inspect.cleandoc(base.__dict__.get("__doc__") or "")))
+        words |= _documented(inspect.cleandoc(base.__dict__.get("__doc__") or ""))
+        if dataclasses.is_dataclass(base):
+            words |= _commented(inspect.getsource(base))
     return words
 
 
-def _parameters(docstring: str) -> dict[str, str]:
+def _documented(docstring: str) -> dict[str, str]:
+    """Return the numpydoc text of each parameter."""
     _, _, section = docstring.partition("Parameters\n----------\n")
     section = re.split(r"\n\S+\n-{3,}\n", section)[0]
     words = {}
     for names, text in re.findall(r"^(\w[\w, ]*)\n((?:[ \t]+\S.*\n?)+)", section, re.MULTILINE):
         words.update({name.strip(): " ".join(text.split()) for name in names.split(",")})
+    return words
+
+
+def _commented(source: str) -> dict[str, str]:
+    """Return the comment behind each field, or on the lines before it."""
+    words: dict[str, str] = {}
+    before: list[str] = []
+    for line in source.splitlines():
+        name, _, behind = line.strip().partition(":")
+        if line.strip().startswith("# "):
+            before.append(line.strip()[2:])
+            continue
+        if name.isidentifier() and (text := behind.partition("  # ")[2] or " ".join(before)):
+            words[name] = text.rstrip(".") + "."
+        before = []
     return words
 
 

@@ -26,8 +26,7 @@ from labdata.store.storage_thread import Storage
 PLAN = "plan.toml"
 LOG = "log.jsonl"
 
-PROGRESS_S = 1.0
-"""Longest wait at the end for progress to be shown, s."""
+PROGRESS_S = 1.0  # Longest wait at the end for progress to be shown, s
 
 
 def acquire(

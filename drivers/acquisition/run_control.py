@@ -12,8 +12,7 @@ from types import FrameType
 LOOK_S = 0.05
 
 URGENT = (signal.SIGTERM, signal.SIGHUP)
-GRACE_S, STUCK_S = 5.0, 15.0
-"""Time limits of a run ended by a signal, once the tube is safe and in total, s."""
+GRACE_S, STUCK_S = 5.0, 15.0  # Time limits of a run ended by a signal, once the tube is safe and in total, s
 
 STOPPING = "stopping after this step; Ctrl-C again shuts the gate now"
 PAUSING = "pausing after this step; the same signal again goes on"
@@ -31,14 +30,12 @@ class RunControl:
 
     def __init__(self, say: Callable[[str], None] = lambda sentence: None) -> None:
         self.say = say
-        self.stop = False
-        """Whether to end the run after the present step."""
-        self.pause = False
-        """Whether to pause after the present step, until this is False again."""
+        self.stop = False  # Whether to end the run after the present step
+        self.pause = False  # Whether to pause after the present step, until this is False again
+        # Called from a separate thread at SIGTERM, SIGHUP and the second Ctrl-C
         self.make_safe_at_once: Callable[[], None] = lambda: None
-        """Called from a separate thread at SIGTERM, SIGHUP and the second Ctrl-C."""
+        # Returns the final state of the tube, written to the terminal by a run that hangs at its end
         self.last_words: Callable[[], str] = lambda: ""
-        """Returns the final state of the tube, written to the terminal by a run that hangs at its end."""
         self._running = self._leaving = False
         self._ended = threading.Event()
 

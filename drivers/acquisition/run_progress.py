@@ -13,10 +13,8 @@ class StepClock:
 
     def __init__(self) -> None:
         self._began_s = time.monotonic()
-        self.wire_s = 0.0
-        """Time spent in instruments, operator and camera, s."""
-        self.settling_s = 0.0
-        """Settle time of the plan, s."""
+        self.wire_s = 0.0  # Time spent in instruments, operator and camera, s
+        self.settling_s = 0.0  # Settle time of the plan, s
 
     @contextmanager
     def wire(self) -> Iterator[None]:
@@ -65,8 +63,7 @@ class RunProgress:
 
     def __init__(self, *, frames: int, done: int) -> None:
         self._frames, self._before = frames, done
-        self.done = done
-        """Frames of the finished steps; a step stopped early counts completely."""
+        self.done = done  # Frames of the finished steps; a step stopped early counts completely
         self._began_s = time.monotonic()
         self._step_began_s: float | None = None
 

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from drivers.interface import Operator
 
 
+# Fraction of the largest allowed light below which a reading with blocked light is the zero of the meter
 METER_ZERO = 1e-3
-"""Fraction of the largest allowed light below which a reading with blocked light is the zero of the meter."""
 
 
 class Station:
@@ -43,8 +43,7 @@ class LightControl(ABC):
     interlock: Interlock
     stations: Mapping[Role, Station]
     _setup: BenchSetup
-    _is_stopped = False
-    """Whether a safe action began since the present command."""
+    _is_stopped = False  # Whether a safe action began since the present command
     _position = 1
 
     @abstractmethod

@@ -13,8 +13,7 @@ from labdata.instrument_config import Meters, Role
 from labdata.limits import LimitsInForce
 from labdata.tube_dose import Dose, DoseLedger, dose_of, total_dose
 
-Reading = tuple[Conditions, tuple[str, ...]]
-"""Conditions read, and one sentence for each meter that did not answer."""
+Reading = tuple[Conditions, tuple[str, ...]]  # Conditions read, and one sentence for each meter that did not answer
 
 
 class AuxiliaryMeters:
@@ -72,8 +71,7 @@ class AuxiliaryMeters:
         return {"temperature_c": meter.temperature_c(), "temperature_time_s": time.time()}
 
 
-LONGEST_S = 10.0
-"""Longest interval between writes of the dose while the gate is open, s; a crash loses no more."""
+LONGEST_S = 10.0  # Longest interval between writes of the dose while the gate is open, s; a crash loses no more
 
 
 class DoseMeter:

@@ -15,48 +15,27 @@ from drivers.instruments.models import model_of
 from drivers.instruments.voltage_limits import DISCHARGED_V, FALL_S, Supply
 from labdata.instrument_config import InstrumentConfig, InstrumentConnection, Role
 
-DANGEROUS: tuple[Role, ...] = ("gate", "supply", "light-source")
-"""Roles that the safe action covers."""
+DANGEROUS: tuple[Role, ...] = ("gate", "supply", "light-source")  # Roles that the safe action covers
 
-Record = Callable[..., object]
-"""Called as record(step, **details) for each step; it must not block."""
+Record = Callable[..., object]  # Called as record(step, **details) for each step; it must not block
 
-FOLLOW_S = 0.2
-"""Interval between attempts, s."""
+FOLLOW_S = 0.2  # Interval between attempts, s
+DEAF_S = 3.0  # Longest time of attempts on an instrument that does not obey, s
+REOPEN_S = 15.0  # Longest time of attempts to reopen a lost port, s
 
-DEAF_S = 3.0
-"""Longest time of attempts on an instrument that does not obey, s."""
-
-REOPEN_S = 15.0
-"""Longest time of attempts to reopen a lost port, s."""
-
+# Manual steps for a tube that could not be made safe
 BY_HAND = "switch the high-voltage supply off at its front panel, then cover the camera and disconnect the gate unit"
-"""Manual steps for a tube that could not be made safe."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SafeStateReport:
-    """Report of a safe action.
+    """Report of a safe action."""
 
-    Parameters
-    ----------
-    gate_shut
-        Whether the gate read back no pulses and a shut idle level.
-    off_ordered
-        Whether the command to switch the high voltage off was sent.
-    residual_v
-        Last voltage measured at the output, V; None if none could be measured.
-    light_dark
-        Whether every lamp of the bench read back that it is off; true without lamps.
-    failures
-        One sentence for each failed step of an instrument that was not verified.
-    """
-
-    gate_shut: bool
-    off_ordered: bool
-    residual_v: float | None
-    light_dark: bool = True
-    failures: tuple[str, ...] = ()
+    gate_shut: bool  # Whether the gate read back no pulses and a shut idle level
+    off_ordered: bool  # Whether the command to switch the high voltage off was sent
+    residual_v: float | None  # Last voltage measured at the output, V; None if none could be measured
+    light_dark: bool = True  # Whether every lamp of the bench read back that it is off; true without lamps
+    failures: tuple[str, ...] = ()  # One sentence for each failed step of an instrument that was not verified
 
     @property
     def whole(self) -> bool:

@@ -35,29 +35,22 @@ from drivers.serial_lines.line import InstrumentLine
 from labdata.conditions import Conditions
 from labdata.instrument_config import InstrumentConfig, Role
 
+# Factor between meter reading and set light above which the light is brighter, beyond calibration errors
 METER_AGREES = 1.25
-"""Factor between meter reading and set light above which the light is brighter, beyond calibration errors."""
 
-SAME_V = 0.5
-"""Tolerance of an unchanged voltage, V."""
+SAME_V = 0.5  # Tolerance of an unchanged voltage, V
+LOOK_EVERY_S = 0.3  # Interval between checks of an instrument's settings, s; with the check itself below 0.5 s
+WORKER_LEAVES_S = 1.0  # Longest wait for a procedure interrupted by the safe action, s
+DOSE_S = 2.0  # Longest wait for the last dose to be written, s
 
-LOOK_EVERY_S = 0.3
-"""Interval between checks of an instrument's settings, s; with the check itself below 0.5 s."""
-
-WORKER_LEAVES_S = 1.0
-"""Longest wait for a procedure interrupted by the safe action, s."""
-
-DOSE_S = 2.0
-"""Longest wait for the last dose to be written, s."""
-
+# Roles not needed for the tube: a failure is reported, and the bench continues
 DISPENSABLE: tuple[Role, ...] = ("light-meter", "thermometer")
-"""Roles not needed for the tube: a failure is reported, and the bench continues."""
 
+# Largest mean of a frame without light, fraction of full scale; black level, dark current and EBI are far below
 BRIGHTEST_MEAN = 0.25
-"""Largest mean of a frame without light, fraction of full scale; black level, dark current and EBI are far below."""
 
+# Largest fraction of saturated pixels of a frame without light; room light at gain saturates the frame
 MAX_SATURATED = 0.01
-"""Largest fraction of saturated pixels of a frame without light; room light at gain saturates the frame."""
 
 
 class NotDark(BenchError):
@@ -107,10 +100,9 @@ class TubeBench(LightControl):
             self.interlock.watch(self._dose.watch)
         self._crew, self._making_safe = Crew(), threading.Lock()
         self._gate_hz, self._most_hz = setup.gating.rate_hz(setup.field_hz), setup.gating.most_hz(setup.field_hz)
+        # First failure since the bench was opened; no command increases the load of the tube until it is reopened
         self.fault: BenchError | None = None
-        """First failure since the bench was opened; no command increases the load of the tube until it is reopened."""
-        self.report: SafeStateReport | None = None
-        """Report of the last safe action."""
+        self.report: SafeStateReport | None = None  # Report of the last safe action
 
     def open(self) -> None:
         """Shut the gate and switch the high voltage off, identify every instrument, and read what is left."""

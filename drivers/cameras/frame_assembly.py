@@ -2,18 +2,14 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Self
 
 from drivers.errors import CameraError
 from labdata.capture import Frame, LostFrames, losses_before
 from labdata.errors import BadInput
 
-MOST_BROKEN = 20
-"""Largest number of incomplete frames of a capture beyond the number of requested ones."""
-
-POLL_S = 0.05
-"""Longest wait between two calls of `while_waiting`, s; half of the guaranteed 0.1 s."""
+MOST_BROKEN = 20  # Largest number of incomplete frames of a capture beyond the number of requested ones
+POLL_S = 0.05  # Longest wait between two calls of `while_waiting`, s; half of the guaranteed 0.1 s
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,9 +89,7 @@ class FrameCapture:
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._stop()
 
     def __iter__(self) -> Iterator[Frame]:

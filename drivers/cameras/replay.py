@@ -4,7 +4,6 @@ import time
 from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 import numpy as np
@@ -17,8 +16,7 @@ from labdata.lazy_stack import LazyStack, open_lazy_stack
 from labdata.session import Session, StackEntry, open_session
 
 RATE_WITHOUT_STAMPS_HZ = 30.0
-LONGEST_PAUSE_S = 1.0
-"""Longest wait between two frames, s."""
+LONGEST_PAUSE_S = 1.0  # Longest wait between two frames, s
 
 
 class ReplayCamera:
@@ -70,9 +68,7 @@ class ReplayCamera:
         self._session, self._played = session, 0
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._session = None
 
     def configure(self, settings: CameraSettings) -> CameraSettings:

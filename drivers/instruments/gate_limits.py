@@ -14,8 +14,7 @@ from labdata.gating import Sync
 # Negligible relative rounding of a pulse: a field time is not a multiple of 5 ps.
 _UNSEEN = 1e-6
 
-MISSED_TRIGGERS = 2.0
-"""Trigger periods without a trigger after which the trigger counts as missing."""
+MISSED_TRIGGERS = 2.0  # Trigger periods without a trigger after which the trigger counts as missing
 
 
 class Gate(Instrument):
@@ -24,15 +23,12 @@ class Gate(Instrument):
     It stores the reply to each setting that was read back, and `look` compares the present replies with them.
     """
 
-    shut_commands: ClassVar[tuple[str, ...]]
-    """Commands that shut the gate at once, sent one by one by the safe action."""
+    shut_commands: ClassVar[tuple[str, ...]]  # Commands that shut the gate at once, sent one by one by the safe action
 
-    shut_settings: ClassVar[tuple[tuple[str, str, int], ...]]
-    """Read-backs of a shut gate: setting, query and reply."""
+    shut_settings: ClassVar[tuple[tuple[str, str, int], ...]]  # Read-backs of a shut gate: setting, query and reply
 
     step_ns: ClassVar[float]
-    dead_ns: ClassVar[float]
-    """Time after the longest delay before the next trigger is accepted, ns."""
+    dead_ns: ClassVar[float]  # Time after the longest delay before the next trigger is accepted, ns
 
     sources: ClassVar[Mapping[Sync, int]]
     source_command: ClassVar[str]

@@ -12,11 +12,8 @@ from dataclasses import dataclass
 from drivers.errors import BenchError, BenchStopped, InstrumentRejected, InstrumentReplyError, InstrumentTimeout
 from drivers.serial_lines.port import ANSWER_S, SLICE_S, Port
 
-LONGEST_ANSWER = 4096
-"""Largest reply without terminator, bytes."""
-
-LONGEST_QUOTE = 100
-"""Largest part of a reply quoted in a message, characters."""
+LONGEST_ANSWER = 4096  # Largest reply without terminator, bytes
+LONGEST_QUOTE = 100  # Largest part of a reply quoted in a message, characters
 
 QUIET_S = 0.05
 

@@ -14,8 +14,7 @@ from serial.tools import list_ports
 
 from drivers.errors import InstrumentDisconnected, InstrumentTimeout
 
-ANSWER_S = 0.4
-"""Time limit of a reply, s; keeps every reaction within one second."""
+ANSWER_S = 0.4  # Time limit of a reply, s; keeps every reaction within one second
 
 SLICE_S = 0.02
 _PIECE_BYTES = 4096

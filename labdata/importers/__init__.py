@@ -16,6 +16,7 @@ from labdata.importers.full_scale import byte_order_note, with_full_scale
 
 __all__ = ["KINDS", "list_kinds", "module_of", "read_frames"]
 
+# Endings of files by module and function of this package that reads them
 KINDS: dict[str, tuple[str, ...]] = {
     "tiff.read": (".tif", ".tiff"),
     "array_files.read_npy": (".npy",),
@@ -27,7 +28,6 @@ KINDS: dict[str, tuple[str, ...]] = {
     "image_files.read_video": (".avi",),
     "array_files.read_zarr": (".zarr",),
 }
-"""Endings of files by module and function of this package that reads them."""
 
 
 def list_kinds() -> str:

@@ -105,6 +105,7 @@ def _fill_gaps(data: NDArray, gaps: NDArray[np.bool_]) -> NDArray:
 FRAME, ROW, COL, COLOUR, UNNAMED = "frame", "row", "col", "colour", "unnamed"
 KNOWN = (FRAME, ROW, COL, COLOUR)
 
+# Axis by tifffile letter, label of other formats, or word of --axis; any other word is kept
 MEANINGS = {
     **dict.fromkeys(("t", "i", "time", "frame", "frames", "page"), FRAME),
     **dict.fromkeys(("y", "row", "rows", "height"), ROW),
@@ -116,7 +117,6 @@ MEANINGS = {
     **dict.fromkeys(("p", "position", "scene", "tile"), "position"),
     **dict.fromkeys(("q", "", "unnamed"), UNNAMED),
 }
-"""Axis by tifffile letter, label of other formats, or word of --axis; any other word is kept."""
 
 
 def meaning(word: str) -> str:
@@ -266,33 +266,16 @@ def _describe_axes(names: Sequence[str], shape: Sequence[int]) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Recorded:
-    """Pixels of a file before the choice of axes and plane.
+    """Pixels of a file before the choice of axes and plane."""
 
-    Parameters
-    ----------
-    data
-        Pixels, any number of axes.
-    names
-        Meaning of each axis.
-    pattern
-        Colours of a mosaic's 2x2 sites in reading order, such as "rggb"; None: no mosaic.
-    black_dn
-        Black level, DN: one value, or one per site of the mosaic in reading order; empty: unknown.
-    full_scale_dn
-        Full scale, DN; None: not stated.
-    notes
-        Notes on the storage of the pixels.
-    doubts
-        Notes on the axes, omitted if the frame axis is selected.
-    """
-
-    data: NDArray
-    names: Sequence[str]
-    pattern: str | None = None
+    data: NDArray  # Pixels, any number of axes
+    names: Sequence[str]  # Meaning of each axis
+    pattern: str | None = None  # Colours of a mosaic's 2x2 sites in reading order, such as "rggb"; None: no mosaic
+    # Black level, DN: one value, or one per site of the mosaic in reading order; empty: unknown
     black_dn: tuple[float, ...] = ()
-    full_scale_dn: float | None = None
-    notes: tuple[str, ...] = ()
-    doubts: tuple[str, ...] = ()
+    full_scale_dn: float | None = None  # Full scale, DN; None: not stated
+    notes: tuple[str, ...] = ()  # Notes on the storage of the pixels
+    doubts: tuple[str, ...] = ()  # Notes on the axes, omitted if the frame axis is selected
 
 
 def lossy_note(how: str) -> str:

@@ -28,8 +28,7 @@ from labdata.store.journal import (
     sha256,
 )
 
-FORCED_AT_ONCE = 8
-"""Chunks synced in parallel: the disk serves them in about the time of one."""
+FORCED_AT_ONCE = 8  # Chunks synced in parallel: the disk serves them in about the time of one
 
 
 class ArrayWriter:
@@ -64,8 +63,7 @@ class ArrayWriter:
         self._require_same()
         journal = read_journal(path)
         self._frames, self._end = len(journal.frames), journal.end
-        self.notes = self._set_aside(journal.array_frames)
-        """One sentence on chunks that were set aside at the start."""
+        self.notes = self._set_aside(journal.array_frames)  # One sentence on chunks that were set aside at the start
         self._journal = open(path / JOURNAL, "ab+", buffering=0)  # noqa: SIM115 - open as long as the writer
         self._journal_bytes = self._journal.seek(0, os.SEEK_END)
         self._mid_line = ends_mid_line(self._journal.fileno())

@@ -86,8 +86,7 @@ class FakeCamera:
             )
         self._registers = self._call("arv_gv_fake_camera_get_fake_camera", self._camera)
         self._callback: Any = None
-        self.clock_jump_ns = 0
-        """How far the camera's time stamps are off, ns."""
+        self.clock_jump_ns = 0  # How far the camera's time stamps are off, ns
 
     def read(self, register: int) -> int:
         """Read a register."""

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from labdata.calibration import LampCalibration
@@ -52,8 +51,7 @@ class VirtualBench:
         On entering: if the camera cannot start.
     """
 
-    silence_s = SILENCE_S
-    """Longest time that a frame of the virtual camera may take, s."""
+    silence_s = SILENCE_S  # Longest time that a frame of the virtual camera may take, s
 
     def __init__(
         self,
@@ -95,9 +93,7 @@ class VirtualBench:
             self._running = running.pop_all()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._running.close()
 
     @property

@@ -17,7 +17,6 @@ import traceback
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from types import TracebackType
 from typing import IO, Self
 
 from numpy.typing import NDArray
@@ -283,8 +282,7 @@ class CameraProcess:
         self._command = [sys.executable, "-P", "-m", "simulate.virtual_bench.camera", str(folder), str(wires), serial]
         self._command += ["--lost-packet-share", str(lost_packet_share)]
         self._log, self._say = wires / "camera.stderr", say
-        self.identifier = ""
-        """Aravis identifier of the camera, once it runs."""
+        self.identifier = ""  # Aravis identifier of the camera, once it runs
 
     def __enter__(self) -> Self:
         with self._log.open("ab") as log:
@@ -303,9 +301,7 @@ class CameraProcess:
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._stop()
 
     @property

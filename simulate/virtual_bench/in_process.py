@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import fields, replace
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -23,8 +22,7 @@ from simulate.virtual_bench.pseudo_terminal import SerialInstrument, enter_at_pa
 from simulate.virtual_bench.thermometer import TEMPERATURE_C
 from simulate.virtual_bench.tube import VirtualTube
 
-AT_ONCE_S = 2.5e-3
-"""Commands that take less time are answered at once, s."""
+AT_ONCE_S = 2.5e-3  # Commands that take less time are answered at once, s
 
 
 class InProcessPort:
@@ -158,8 +156,7 @@ def _behind_adapter(instrument: Any) -> Any:
     return instrument.only if isinstance(instrument, PrologixAdapter) else instrument
 
 
-POLL_S = 0.05
-"""Longest wait for a frame between two calls of `while_waiting`, s."""
+POLL_S = 0.05  # Longest wait for a frame between two calls of `while_waiting`, s
 
 
 class InProcessCamera:
@@ -193,9 +190,7 @@ class InProcessCamera:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         return None
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
@@ -241,9 +236,7 @@ class InProcessCapture:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         return None
 
     def __iter__(self) -> Iterator[Frame]:

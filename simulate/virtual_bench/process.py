@@ -5,7 +5,6 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from types import TracebackType
 
 from labdata.errors import BadInput
 from simulate.virtual_bench.models import GATE, SUPPLY, virtual_model
@@ -74,9 +73,7 @@ class VirtualInstruments:
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.stop()
 
     def unplug(self, instrument: str) -> None:

@@ -14,12 +14,9 @@ from typing import Protocol
 from simulate.virtual_bench.faults import FaultFile, Faults
 from simulate.virtual_bench.prologix import PrologixAdapter
 
-TICK_S = 0.02
-"""Longest time between two updates of an instrument's physics, s."""
-
+TICK_S = 0.02  # Longest time between two updates of an instrument's physics, s
 BITS_PER_CHARACTER = 10  # start, eight data bits, stop
-ORPHAN_S = 5.0
-"""An instrument whose bench is gone switches itself off after this time without a byte, s."""
+ORPHAN_S = 5.0  # An instrument whose bench is gone switches itself off after this time without a byte, s
 
 
 class SerialInstrument(Protocol):

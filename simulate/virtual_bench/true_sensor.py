@@ -87,24 +87,12 @@ _LAMP = "lamp.toml"
 
 @dataclass(frozen=True, kw_only=True)
 class BenchTruth:
-    """True state of the virtual bench.
+    """True state of the virtual bench."""
 
-    Parameters
-    ----------
-    sensor
-        The device, every parameter exact.
-    seed
-        Seed of the device and of every frame.
-    light_per_reading
-        True illuminance over the meter's reading, dimensionless.
-    lamp
-        What the lamp of the bench truly makes of its currents; None: there is none.
-    """
-
-    sensor: Sensor
-    seed: int
-    light_per_reading: float
-    lamp: LampCalibration | None = None
+    sensor: Sensor  # The device, every parameter exact
+    seed: int  # Seed of the device and of every frame
+    light_per_reading: float  # True illuminance over the meter's reading, dimensionless
+    lamp: LampCalibration | None = None  # What the lamp of the bench truly makes of its currents; None: there is none
 
     def illuminance_lux(self, placement: TargetPlacement, outputs: Outputs) -> float:
         """True illuminance on the photocathode, lux: room light plus lamp or, without a lamp, the operator's light."""

@@ -16,36 +16,21 @@ from simulate.lab import LabBench
 from simulate.virtual_bench.outputs import Outputs, TargetPlacement, read_placement
 from simulate.virtual_bench.true_sensor import TRUTH, read_truth
 
+# Relative difference between the clock of a gate generator and that of a camera, two ordinary crystals
 CLOCKS_DIFFER = 2e-5
-"""Relative difference between the clock of a gate generator and that of a camera, two ordinary crystals."""
 
-STEPS = 32
-"""Open times are rounded to this fraction of one opening, since each is drawn as a scene of its own."""
+STEPS = 32  # Open times are rounded to this fraction of one opening, since each is drawn as a scene of its own
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fields:
-    """Timing of gate and fields of a camera.
+    """Timing of gate and fields of a camera."""
 
-    Parameters
-    ----------
-    width_ns
-        Width of one opening, ns.
-    rate_hz
-        Openings a second, Hz.
-    field_hz
-        Fields a second, Hz.
-    exposure_s
-        Exposure of a field, which ends with it, s.
-    first_s
-        When the first field begins, s after an opening begins.
-    """
-
-    width_ns: float
-    rate_hz: float
-    field_hz: float
-    exposure_s: float
-    first_s: float
+    width_ns: float  # Width of one opening, ns
+    rate_hz: float  # Openings a second, Hz
+    field_hz: float  # Fields a second, Hz
+    exposure_s: float  # Exposure of a field, which ends with it, s
+    first_s: float  # When the first field begins, s after an opening begins
 
     @classmethod
     def of(cls, outputs: Outputs, *, field_hz: float, exposure_s: float, phase: float) -> "Fields":
@@ -81,8 +66,7 @@ class Scene:
 
     placement: TargetPlacement
     conditions: Conditions
-    fields: Fields | None = None
-    """How gate and fields run against one another, where they do not keep step."""
+    fields: Fields | None = None  # How gate and fields run against one another, where they do not keep step
 
 
 class VirtualTube:

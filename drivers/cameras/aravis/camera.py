@@ -3,7 +3,6 @@
 import ctypes
 import math
 from collections.abc import Callable
-from types import TracebackType
 from typing import Self
 
 from drivers.cameras.aravis.capture import PIXELS, AravisCapture
@@ -67,9 +66,7 @@ class AravisCamera:
         self._open = Connection(self._name, control_s=self._control_s, say=self._say)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         connection, self._open = self._open, None
         if connection is not None:
             connection.close()

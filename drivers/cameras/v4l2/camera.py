@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable
 from fractions import Fraction
-from types import TracebackType
 from typing import Literal, Self
 
 from drivers.cameras.v4l2 import fields, listing, structures
@@ -16,11 +15,8 @@ from drivers.errors import CameraError
 from labdata.capture import CameraSettings
 from labdata.errors import BadInput
 
-BEGINS = 3.0
-"""Additional wait for the first frame, as a multiple of `silence_s`."""
-
-LONGEST_WAIT_S = 600.0
-"""Longest wait for a frame beyond `silence_s`, for any reported period and exposure, s."""
+BEGINS = 3.0  # Additional wait for the first frame, as a multiple of `silence_s`
+LONGEST_WAIT_S = 600.0  # Longest wait for a frame beyond `silence_s`, for any reported period and exposure, s
 
 FULL_RANGE = 1
 _FINEST_PERIOD = 100_000
@@ -86,9 +82,7 @@ class V4l2Camera:
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._close()
 
     def configure(self, settings: CameraSettings) -> CameraSettings:

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from drivers.cameras.v4l2.structures import Request
 from drivers.errors import CameraError
 
-MOST_LISTED = 256
-"""Largest number of formats, sizes, inputs or controls; more is an endless list."""
+MOST_LISTED = 256  # Largest number of formats, sizes, inputs or controls; more is an endless list
 _GONE = {errno.ENODEV, errno.ENXIO, errno.EBADF}
 
 

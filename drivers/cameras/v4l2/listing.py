@@ -24,33 +24,17 @@ _DISCRETE = 1
 
 @dataclass(frozen=True, kw_only=True)
 class Control:
-    """One control.
+    """One control."""
 
-    Parameters
-    ----------
-    identifier
-        The kernel's number.
-    name
-        Name given by the driver.
-    kind
-        Kind of its values.
-    minimum, maximum, step, default
-        Range of its values, in its own unit.
-    is_read_only
-        Whether it cannot be set, also while inactive because of another control.
-    choices
-        Names of a menu's values.
-    """
-
-    identifier: int
-    name: str
-    kind: Kind
-    minimum: int
-    maximum: int
-    step: int
-    default: int
-    is_read_only: bool
-    choices: dict[int, str] = field(default_factory=dict)
+    identifier: int  # The kernel's number
+    name: str  # Name given by the driver
+    kind: Kind  # Kind of its values
+    minimum: int  # Range of its values, in its own unit
+    maximum: int  # Range of its values, in its own unit
+    step: int  # Range of its values, in its own unit
+    default: int  # Range of its values, in its own unit
+    is_read_only: bool  # Whether it cannot be set, also while inactive because of another control
+    choices: dict[int, str] = field(default_factory=dict)  # Names of a menu's values
 
 
 def list_controls(device: Device) -> tuple[Control, ...]:
@@ -140,21 +124,11 @@ def _choices(device: Device, query: structures.ControlQuery, *, numbers: bool) -
 
 @dataclass(frozen=True, kw_only=True)
 class OfferedFormat:
-    """A pixel format of a device.
+    """A pixel format of a device."""
 
-    Parameters
-    ----------
-    letters
-        FourCC of the format.
-    name
-        Name as a camera setting; None for an unsupported format, such as a compressed one.
-    sizes
-        Rows and columns of the images; empty where any size within bounds is offered.
-    """
-
-    letters: str
-    name: str | None
-    sizes: tuple[tuple[int, int], ...]
+    letters: str  # FourCC of the format
+    name: str | None  # Name as a camera setting; None for an unsupported format, such as a compressed one
+    sizes: tuple[tuple[int, int], ...]  # Rows and columns of the images; empty where any size within bounds is offered
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -167,24 +141,14 @@ class OfferedInput:
 
 @dataclass(frozen=True, kw_only=True)
 class VideoDevice:
-    """A device that can capture.
+    """A device that can capture."""
 
-    Parameters
-    ----------
-    path
-        Device file, such as "/dev/video0".
-    card, driver, bus
-        Name of the card, kernel driver and bus position.
-    inputs, formats
-        Inputs and pixel formats.
-    """
-
-    path: str
-    card: str
-    driver: str
-    bus: str
-    inputs: tuple[OfferedInput, ...]
-    formats: tuple[OfferedFormat, ...]
+    path: str  # Device file, such as "/dev/video0"
+    card: str  # Name of the card, kernel driver and bus position
+    driver: str  # Name of the card, kernel driver and bus position
+    bus: str  # Name of the card, kernel driver and bus position
+    inputs: tuple[OfferedInput, ...]  # Inputs and pixel formats
+    formats: tuple[OfferedFormat, ...]  # Inputs and pixel formats
 
 
 def list_devices() -> tuple[VideoDevice, ...]:
