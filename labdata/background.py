@@ -14,19 +14,8 @@ CAPACITY = 10_000  # Queued items: minutes of events, a few megabytes of memory
 class BackgroundWriter(Generic[T]):
     """Writes items one by one in a daemon thread; the write may block, fail or never return.
 
-    The thread starts in the constructor, so that a process that later can start none still has it. It is a daemon: a
-    write that never returns does not keep the process from ending.
-
-    Parameters
-    ----------
-    write
-        Writes one item; called in the thread only. An exception counts the item as failed.
-    name
-        Name of the thread.
-    capacity
-        Number of items that may wait; `enqueue` drops what exceeds it.
-    begin, finish
-        Called in the thread before the first item and after the last; an exception is kept as `failure`.
+    `begin` and `finish` run in the thread before the first item and after the last. At most `capacity` items wait. The
+    thread starts in the constructor, so that a process that later can start none still has it.
     """
 
     def __init__(
@@ -67,14 +56,7 @@ class BackgroundWriter(Generic[T]):
             return self._turn.wait_for(lambda: self._begun and not self._items and not self._writing, timeout_s)
 
     def close(self, timeout_s: float | None) -> int:
-        """Write what waits, for at most `timeout_s` (None: for ever), and end the thread.
-
-        Returns
-        -------
-        int
-            Number of items that were not written: dropped, failed, or still waiting when the time was over. An item
-            whose writing has not returned is counted.
-        """
+        """Write what waits, for at most `timeout_s` (None: for ever), and end; return how many were not written."""
         with self._turn:
             self._closed = True
             self._turn.notify_all()

@@ -13,15 +13,8 @@ from labdata.errors import BadInput
 
 @dataclass(frozen=True, kw_only=True)
 class RisingTable:
-    """Pairs of two positive numbers that increase together.
+    """Pairs of two positive numbers that increase together; anything else, or fewer than two pairs, is BadInput.
 
-    Raises
-    ------
-    BadInput
-        If there are fewer than two complete rows, or a column does not increase.
-
-    Notes
-    -----
     Interpolation is linear in the logarithms. The change of the power from one interval to the next gives the
     uncertainty of the interpolation, which is added to that of the calibration in quadrature.
     """
@@ -45,17 +38,7 @@ class RisingTable:
     def second_at(self, first: float, *, beyond: float = 0.0) -> tuple[float, float]:
         """Return the second column at a value of the first, and its relative standard uncertainty.
 
-        Parameters
-        ----------
-        first
-            Value of the first column.
-        beyond
-            Tolerance outside the table, for the resolution of a read-back.
-
-        Raises
-        ------
-        BadInput
-            If it lies further outside.
+        A value outside the table by more than `beyond`, the resolution of a read-back, is BadInput.
         """
         nearest = min(max(first, self.first[0]), self.first[-1])
         if not abs(first - nearest) <= beyond:
@@ -110,17 +93,7 @@ class LampSetting:
 
 @dataclass(frozen=True, kw_only=True)
 class LampCalibration:
-    """Calibration of the lamp and its filters.
-
-    Raises
-    ------
-    BadInput
-        If the table is not a monotonic calibration, or a density is negative or repeated.
-
-    Notes
-    -----
-    E = E0(I) 10^-D.
-    """
+    """Calibration of the lamp and its filters, E = E0(I) 10^-D; a table that does not rise is BadInput."""
 
     source: str  # Origin of the calibration: who measured it, how and when
     current_a: tuple[float, ...]  # Currents through the lamp, A, increasing
@@ -154,19 +127,10 @@ class LampCalibration:
         return math.ceil(round(self.current_a[-1] / SETTABLE_A, 6)) * SETTABLE_A + SPARE_A
 
     def setting(self, illuminance_lux: float, filter_density: float | None = None) -> LampSetting:
-        """Return how to make an illuminance.
+        """Return how to make an illuminance, lux; one that the lamp cannot reach is BadInput.
 
-        Parameters
-        ----------
-        illuminance_lux
-            Illuminance on the photocathode, lux.
-        filter_density
-            The filter; None: the densest through which the lamp is bright enough, whose current is set most finely.
-
-        Raises
-        ------
-        BadInput
-            If there is no such filter, or the lamp cannot reach that light behind it.
+        Without `filter_density` the densest filter through which the lamp is bright enough; its current is set most
+        finely.
         """
         for position in self._positions(illuminance_lux, filter_density):
             bare_lux = illuminance_lux * 10.0 ** self.filter_density[position - 1]
@@ -180,13 +144,7 @@ class LampCalibration:
         )
 
     def light_at(self, current_a: float, position: int, *, beyond_a: float = SETTABLE_A) -> Conditions:
-        """Return the light at a lamp current, A, behind the filter at a position.
-
-        Raises
-        ------
-        BadInput
-            If the current lies outside the calibration by more than `beyond_a`, A.
-        """
+        """Return the light at a lamp current, A, behind a filter; BadInput beyond `beyond_a` outside the table."""
         density = self.filter_density[position - 1]
         bare_lux, relative_sd = self._table().second_at(current_a, beyond=beyond_a)
         filter_sd = math.log(10.0) * self.filter_density_sd if density else 0.0
@@ -231,15 +189,8 @@ class LampCalibration:
 
 @dataclass(frozen=True, kw_only=True)
 class GainTable:
-    """A calibration of one tube.
+    """A calibration of one tube: at least two rising points, and a source; anything else is BadInput.
 
-    Raises
-    ------
-    BadInput
-        If the table is not a monotonic calibration of at least two points, or has no source.
-
-    Notes
-    -----
     MCP gain is a power of the voltage (J. L. Wiza, Nucl. Instrum. Methods 162 (1979) 587); for the interpolation see
     `RisingTable`.
     """
@@ -265,17 +216,7 @@ class GainTable:
     def gain_at(self, mcp_v: float, *, beyond_v: float = 0.0) -> tuple[float, float]:
         """Return the luminous gain at a voltage, V, and its relative standard uncertainty.
 
-        Parameters
-        ----------
-        mcp_v
-            Voltage across the MCP, V.
-        beyond_v
-            Tolerance outside the table, V, for the read-back of a supply set to the end of the table.
-
-        Raises
-        ------
-        BadInput
-            If the voltage lies further outside.
+        A voltage outside the table by more than `beyond_v`, for the read-back of a supply set to its end, is BadInput.
         """
         return self._table().second_at(mcp_v, beyond=beyond_v)
 

@@ -89,17 +89,7 @@ NEVER_ARRIVED = "never arrived"
 
 
 def losses_before(number: int, *, expected: int, faults: Mapping[int, str]) -> tuple[LostFrames, ...]:
-    """Return the frames missing before a complete one.
-
-    Parameters
-    ----------
-    number
-        Number of the complete frame.
-    expected
-        Expected number.
-    faults
-        Faults of incomplete frames, by number; any other missing frame never arrived.
-    """
+    """Return the frames missing before the complete frame `number`; `faults` are of incomplete frames, by number."""
     return _merge_adjacent(_stretches_before(number, expected=expected, faults=faults))
 
 

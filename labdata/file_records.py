@@ -47,12 +47,7 @@ _SHORT = {
 
 @dataclass(frozen=True, kw_only=True)
 class SweepRecord:
-    """One [[sweep]] of a plan file: every combination of the settings that are lists.
-
-    Notes
-    -----
-    The order of nesting is that of `AXES`: targets outermost, light innermost, repeats around all.
-    """
+    """One [[sweep]] of a plan file: every combination of the settings that are lists, nested in the order of `AXES`."""
 
     kind: Kind  # Kind of target
     frames: int  # Number of frames per stack

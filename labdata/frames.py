@@ -28,13 +28,7 @@ def blocks(data: NDArray) -> Iterator[NDArray]:
 
 @dataclass(frozen=True, kw_only=True)
 class FrameStack:
-    """A stack of frames taken under one set of conditions.
-
-    Raises
-    ------
-    BadInput
-        If data is not three-dimensional, is empty or holds a value that is not finite, or the stamps do not fit it.
-    """
+    """A stack of frames taken under one set of conditions; empty ones, or pixels that are not finite, are BadInput."""
 
     data: NDArray  # Pixel values, shape (frame, row, col), DN (or another unit, see `unit`). Made read-only
     unit: str = "DN"  # Unit of the pixel values

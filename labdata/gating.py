@@ -43,19 +43,8 @@ class Gating:
     def open_time_variation(self, *, width_ns: float, exposure_s: float, field_hz: float) -> float:
         """Return the largest difference between open times of fields, relative to the gate width.
 
-        Parameters
-        ----------
-        width_ns
-            Gate width, ns.
-        exposure_s
-            Exposure of a field, s.
-        field_hz
-            Field rate, Hz.
-
-        Notes
-        -----
-        A free-running or line-locked gate has an undefined, drifting phase to the fields: all phases are considered.
-        A triggered gate has a fixed phase.
+        A free-running or line-locked gate has an undefined, drifting phase to the fields: all phases are considered. A
+        triggered gate has a fixed phase.
         """
         if not width_ns:
             return 0.0
@@ -88,17 +77,10 @@ def fields_open_ns(
     ----------
     begins_s
         Start of each exposure relative to the start of a gate pulse, s.
-    exposure_s
-        Length of the exposures, s.
-    width_ns
-        Gate width, ns.
-    rate_hz
-        Gate rate, Hz.
 
     Notes
     -----
-    The cumulative open time is F(t) = n w + min(t - n P, w), n = floor(t / P); an exposure has F(end) -
-    F(begin).
+    The cumulative open time is F(t) = n w + min(t - n P, w), n = floor(t / P); an exposure has F(end) - F(begin).
     """
     period_s, width_s = 1.0 / rate_hz, min(width_ns * 1e-9, 1.0 / rate_hz)
 

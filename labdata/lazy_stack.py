@@ -36,13 +36,7 @@ class LazyStack:
         return int(np.prod(self.shape)) * self.dtype.itemsize
 
     def frames(self, first: int, last: int) -> NDArray:
-        """Read the frames first..last-1.
-
-        Raises
-        ------
-        BadInput
-            If a pixel is not finite or above full scale, or a frame differs from its acknowledged digest.
-        """
+        """Read the frames first..last-1; an invalid pixel, or a frame that differs from its digest, is BadInput."""
         return self.block(first, last)
 
     def in_memory(self) -> "LazyStack":
@@ -60,13 +54,7 @@ class View(Protocol):
 
 
 def open_lazy_stack(entry: StackEntry) -> LazyStack:
-    """Open a stack: a Zarr array or .npy file lazily, any other file read completely; then apply its view.
-
-    Raises
-    ------
-    BadInput
-        As `StackEntry.read`.
-    """
+    """Open a stack: a Zarr array or .npy file lazily, any other file read completely; then apply its view."""
     stack = _as_they_are(entry)
     return stack if entry.view is None else entry.view.through(stack)
 

@@ -49,32 +49,16 @@ class TubeLoad:
         return self.electron_gain * (max(mcp_v, 0.0) / self.reference_v) ** self.gain_exponent
 
     def anode_na_per_cm2(self, illuminance_lux: float, mcp_v: float, duty: float) -> float:
-        """Return the MCP output current density without saturation, nA/cm2.
+        """Return the MCP output current density j = E S G d without saturation, nA/cm2.
 
-        Parameters
-        ----------
-        illuminance_lux
-            Illuminance on the photocathode, lux.
-        mcp_v
-            Voltage across the MCP, V.
-        duty
-            Fraction of the time that the gate is open.
-
-        Notes
-        -----
-        j = E S G d with illuminance E, luminous sensitivity S, electron gain G and duty d. For the saturated
-        current see `screen_na_per_cm2`.
+        E is the illuminance on the photocathode, lux, S the luminous sensitivity, G the electron gain at `mcp_v` and d
+        the fraction of the time that the gate is open.
         """
         cathode_ua_per_cm2 = illuminance_lux * self.luminous_sensitivity_ua_per_lm / CM2_PER_M2
         return cathode_ua_per_cm2 * NA_PER_UA * self.gain(mcp_v) * duty
 
     def screen_na_per_cm2(self, illuminance_lux: float, mcp_v: float, duty: float) -> float:
-        """Return the current density at the phosphor, nA/cm2, with dark current and MCP saturation.
-
-        Notes
-        -----
-        j / (1 + j / j_s) while the gate is open; the gain halves at j_s.
-        """
+        """Return the current density at the phosphor, nA/cm2: j / (1 + j / j_s) with dark current at an open gate."""
         open_now = self.anode_na_per_cm2(illuminance_lux + self.ebi_lux, mcp_v, 1.0)
         return duty * open_now / (1.0 + open_now / self.saturated_na_per_cm2)
 
@@ -161,10 +145,7 @@ class TubeLimits:
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """Limits of a plan; None: the tube's limit, which a plan can only tighten.
-
-    Names and units are those of `TubeLimits`.
-    """
+    """Limits of a plan, named as in `TubeLimits`; None: the tube's limit, which a plan can only tighten."""
 
     mcp_v: float | None = None
     ramp_v_per_s: float | None = None
@@ -201,19 +182,7 @@ class Override:
 
 @dataclass(frozen=True, kw_only=True)
 class LimitsInForce:
-    """Limits in force, as numbers, with the load model of the tube.
-
-    Parameters
-    ----------
-    load
-        Model of the current that light draws from the MCP.
-    overridden
-        One sentence for each overridden limit of the tube, for session and report.
-    known
-        Whether a sensor description gave the limits.
-
-    Names and units of the others are those of `TubeLimits`.
-    """
+    """Limits in force, as numbers, named as in `TubeLimits`."""
 
     mcp_v: float
     ramp_v_per_s: float
@@ -254,12 +223,7 @@ def limits_in_force(
     sensor
         Sensor description; None: unknown, and the cautious defaults apply where the plan has no limit.
     overrides
-        Limits of the tube that the plan overrides.
-
-    Raises
-    ------
-    BadInput
-        If the plan's limit exceeds the tube's without an override, or one limit is overridden twice.
+        Limits of the tube that the plan overrides; any other plan above the tube's limit is BadInput.
     """
     if len({one.limit for one in overrides}) < len(overrides):
         raise BadInput(f"a limit can be overridden once, got {[one.limit for one in overrides]}")

@@ -68,15 +68,7 @@ class SaturationSearch:
             raise BadInput(f"within_percent must be positive, got {self.within_percent:g}")
 
     def next_lux(self, begin_lux: float, seen: Sequence[tuple[float, bool]]) -> float | None:
-        """Return the light to try next, lux; None when the search is over.
-
-        Parameters
-        ----------
-        begin_lux
-            First light, lux.
-        seen
-            Light tried so far, lux, and whether it saturated.
-        """
+        """Return the light to try next, lux, after levels and whether each saturated; None when the search is over."""
         dark = max((lux for lux, saturated in seen if not saturated), default=None)
         bright = min((lux for lux, saturated in seen if saturated), default=None)
         if not seen:
@@ -315,13 +307,6 @@ def gain_table_of(plan: Plan, sensor: Sensor | None) -> GainTable | None:
 
 def in_volts(plan: Plan, sensor: Sensor | None) -> Plan:
     """Return the plan with every gain in volts and, where the tube is calibrated, as luminous gain.
-
-    Parameters
-    ----------
-    plan
-        The plan.
-    sensor
-        Sensor of the camera, or None.
 
     Raises
     ------

@@ -31,19 +31,7 @@ EXPECTED = {
 
 
 def sentence(errors: Sequence[Mapping[str, Any]], mapping: Mapping[str, Any], where: str, known: Sequence[str]) -> str:
-    """Return one sentence on the first of several validation errors.
-
-    Parameters
-    ----------
-    errors
-        Errors as listed by pydantic; the first item of each location is the wrapper's index.
-    mapping
-        The mapping that was validated.
-    where
-        File name.
-    known
-        Valid keys, for the suggestion after a misspelt one.
-    """
+    """Return one sentence on the first of several validation errors of pydantic; `known` are the valid keys."""
     error = errors[0]
     steps = tuple(error["loc"])[1:]
     kind = error["type"]
@@ -127,15 +115,7 @@ def _display(value: Any) -> str:
 
 
 def with_descriptions(schema: dict[str, Any], types: dict[str, type]) -> dict[str, Any]:
-    """Return a schema with the descriptions of its tables and keys.
-
-    Parameters
-    ----------
-    schema
-        JSON Schema with `$defs`.
-    types
-        Dataclasses by the name that the schema gives them; the schema's own title among them.
-    """
+    """Return a schema with the descriptions of its tables and keys; `types` are its dataclasses by name."""
     return {
         **_table(schema, types.get(schema["title"])),
         "$defs": {name: _table(table, types.get(name)) for name, table in schema["$defs"].items()},
@@ -204,32 +184,15 @@ T = TypeVar("T")
 
 
 def from_toml(path: str | Path, type_: type[T]) -> T:
-    """Read a TOML file into a dataclass.
+    """Read a TOML file into a dataclass or a form of `labdata.file_records`.
 
-    Parameters
-    ----------
-    path
-        The file.
-    type_
-        The dataclass: `Sensor`, `Plan`, or a form of `labdata.file_records`.
-
-    Raises
-    ------
-    BadInput
-        If the file is missing, is not TOML, or has an unknown key or an invalid value; one sentence
-        that names the key and its place.
+    A file that is missing or no TOML, an unknown key or an invalid value is BadInput with key and place.
     """
     return from_mapping(read_toml(path), type_, where=Path(path).name)
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:
-    """Read a TOML file into a mapping of plain values, for callers that choose the dataclass by its content.
-
-    Raises
-    ------
-    BadInput
-        If the file is missing or is not TOML.
-    """
+    """Read a TOML file into a mapping of plain values; one that is missing or no TOML is BadInput."""
     path = Path(path)
     require_regular(path)
     try:
@@ -247,22 +210,7 @@ def read_toml(path: str | Path) -> dict[str, Any]:
 
 
 def from_mapping(mapping: Mapping[str, Any], type_: type[T], where: str = "") -> T:
-    """Build a dataclass from a mapping of TOML or JSON values.
-
-    Parameters
-    ----------
-    mapping
-        Keys and values; a key that the dataclass does not have is refused at every depth.
-    type_
-        The dataclass.
-    where
-        Source of the mapping named in an error message: a file name.
-
-    Raises
-    ------
-    BadInput
-        As for `from_toml`.
-    """
+    """Build a dataclass from a mapping of TOML or JSON values, checked as by `from_toml`; `where` names its file."""
     form = _forms().get(type_)
     written = _read(mapping, form or type_, where)
     if form is None:

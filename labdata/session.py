@@ -63,18 +63,7 @@ class StackEntry:
         return tuple(self.folder / name for name in names)
 
     def read(self, plane: str | None = None) -> FrameStack:
-        """Read the frames.
-
-        Parameters
-        ----------
-        plane
-            Colour plane, where the frames have several; see `labdata.importers.read_frames`.
-
-        Raises
-        ------
-        BadInput
-            If a file is missing or damaged, or the frames break a rule; one sentence.
-        """
+        """Read the frames, or one colour plane; damaged files, and frames that break a rule, are BadInput."""
         from labdata.importers import read_frames
 
         unknown = self.bit_depth is None
@@ -185,12 +174,7 @@ class Session:
 
 
 def open_session(path: str | Path) -> Session:
-    """Open the session in a folder.
-
-    Parameters
-    ----------
-    path
-        The folder, or its session.toml. Frames are read on demand.
+    """Open the session of a folder, or of its session.toml; frames are read on demand.
 
     Raises
     ------
@@ -286,12 +270,7 @@ def _record(stack: "StackRecord", folder: Path) -> tuple[int, tuple[str, ...]]:
 
 
 def sha256_of(path: Path) -> str:
-    """Return the SHA-256 of a file's content, or of the names and digests of a folder's files.
-
-    Notes
-    -----
-    A folder's digest is that of the `sha256sum` output for its files, sorted by their names relative to the folder.
-    """
+    """Return the SHA-256 of a file, or of the `sha256sum` output for a folder's files, sorted by relative name."""
     if not path.is_dir():
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()

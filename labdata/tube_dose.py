@@ -64,21 +64,7 @@ def total_dose(doses: Iterable[Dose]) -> Dose:
 
 
 def dose_of(*, delivered_na_per_cm2: float, lit_s: float, at_gain_s: float, point: bool, log_sd: float) -> Dose:
-    """Return the dose of a time under one current density.
-
-    Parameters
-    ----------
-    delivered_na_per_cm2
-        Current density at the phosphor, nA/cm2.
-    lit_s
-        Duration of the light, s.
-    at_gain_s
-        Time with high voltage on, s.
-    point
-        Whether only the image of a pinhole was illuminated.
-    log_sd
-        Standard uncertainty of the logarithm of the current.
-    """
+    """Return the dose of light for `lit_s` and high voltage for `at_gain_s` at one current density of the phosphor."""
     charge = delivered_na_per_cm2 * C_PER_NC * lit_s
     return Dose(
         screen_c_per_cm2=0.0 if point else charge,
@@ -121,25 +107,13 @@ def ledger_of(tube: str) -> "DoseLedger":
 
 
 class DoseLedger:
-    """Doses of one tube.
-
-    Parameters
-    ----------
-    path
-        The file; made with its folder at the first dose.
-    """
+    """Doses of one tube, in a file that is made with its folder at the first dose."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
 
     def append(self, dose: Dose, **said: object) -> None:
-        """Add a dose, on the disk when this returns; `said` are further keys of the line.
-
-        Raises
-        ------
-        OSError
-            If the disk does not take the dose, or another process locks the ledger for longer than `PATIENCE_S`.
-        """
+        """Add a dose, on the disk when this returns, with further keys of the line; OSError if the disk refuses."""
         values = {item.name: getattr(dose, item.name) for item in fields(Dose)}
         line = json.dumps({"time": datetime.now(UTC).isoformat(timespec="seconds"), **values, **said}) + "\n"
         new = not self.path.exists()

@@ -25,23 +25,11 @@ _SET_BY_NOBODY = ("automatic_gain", "brightness_control", "em_gain", "gain_contr
 
 
 def check_plan(plan: Plan, folder: Path, sensor: Sensor | None) -> None:
-    """Check a plan completely.
+    """Check a plan completely; the first broken rule is BadInput.
 
-    Parameters
-    ----------
-    plan
-        The plan.
-    folder
-        Folder of the future session.
-    sensor
-        Sensor of the camera, or None.
-
-    Raises
-    ------
-    BadInput
-        At the first broken rule: a command that the interlock refuses, a limit above the tube's, a label that is no
-        file name, light on a dark, an incomplete target, a gate wider than the exposure, a condition that no driver
-        sets, a frame format outside the sensor, or a full disk.
+    Rules: a command that the interlock refuses, a limit above the tube's, a label that is no file name, light on a
+    dark, an incomplete target, a gate wider than the exposure, a condition that no driver sets, a frame format outside
+    the sensor, or a full disk.
     """
     limits = limits_in_force(plan.limits, sensor, plan.overrides)
     for step in plan.steps:

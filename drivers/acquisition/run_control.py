@@ -20,13 +20,7 @@ PAUSED = "paused with gate shut and light out; SIGUSR1 goes on, Ctrl-C ends the 
 
 
 class RunControl:
-    """Requests of the user to a running acquisition.
-
-    Parameters
-    ----------
-    say
-        Called with a sentence that confirms a request.
-    """
+    """Requests of the user to a running acquisition; `say` is called with a sentence that confirms a request."""
 
     def __init__(self, say: Callable[[str], None] = lambda sentence: None) -> None:
         self.say = say
@@ -97,13 +91,7 @@ class RunControl:
             self._running, self._leaving = False, True
 
     def between_steps(self, look: Callable[[], None]) -> None:
-        """End the run (KeyboardInterrupt) or pause as requested; called between steps with the gate shut.
-
-        Parameters
-        ----------
-        look
-            Called during a pause; raises errors of the bench.
-        """
+        """End the run (KeyboardInterrupt) or pause as requested; `look` raises errors of the bench meanwhile."""
         if self.pause and not self.stop:
             self.say(PAUSED)
         while self.pause and not self.stop:

@@ -51,15 +51,7 @@ class StepClock:
 
 
 class RunProgress:
-    """Progress of a run in frames, with frame rate and time left.
-
-    Parameters
-    ----------
-    frames
-        Frames of the plan.
-    done
-        Frames of the steps finished in earlier runs.
-    """
+    """Progress of a run of `frames`, `done` in earlier runs, with frame rate and time left."""
 
     def __init__(self, *, frames: int, done: int) -> None:
         self._frames, self._before = frames, done

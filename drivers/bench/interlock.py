@@ -226,17 +226,7 @@ Watcher = Callable[[TubeState, float], None]  # Called as watcher(state, now_s) 
 
 
 class Interlock:
-    """State machine that permits or refuses commands to the tube.
-
-    Parameters
-    ----------
-    limits
-        The limits in force.
-    rules, reactions
-        The rules; subsets only in tests.
-    clock
-        Monotonic time, s.
-    """
+    """State machine that permits or refuses commands to the tube; subsets of its rules only in tests."""
 
     def __init__(
         self,

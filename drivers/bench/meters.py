@@ -17,15 +17,7 @@ Reading = tuple[Conditions, tuple[str, ...]]  # Conditions read, and one sentenc
 
 
 class AuxiliaryMeters:
-    """Light meter and thermometer, if present.
-
-    Parameters
-    ----------
-    drivers
-        Drivers of the bench by role.
-    meters
-        Use of the meters, and whether they are required.
-    """
+    """Light meter and thermometer, if present among the drivers by role."""
 
     def __init__(self, drivers: Mapping[Role, Any], meters: Meters) -> None:
         self._light_meter, self._thermometer = drivers.get("light-meter"), drivers.get("thermometer")

@@ -71,13 +71,7 @@ class SafeStateReport:
 
 
 class Crew:
-    """Waiting threads, so that a process that can no longer start threads can still make the tube safe.
-
-    Parameters
-    ----------
-    size
-        Number of threads.
-    """
+    """Waiting threads, so that a process that can no longer start threads can still make the tube safe."""
 
     def __init__(self, size: int = 3) -> None:
         self._jobs: queue.SimpleQueue[tuple[Callable[[], object], threading.Event] | None] = queue.SimpleQueue()
@@ -117,24 +111,15 @@ def make_safe(
 ) -> SafeStateReport:
     """Shut the gate, switch high voltage and lamps off in parallel, then follow the decay of the output.
 
-    A silent line does not delay the others. A lost port is reopened for up to
-    15 s, and its instrument made safe when it is back.
+    A silent line does not delay the others. A lost port is reopened for up to 15 s, and its instrument made safe when
+    it is back. This raises nothing, since the next step must be tried too.
 
     Parameters
     ----------
-    gate, supply
-        Gate and supply of the tube; None if the line to one could not be opened.
-    lamps
-        Light sources of the bench, if it has any; None as above.
-    record
-        Called with each step.
+    gate, supply, lamps
+        Instruments of the tube; None if the line to one could not be opened.
     crew
         Threads to use; None: new ones.
-
-    Returns
-    -------
-    SafeStateReport
-        The report; this function raises nothing, since the next step must be tried too.
     """
     shut = _Task(gate, "delay generator", record, "gate", orders="shut_commands", verify=("shut and read back", "shut"))
     fall = _Falling(supply, "high-voltage supply", record, "high voltage", orders="off_commands")
@@ -254,17 +239,7 @@ class _Falling(_Task):
 def make_bench_safe(wires: InstrumentConfig, record: Record) -> SafeStateReport:
     """Make the tube of a bench safe through its serial ports alone, even if another program has opened them.
 
-    Parameters
-    ----------
-    wires
-        Models and serial ports of the instruments.
-    record
-        Called with each step.
-
-    Returns
-    -------
-    SafeStateReport
-        The report; it names instruments whose port could not be opened within 15 s.
+    The report names instruments whose port could not be opened within 15 s.
     """
     there: dict[Role, InstrumentConnection] = {
         one.role: one for one in wires.instruments if one.role in DANGEROUS and one.port

@@ -68,11 +68,6 @@ def open_bench(
     lines
         Existing lines to the instruments by role, where there are no serial ports; the bench then lives in this
         process, and no other process makes the tube safe.
-
-    Raises
-    ------
-    BadInput
-        If an instrument has no port, or a light source has no calibration.
     """
     if lines is None and (without := [PORT_KEYS[one.role] for one in wires.instruments if not one.port]):
         raise BadInput(f"every instrument must have its serial port, got none for {' and '.join(without)}")

@@ -9,10 +9,7 @@ from labdata.target import Target
 
 
 class InterlockRefused(BadInput):
-    """The interlock refused a command; nothing was sent.
-
-    Use this when a command would damage the tube; `rule` names the rule.
-    """
+    """The interlock refused a command that would damage the tube, and nothing was sent; `rule` names the rule."""
 
     def __init__(self, sentence: str, *, rule: str = "") -> None:
         super().__init__(sentence)

@@ -54,10 +54,7 @@ MAX_SATURATED = 0.01
 
 
 class NotDark(BenchError):
-    """A frame with the light off is bright.
-
-    Use this when the source of the light must be found before the gate is opened again.
-    """
+    """A frame with the light off is bright: find the source of the light before the gate is opened again."""
 
 
 def stations_on(lines: Mapping[Role, InstrumentLine], wires: InstrumentConfig) -> dict[Role, Station]:
@@ -70,17 +67,10 @@ def stations_on(lines: Mapping[Role, InstrumentLine], wires: InstrumentConfig) -
 
 
 class TubeBench(LightControl):
-    """Gate, gain and light of the tube.
+    """Gate, gain and light of the tube; all commands pass the interlock, see `drivers.bench.interlock`.
 
-    All commands to gate, supply and light pass the interlock, see `drivers.bench.interlock`. One
-    thread gives commands; others may check the instruments and make the tube safe meanwhile.
-
-    Parameters
-    ----------
-    record
-        Called with each safety step; it must not block.
-    on_failure
-        Called from any thread, without delay, after a failure that requires the safe state.
+    One thread gives commands; others may check the instruments and make the tube safe meanwhile. `record` is called
+    with each safety step and must not block; `on_failure` from any thread after a failure that requires the safe state.
     """
 
     def __init__(
@@ -125,22 +115,9 @@ class TubeBench(LightControl):
     # Gate and gain
 
     def set_conditions(self, conditions: Conditions) -> Conditions:
-        """Set gate and gain: gate shut first, then the gain, verified, then the gate.
+        """Set gate and gain: gate shut first, then the gain, verified, then the gate; return them as read back.
 
-        Parameters
-        ----------
-        conditions
-            Set-points. `mcp_v` None or 0: high voltage off. `gate_ns` None or 0: gate shut.
-
-        Returns
-        -------
-        Conditions
-            The same, with `mcp_v` and `gate_ns` as read back.
-
-        Raises
-        ------
-        BadInput
-            If a limit is exceeded or an instrument does not support it; nothing was changed then.
+        `mcp_v` None or 0: high voltage off. `gate_ns` None or 0: gate shut. At BadInput nothing was changed.
         """
         volts, width_ns = conditions.mcp_v or 0.0, conditions.gate_ns or 0.0
         self._is_stopped = False

@@ -21,13 +21,7 @@ class IncompleteFrame:
 
 
 class RunningNumbers:
-    """Frame numbers that continue when a camera's counter wraps.
-
-    Parameters
-    ----------
-    cycle
-        Length of the counter. A counter that exceeds it is longer and does not wrap.
-    """
+    """Frame numbers that continue when a camera's counter of length `cycle` wraps; a longer one does not."""
 
     def __init__(self, cycle: int) -> None:
         self._cycle = cycle
@@ -45,21 +39,10 @@ class RunningNumbers:
 
 
 class FrameCapture:
-    """A capture that runs in its `with` block; iterate it for complete frames.
+    """A capture that runs in its `with` block; iterate it for `frames` complete frames after `discard` discarded ones.
 
     Subclasses implement start, stop and `_next_frame`, which waits for a frame and calls `while_waiting` at
-    least every 0.1 s.
-
-    Parameters
-    ----------
-    frames
-        Number of complete frames to return.
-    discard
-        Number of complete frames to discard first; they may have been exposed under earlier conditions.
-    while_waiting
-        Called before each frame and while none comes; an exception ends the capture.
-    identifier
-        Name of the camera for messages.
+    least every 0.1 s; an exception of it ends the capture.
     """
 
     def __init__(self, *, frames: int, discard: int, while_waiting: Callable[[], None], identifier: str) -> None:

@@ -83,23 +83,14 @@ class Gate(Instrument):
             self._verify(setting, question, value)
 
     def open(self, *, width_ns: float, rate_hz: float, delay_ns: float = 0.0, sync: Sync = "free-running") -> float:
-        """Open the gate for a time at each trigger.
+        """Open the gate for a time at each trigger, and return the width as read back, ns.
 
         Parameters
         ----------
-        width_ns
-            Gate width, ns.
         rate_hz
             Trigger rate, Hz: one trigger per field of the camera.
         delay_ns
             Delay from trigger to gate pulse, ns.
-        sync
-            Trigger source.
-
-        Returns
-        -------
-        float
-            Width as read back, ns.
 
         Raises
         ------

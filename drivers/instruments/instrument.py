@@ -12,13 +12,7 @@ from labdata.instrument_config import Role
 
 
 class Instrument(ABC):
-    """Driver of one instrument, for one thread at a time and the safe action.
-
-    Parameters
-    ----------
-    line
-        Line to the instrument.
-    """
+    """Driver of one instrument, for one thread at a time and the safe action."""
 
     def __init__(self, line: InstrumentLine) -> None:
         self.line = line

@@ -92,10 +92,7 @@ class Iseg(Supply):
         return identity
 
     def prepare(self, *, limit_v: float) -> None:
-        """Switch off; require the hardware limit at its first position at or above a limit, V, or lower.
-
-        An old trip is InstrumentTripped. The limit is a rotary switch at the unit.
-        """
+        """Switch off; require the rotary switch of the limit at its first position at or above a limit, V, or lower."""
         self.order_off()
         if (state := self._state()) in ("TRP", "ERR"):
             raise self._trip_error(f"{TRIPS[state]} before anything was switched on")

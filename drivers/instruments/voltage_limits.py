@@ -107,16 +107,8 @@ class Supply(Instrument):
     def raise_to(self, goal_v: float, *, rate_v_per_s: float, check: Callable[[], None] = lambda: None) -> float:
         """Raise the voltage of a supply that is on at a limited rate, and return the settled output, V.
 
-        `check` is called at every step; an exception ends the ramp.
-
-        Raises
-        ------
-        BadInput
-            If goal or rate lie outside the supply's range.
-        InstrumentTripped
-            If the supply switches itself off during the ramp.
-        InstrumentRejected
-            If it refuses a step or its output does not follow.
+        `check` is called at every step; an exception ends the ramp. A supply that switches itself off is
+        InstrumentTripped, one that refuses a step or does not follow InstrumentRejected.
         """
         return self._move(goal_v, lambda: self._raise(goal_v, rate_v_per_s, check))
 

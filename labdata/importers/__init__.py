@@ -38,12 +38,10 @@ def list_kinds() -> str:
 def read_frames(
     path: str | Path, plane: str | None = None, *, axis: str | None = None, find_full_scale: bool = True
 ) -> FrameStack:
-    """Read the frames of a file or of a Zarr array.
+    """Read the frames of a file, by its ending, or of a Zarr array.
 
     Parameters
     ----------
-    path
-        The file; its ending determines the reader.
     plane
         Colour plane to read where there are several: "r", "g", "b" or "luminance" of an RGB image, "r", "g1",
         "g2" or "b" of a mosaic. None: the luminance of an RGB image (noted); a mosaic needs a plane. A number, from
@@ -58,12 +56,7 @@ def read_frames(
     -------
     FrameStack
         Pixels as in the file, shape (frame, row, col); nothing subtracted, scaled or demosaiced. A non-finite
-        border is cut off.
-
-    Raises
-    ------
-    BadInput
-        If the file is missing, of no known kind, damaged, without frames, or without a known frame axis.
+        border is cut off. A file that is damaged, unknown or without a known frame axis is BadInput.
     """
     path = Path(path)
     try:

@@ -18,19 +18,9 @@ from labdata.importers.thresholds import LEAST_COLOUR_SIDE_PX, MOST_MASKED, MOST
 
 
 def without_gaps(data: NDArray, name: str) -> tuple[NDArray, tuple[int, int], tuple[str, ...]]:
-    """Return frames of finite pixels, their first row and column in the file, and notes.
+    """Return frames, shape (frame, row, col, ...), of finite pixels, their first row and column in the file, and notes.
 
-    Parameters
-    ----------
-    data
-        Pixels, shape (frame, row, col, ...).
-    name
-        File name for messages.
-
-    Raises
-    ------
-    BadInput
-        If more than 0.5 % of the pixels inside the border are not finite.
+    More than 0.5 % of non-finite pixels inside the border are BadInput.
     """
     if data.dtype.kind != "f":
         return data, (0, 0), ()
@@ -158,24 +148,12 @@ def frames_of(
 
     Parameters
     ----------
-    data
-        Pixels, any number of axes.
-    names
-        Axes: "frame", "row", "col", "colour", "unnamed", or another word.
-    plane
-        Colour plane, or the index of a plane along every other axis, as in "2" or "2,0".
-    axis
-        Index or name of the frame axis; "frame": the first, where the file does not name it. None: as stated in
-        the file.
-    name
-        File name for messages.
+    data, names
+        Pixels, any number of axes, and what each is: "frame", "row", "col", "colour", "unnamed", or another word.
+    plane, axis
+        As in `labdata.importers.read_frames`; an axis longer than 1 that is neither frames nor colours needs a plane.
     pattern
         Colours of a mosaic's 2x2 sites in reading order, such as "rggb"; None: no mosaic.
-
-    Raises
-    ------
-    BadInput
-        If an axis longer than 1 is neither frames nor colours and no valid plane was selected.
     """
     if not data.size:
         raise BadInput(f"an array of frames must hold pixels, got the shape {data.shape} in {name}")

@@ -40,17 +40,8 @@ class Descriptor:
 def import_emva1288(file: str | Path, out: str | Path) -> Session:
     """Make a session that refers to the images of an EMVA 1288 descriptor file.
 
-    Parameters
-    ----------
-    file
-        The descriptor: lines `v` version, `n` bits width height, `b` exposure photons, `d` exposure (ns), `i` image.
-    out
-        Folder of the session, created if missing.
-
-    Raises
-    ------
-    BadInput
-        If the descriptor breaks its format, an image is missing, or the folder holds a session already.
+    The descriptor has the lines `v` version, `n` bits width height, `b` exposure photons, `d` exposure (ns), `i` image.
+    One that breaks its format, lacks an image, or a folder with a session is BadInput.
     """
     file, out = Path(file), Path(out)
     descriptor = read_descriptor(file)

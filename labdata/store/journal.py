@@ -147,20 +147,8 @@ def is_ours(path: Path) -> bool:
 
 
 def read_journal(path: str | Path) -> Journal:
-    """Read the journal of an array.
+    """Read the journal of an array; a folder that is none, or has unreadable metadata, is BadInput.
 
-    Parameters
-    ----------
-    path
-        Folder of the array.
-
-    Raises
-    ------
-    BadInput
-        If the folder is not an array of the store, or its metadata cannot be read.
-
-    Notes
-    -----
     A last line without line end was interrupted by a crash: its frame is not acknowledged, unless only the line end is
     missing and the checksum is valid.
     """
@@ -188,19 +176,8 @@ def read_journal(path: str | Path) -> Journal:
 
 
 def records_of(line: bytes, place: int, path: Path) -> tuple[Acknowledged, ...]:
-    """Return the complete records of a line; a line with a damaged line end includes those of the next.
+    """Return the complete records of a line, the `place`-th; one with a damaged line end includes those of the next.
 
-    Parameters
-    ----------
-    line
-        The line.
-    place
-        Number of lines before it.
-    path
-        Folder of the array.
-
-    Notes
-    -----
     A record without checksum must be at its index, or its frame's chunk must have its digest.
     """
     found = []

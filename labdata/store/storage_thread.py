@@ -30,18 +30,9 @@ RESERVE_BYTES = 1 << 20  # Bytes reserved on the session's disk for the last ent
 class Storage:
     """Writes the stacks of a session in a separate thread; use it in a `with` block.
 
-    The first disk error ends all writing: frames not yet acknowledged are recorded as lost, with numbers
-    and reason, in the reserved space; every later call raises that error. A disk without progress for
-    `STALLED_S` during `wait` or at the end of the block is an error too.
-
-    Parameters
-    ----------
-    writer
-        The session; not to be used elsewhere meanwhile.
-    capacity_bytes
-        Largest number of queued bytes.
-    patience_s
-        Longest wait for space, s.
+    The first disk error ends all writing: frames not yet acknowledged are recorded as lost, with numbers and reason, in
+    the reserved space; every later call raises that error. A disk without progress for `STALLED_S` during `wait` or at
+    the end of the block is an error too. At most `capacity_bytes` wait, and a frame waits `patience_s` for room.
     """
 
     def __init__(
@@ -287,13 +278,7 @@ class StoredStack:
 
 
 class Reserve:
-    """Space reserved on a disk, so that a full disk can still store the manifest and the log.
-
-    Parameters
-    ----------
-    folder
-        The session's folder.
-    """
+    """Space reserved on a session's disk, so that a full disk can still store the manifest and the log."""
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / ".reserve"

@@ -29,10 +29,8 @@ class VirtualBench:
     ----------
     folder
         Folder of the bench, apart from every session; made where it is missing, gone on with where it is not.
-    sensor
-        Description from whose ranges the device is drawn.
-    seed
-        Seed of the device and of every frame.
+    sensor, seed
+        Description from whose ranges the device is drawn, and seed of the device and of every frame.
     wires
         Which instruments stand at the bench, and where they live. "virtual": camera and instruments are processes
         on real wires, save those whose port is named, which are real; where Aravis cannot be had, the camera's wire
@@ -44,11 +42,6 @@ class VirtualBench:
         How much faster than life high voltage and filter wheel move, dimensionless.
     say
         Called with a sentence on what is omitted or awaited.
-
-    Raises
-    ------
-    BadInput
-        On entering: if the camera cannot start.
     """
 
     silence_s = SILENCE_S  # Longest time that a frame of the virtual camera may take, s

@@ -44,17 +44,7 @@ class Faults:
 
 
 def inject_faults(folder: Path, instrument: str, faults: Faults) -> None:
-    """Set the faults of an instrument; `Faults()` removes them.
-
-    Parameters
-    ----------
-    folder
-        Folder of the bench's wires.
-    instrument
-        Its place at the bench, such as "delay_generator", "high_voltage" or "camera", or "surroundings".
-    faults
-        What is wrong with it from now on.
-    """
+    """Set the faults of a place at the bench whose wires lie in a folder; `Faults()` removes them."""
     replace_file(faults_file(folder, instrument), json.dumps(asdict(faults)))
 
 

@@ -26,13 +26,7 @@ AT_ONCE_S = 2.5e-3  # Commands that take less time are answered at once, s
 
 
 class InProcessPort:
-    """Port of an instrument in this process.
-
-    Parameters
-    ----------
-    instrument
-        The instrument.
-    """
+    """Port of an instrument in this process."""
 
     def __init__(self, instrument: SerialInstrument) -> None:
         self._instrument, self._answers = instrument, b""
@@ -112,15 +106,7 @@ class InProcessPort:
 
 
 class InProcessInstruments:
-    """The serial instruments of a bench in this process.
-
-    Parameters
-    ----------
-    wires
-        Which instruments there are; by default gate and supply.
-    time_scale
-        How much faster than life they move, dimensionless.
-    """
+    """The serial instruments of a bench in this process, by default gate and supply."""
 
     def __init__(self, wires: InstrumentConfig | None = None, *, time_scale: float = 1.0) -> None:
         there = (wires or InstrumentConfig()).instruments
@@ -160,15 +146,7 @@ POLL_S = 0.05  # Longest wait for a frame between two calls of `while_waiting`, 
 
 
 class InProcessCamera:
-    """Camera with the driver's interface and the frames of the virtual camera.
-
-    Parameters
-    ----------
-    folder
-        Folder of the bench.
-    outputs
-        Returns what the instruments put on the tube's wires now.
-    """
+    """Camera with the driver's interface and the frames of the virtual camera, exposed to `outputs`."""
 
     identifier = "in-process"
 

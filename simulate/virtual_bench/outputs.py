@@ -125,13 +125,7 @@ class TargetPlacement:
 
 
 class VirtualOperator:
-    """Places targets and light by a file in the bench's folder, which the virtual camera reads.
-
-    Parameters
-    ----------
-    folder
-        Folder of the bench.
-    """
+    """Places targets and light by a file in the bench's folder, which the virtual camera reads."""
 
     is_by_hand = False  # Whether a person sets the light
 

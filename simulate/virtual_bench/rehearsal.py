@@ -128,15 +128,7 @@ class FaultScript:
 
 
 def combine_faults(strikes: list[ScriptedFault], power_cycles: int) -> Faults:
-    """Combine several faults of one instrument.
-
-    Parameters
-    ----------
-    strikes
-        Those that hold now; of two that count something, the worse one.
-    power_cycles
-        How often it has lost its power so far.
-    """
+    """Combine the faults of one instrument that hold now; of two that count something, the worse one."""
     names = vars(Faults())
     wrong = {name: max((getattr(each.faults, name) for each in strikes), default=names[name]) for name in names}
     return Faults(**{**wrong, "power_cycles": power_cycles})
@@ -151,21 +143,12 @@ class Rehearsal:
 
     Parameters
     ----------
-    script
-        The faults.
     provoke
-        Gives an instrument its faults, see `VirtualBench.provoke`.
+        Gives an instrument its faults, see `VirtualBench.provoke`; one that it does not know is BadInput on entering.
     steps
         Log of the session, which tells which step begins.
     log
         File that remembers what struck: a resumed run goes on with the rest of the script.
-    say
-        Called with a sentence on each fault.
-
-    Raises
-    ------
-    BadInput
-        On entering, if the script strikes an instrument that `provoke` does not know.
     """
 
     def __init__(

@@ -39,19 +39,7 @@ VARIED = (
 
 
 def draw_true_sensor(sensor: Sensor, seed: int) -> Sensor:
-    """Draw a device within the ranges of a description.
-
-    Parameters
-    ----------
-    sensor
-        The type: each varied parameter's `low` and `high` hold it with 95 % probability.
-    seed
-        Seed; it names the device.
-
-    Returns
-    -------
-    Sensor
-        The same description with the parameters of `VARIED` drawn and exact; its notes record the seed.
+    """Draw a device within the ranges of a description: the parameters of `VARIED`, exact; `seed` names the device.
 
     Notes
     -----
@@ -109,13 +97,7 @@ class BenchTruth:
 
 
 def load_or_draw_truth(folder: Path, sensor: Sensor, seed: int, lamp: LampCalibration | None = None) -> BenchTruth:
-    """Draw a device, its meter and its lamp and save them in a folder, or load them from there.
-
-    Raises
-    ------
-    BadInput
-        If the folder holds the truth of another seed or sensor.
-    """
+    """Draw a device, its meter and its lamp into a folder, or load them; another seed or sensor is BadInput."""
     asked = {"seed": seed, "drawn_from": sensor.name}
     if lamp is not None:
         folder.mkdir(parents=True, exist_ok=True)

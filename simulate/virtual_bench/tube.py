@@ -75,13 +75,6 @@ class VirtualTube:
     Every frame is drawn when it is exposed, from the state of the bench at that moment, so that no frame can show
     conditions that are past. Its noise follows from the bench's seed, the number of the placement before the camera,
     and how many frames were exposed since: the same plan, taken again with the same seed, gives the same frames.
-
-    Parameters
-    ----------
-    folder
-        Folder of the bench: its truth, and what its operator placed.
-    outputs
-        Returns what the instruments put on its wires now.
     """
 
     def __init__(self, folder: Path, outputs: Callable[[], Outputs]) -> None:
@@ -99,15 +92,7 @@ class VirtualTube:
         return self._truth.sensor
 
     def scene(self, *, exposure_s: float, gain_db: float) -> Scene:
-        """Return the present target and the true conditions at the tube.
-
-        Parameters
-        ----------
-        exposure_s
-            Exposure of one field, s.
-        gain_db
-            Gain behind the sensor, dB.
-        """
+        """Return the present target and the true conditions at the tube for a field's exposure, s, and a gain, dB."""
         placement, outputs = read_placement(self._folder), self._outputs()
         if outputs.room_light_lux:
             placement = replace(placement, kind="flat", target=Target())  # it falls on everything, darks included

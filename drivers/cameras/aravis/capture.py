@@ -88,21 +88,7 @@ BLOCK_NUMBERS = 65535  # of GigE Vision's 16 bits, 1..65535
 
 
 class AravisCapture(FrameCapture):
-    """A capture that runs in its `with` block; iterate it for complete frames.
-
-    Parameters
-    ----------
-    connection
-        The open camera.
-    settings
-        Settings in force.
-    patience_s
-        Longest wait for a frame, s.
-    resend
-        Whether missing packets are requested again (GigE Vision).
-    frames, discard, while_waiting
-        As in `FrameCapture`.
-    """
+    """Complete frames of an open camera; `patience_s` is the longest wait for one, s."""
 
     def __init__(
         self,

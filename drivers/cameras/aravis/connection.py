@@ -59,21 +59,9 @@ def only_camera() -> str:
 
 
 class Connection:
-    """Control of one camera, from its construction to `close`.
+    """Control of one camera by identifier or IP address, from its construction to `close`.
 
-    Parameters
-    ----------
-    name
-        Aravis identifier or IP address.
-    control_s
-        Longest wait for a camera in use by another program, s.
-    say
-        Called with a sentence if opening takes long.
-
-    Raises
-    ------
-    CameraError
-        If the camera is missing, or in use by another program.
+    A camera that is missing, or in use by another program for `control_s`, is CameraError; `say` reports the wait.
     """
 
     def __init__(self, name: str, *, control_s: float, say: Callable[[str], None]) -> None:
@@ -180,20 +168,10 @@ class Connection:
 
 
 def ask_control_port(address: str, *, timeout_s: float = CONTROL_S) -> bool | None:
-    """Send one GigE Vision discovery command to a camera.
+    """Send one GigE Vision discovery command to a camera's address.
 
-    Parameters
-    ----------
-    address
-        IPv4 address of the camera.
-    timeout_s
-        Longest wait for the acknowledgement, s.
-
-    Returns
-    -------
-    bool or None
-        Whether it came in time; None if no camera listens there (known at once on loopback, when the
-        camera's process is gone).
+    Returns whether the acknowledgement came within `timeout_s`; None if no camera listens there (known at once on
+    loopback, when the camera's process is gone).
     """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as control:
         control.settimeout(timeout_s)

@@ -39,13 +39,6 @@ class V4l2Camera:
     silence_s
         Longest time without a frame before the camera counts as dead, s; exposure and four frame periods are added,
         and three times as much before the first frame: USB cameras take a second or more to start.
-    open_device
-        Opens the device; replaced in tests.
-
-    Raises
-    ------
-    CameraError
-        On entering: if the device is missing, cannot be opened, or cannot capture.
     """
 
     def __init__(
@@ -88,12 +81,7 @@ class V4l2Camera:
     def configure(self, settings: CameraSettings) -> CameraSettings:
         """Apply the settings that are not None and return the read-back of all.
 
-        Raises
-        ------
-        BadInput
-            If a value lies outside the range of the camera.
-        CameraError
-            If the camera refuses, or reads back another value than requested.
+        A value outside the camera's range is BadInput, a refused one or another read-back CameraError.
         """
         own = V4l2Settings(self._open, self.identifier)
         own.apply(settings)

@@ -38,20 +38,7 @@ NUMBERS = {order: number for number, order in _ORDERS.items()}
 
 
 def field_order(field: int, standard: int) -> FieldOrder:
-    """Return the order of a frame's fields.
-
-    Parameters
-    ----------
-    field
-        The kernel's number.
-    standard
-        Video standards of the input, as the kernel's bits; 0 for a digital camera.
-
-    Raises
-    ------
-    BadInput
-        If the number is none of the kernel's.
-    """
+    """Return the order of a frame's fields from the kernel's number and the bits of the input's standards."""
     if field in (INTERLACED, ALTERNATE):
         return "bottom first" if older_field(standard) == BOTTOM else "top first"
     if field not in _ORDERS:
@@ -80,15 +67,7 @@ class Field:
 
 
 class FieldPairs:
-    """Combines fields into frames.
-
-    Parameters
-    ----------
-    older
-        Field of a frame that is exposed first, TOP or BOTTOM.
-    next_field
-        Returns the next field or incomplete frame.
-    """
+    """Combines the fields that `next_field` returns into frames; `older` is exposed first, TOP or BOTTOM."""
 
     def __init__(self, older: int, next_field: Callable[[], Field | IncompleteFrame]) -> None:
         self._older, self._next_field = older, next_field

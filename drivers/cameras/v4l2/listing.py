@@ -71,12 +71,7 @@ def read_control(device: Device, control: Control) -> int:
 def write_control(device: Device, control: Control, value: int) -> int | None:
     """Set a control and return its read-back; None for a button, which has no value.
 
-    Raises
-    ------
-    BadInput
-        If the value lies outside the control's range, or the control is read only.
-    CameraError
-        If the device refuses, or its read-back differs by more than the control's step.
+    A value outside its range, or a read-only control, is BadInput; a read-back off by more than a step CameraError.
     """
     if control.is_read_only:
         raise BadInput(f"the control {control.name!r} must be one that can be set, this one can only be read")

@@ -81,18 +81,7 @@ class BufferImage:
         return plane if self.layout.planes == 1.0 else int(self.rows * self.row_bytes * self.layout.planes)
 
     def grey(self, data: NDArray[np.uint8]) -> NDArray:
-        """Return the grey values of a complete image.
-
-        Parameters
-        ----------
-        data
-            At least `size_bytes` bytes.
-
-        Returns
-        -------
-        NDArray
-            Shape (row, col), DN, uint8 or uint16.
-        """
+        """Return the grey values of at least `size_bytes` bytes, shape (row, col), DN, uint8 or uint16."""
         kind, layout = np.dtype(self.layout.kind), self.layout
         plane = np.zeros((self.rows, self.row_bytes), np.uint8)
         there = data[: plane.size]
