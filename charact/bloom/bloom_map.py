@@ -31,25 +31,13 @@ SMALLER_PX, PATCH_MARGIN_PX = 0.5, 4.0
 class BloomMap:
     """Fraction of every pixel's signal that is blooming.
 
-    Parameters
-    ----------
-    fraction
-        Blooming over total signal, mean over the draws, shape (row, col), 0 to 1; NaN where unknown: near a clipped
-        source of unknown signal, and without signal.
-    sd
-        Standard deviation over draws of the PSF and pixel noise, shape (row, col); NaN likewise.
-    blooming_dn
-        Blooming, DN above dark, mean over the draws, shape (row, col); NaN where unknown.
-    clipped
-        Pixels at full scale, shape (row, col); their signal is reconstructed.
-    near_border
-        Pixels within the range of sources outside the frame, shape (row, col).
-    sources
-        The clipped sources.
-    near_px
-        Distance within which light is not blooming, column pitches.
-    noise_dn
-        Standard deviation of every pixel's noise, DN, shape (row, col).
+    `fraction`: blooming over total signal, mean over the draws, shape (row, col), 0 to 1; NaN where unknown: near a
+    clipped source of unknown signal, and without signal; `sd`: standard deviation over draws of the PSF and pixel
+    noise, shape (row, col); NaN likewise; `blooming_dn`: blooming, DN above dark, mean over the draws, shape (row,
+    col); NaN where unknown; `clipped`: pixels at full scale, shape (row, col); their signal is reconstructed;
+    `near_border`: pixels within the range of sources outside the frame, shape (row, col); `sources`: the clipped
+    sources; `near_px`: distance within which light is not blooming, column pitches; `noise_dn`: standard deviation of
+    every pixel's noise, DN, shape (row, col).
     """
 
     fraction: NDArray[np.float32]
@@ -317,21 +305,9 @@ def _near_border(lattice: FrameGrid, halo_px: float) -> Mask:
 def spread_from(result: Result, *, area_px: float, pitch_ratio: float = 1.0, rng: np.random.Generator) -> PosteriorPsf:
     """Return the point spread functions described by the measurements of a point series.
 
-    Parameters
-    ----------
-    result
-        Result of `charact.bloom.measure`.
-    area_px
-        Pixels of a frame, the area of the veiling glare.
-    pitch_ratio
-        Row pitch over column pitch.
-    rng
-        Generator of the glare's draws.
-
-    Raises
-    ------
-    BadInput
-        If the result has no posterior of core and halo.
+    `result`: result of `charact.bloom.measure`; `area_px`: pixels of a frame, the area of the veiling glare;
+    `pitch_ratio`: row pitch over column pitch; `rng`: generator of the glare's draws. Raises BadInput if the result has
+    no posterior of core and halo.
     """
     posterior = _posterior(result)
     found = [m for m in result.find("veiling_glare") if m.value is not None and m.interval68 is not None]

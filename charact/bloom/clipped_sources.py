@@ -127,20 +127,10 @@ STREAK_PX = 7
 class ClippedSource:
     """Source that the frame clips.
 
-    Parameters
-    ----------
-    row, col
-        Centre, px.
-    clipped_px
-        Number of its clipped pixels.
-    shape
-        "point" or "patch".
-    light_dn_px
-        Signal without glare, DN times pixels, of every draw of the PSF, shape (draw,); NaN where unknown.
-    reason
-        Refusal reason; empty where known.
-    region, lit
-        Flat indices of its clipped pixels, and of those assumed to be illuminated.
+    `row`, `col`: centre, px; `clipped_px`: number of its clipped pixels; `shape`: "point" or "patch"; `light_dn_px`:
+    signal without glare, DN times pixels, of every draw of the PSF, shape (draw,); NaN where unknown; `reason`: refusal
+    reason; empty where known; `region`, `lit`: flat indices of its clipped pixels, and of those assumed to be
+    illuminated.
     """
 
     row: float
@@ -164,22 +154,9 @@ def find_clipped_sources(
 ) -> tuple[ClippedSource, ...]:  # fmt: skip
     """Find the clipped sources of a frame and estimate their signal for every draw of the PSF.
 
-    Parameters
-    ----------
-    signal
-        Frame above dark, shape (row, col), DN.
-    clipped
-        Pixels at full scale, shape (row, col).
-    spread
-        Draws of the camera's PSF.
-    lattice
-        Grid of the frame.
-    noise_dn
-        Standard deviation of every pixel's noise, shape (row, col), DN.
-    clip_dn
-        Full scale above dark, DN.
-    rng
-        Generator of the noise in the estimated signal.
+    `signal`: frame above dark, shape (row, col), DN; `clipped`: pixels at full scale, shape (row, col); `spread`: draws
+    of the camera's PSF; `lattice`: grid of the frame; `noise_dn`: standard deviation of every pixel's noise, shape
+    (row, col), DN; `clip_dn`: full scale above dark, DN; `rng`: generator of the noise in the estimated signal.
     """
     found = list(_regions(clipped))
     reach = 0.5 * float(np.median(spread.halo_diameter_px)) + 8.0

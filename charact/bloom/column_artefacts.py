@@ -26,18 +26,10 @@ ROUNDED_DN = 0.02
 class ColumnArtefacts:
     """Signal above and below a source in excess of that at the same distance left and right.
 
-    Parameters
-    ----------
-    first_col
-        First column of the arrays.
-    row_offset
-        Distance of each row from the source, column pitches, shape (row,).
-    round_dn
-        Mean at the same distance left and right, above its minimum, shape (row, col), DN.
-    excess_dn, sd_dn
-        Excess over it, and the noise of one pixel, shape (row, col), DN.
-    block_factor
-        Variance of the mean of some successive rows over that of as many independent pixels, dimensionless.
+    `first_col`: first column of the arrays; `row_offset`: distance of each row from the source, column pitches, shape
+    (row,); `round_dn`: mean at the same distance left and right, above its minimum, shape (row, col), DN; `excess_dn`,
+    `sd_dn`: excess over it, and the noise of one pixel, shape (row, col), DN; `block_factor`: variance of the mean of
+    some successive rows over that of as many independent pixels, dimensionless.
     """
 
     first_col: int
@@ -51,19 +43,10 @@ class ColumnArtefacts:
 def column_artefact_mask(spot: PointStack, context: Context) -> Mask:
     """Return the pixels of a mean frame that column blooming or smear has brightened.
 
-    Parameters
-    ----------
-    spot
-        One stack of a point source.
-    context
-        Pitches of the sensor, if known.
-
-    Returns
-    -------
-    mask
-        True where column signal adds to that of the source, shape (row, col): for each column near the source the rows
-        with a visible streak, all of them under smear. The core, which outshines the column signal, is not included. A
-        radial profile excludes these pixels.
+    `spot`: one stack of a point source; `context`: pitches of the sensor, if known. Returns true where column signal
+    adds to that of the source, shape (row, col): for each column near the source the rows with a visible streak, all of
+    them under smear. The core, which outshines the column signal, is not included. A radial profile excludes these
+    pixels.
     """
     mask = np.zeros(spot.image.shape, bool)
     found = compare_columns(spot, context)
@@ -93,10 +76,7 @@ def column_artefact_mask(spot: PointStack, context: Context) -> Mask:
 def compare_columns(spot: PointStack, context: Context, *, half_width_px: int | None = None) -> ColumnArtefacts:
     """Compare the columns near the source with pixels at the same distance left and right.
 
-    Parameters
-    ----------
-    half_width_px
-        Columns on either side of the source; None: those that may overflow or smear.
+    `half_width_px`: columns on either side of the source; None: those that may overflow or smear.
     """
     rows, cols = spot.image.shape
     dy = (np.arange(rows) - spot.row) * context.pitch_ratio
@@ -232,16 +212,9 @@ PATCH_PX = 6
 class MeanFrameNoise:
     """Noise of a mean frame.
 
-    Parameters
-    ----------
-    floor_variance
-        Variance of a pixel of the background, DN^2.
-    per_light
-        Variance of a pixel over its signal, DN; 0 where the background is too faint to measure it.
-    neighbours
-        Variance of the sum of many adjacent pixels over that of as many independent ones, dimensionless.
-    background_dn
-        Background above dark, DN.
+    `floor_variance`: variance of a pixel of the background, DN^2; `per_light`: variance of a pixel over its signal, DN;
+    0 where the background is too faint to measure it; `neighbours`: variance of the sum of many adjacent pixels over
+    that of as many independent ones, dimensionless; `background_dn`: background above dark, DN.
     """
 
     floor_variance: float
@@ -261,18 +234,8 @@ class MeanFrameNoise:
 def grain_of(image: Array, col: float, dark_dn: float) -> MeanFrameNoise:
     """Estimate the noise of a mean frame far from a source.
 
-    Parameters
-    ----------
-    image
-        Mean frame, shape (row, col), DN.
-    col
-        Column of the source, px.
-    dark_dn
-        Black level, DN.
-
-    Notes
-    -----
-    The scatter of patches includes temporal noise and fixed pattern, since both affect a single mean frame.
+    `image`: mean frame, shape (row, col), DN; `col`: column of the source, px; `dark_dn`: black level, DN. The scatter
+    of patches includes temporal noise and fixed pattern, since both affect a single mean frame.
     """
     rows, cols = (n // PATCH_PX * PATCH_PX for n in image.shape)
     tiles = image[:rows, :cols].reshape(rows // PATCH_PX, PATCH_PX, cols // PATCH_PX, PATCH_PX)
@@ -310,19 +273,11 @@ FULL_SHARE = 0.5
 class Streak:
     """Streak of one source.
 
-    Parameters
-    ----------
-    length_px, length_sd_px
-        Rows of the source's column at or above half of full scale, core included, and their standard error; 0 without
-        any.
-    overflows
-        Whether wells overflow: the column is far brighter than the same distance left and right of the source.
-    level_dn, level_sd_dn
-        Signal above dark of full wells, DN; NaN without overflow.
-    clipped
-        Whether that signal is at full scale, a lower limit of the full well.
-    meets_border, uneven
-        Whether the streak ends at the frame's border; whether it is longer on one side, unlike overflow.
+    `length_px`, `length_sd_px`: rows of the source's column at or above half of full scale, core included, and their
+    standard error; 0 without any; `overflows`: whether wells overflow: the column is far brighter than the same
+    distance left and right of the source; `level_dn`, `level_sd_dn`: signal above dark of full wells, DN; NaN without
+    overflow; `clipped`: whether that signal is at full scale, a lower limit of the full well; `meets_border`, `uneven`:
+    whether the streak ends at the frame's border; whether it is longer on one side, unlike overflow.
     """
 
     length_px: float
@@ -338,8 +293,6 @@ class Streak:
 def streak_of(spot: PointStack, context: Context) -> Streak:
     """Measure the column of a source.
 
-    Notes
-    -----
     Charge beyond the full well spreads up and down until every well holds its part: the column is full to sharp ends,
     with partly filled last pixels. Rows count by the probability that their mean is above the threshold. In interlaced
     frames the two fields overflow separately, so that every second row counts near the ends.

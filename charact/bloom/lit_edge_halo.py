@@ -49,22 +49,10 @@ def nodes() -> tuple[Array, Array]:
 class EdgeHaloLikelihood:
     """Likelihood of the whitened strips of all stacks of one edge.
 
-    Parameters
-    ----------
-    strips
-        Strips of every stack.
-    width_px
-        Width of the illuminated area, column pitches; inf for a half plane.
-    walls
-        Bounds of the parameters common to all cores, shape (parameter, 2).
-    white
-        Whitening matrix of each stack's used strips.
-    waves
-        Sine and cosine of every frequency at the strips of each stack, shape (frequency, strip).
-    core
-        Core family.
-    halo
-        Whether there is a halo.
+    `strips`: strips of every stack; `width_px`: width of the illuminated area, column pitches; inf for a half plane;
+    `walls`: bounds of the parameters common to all cores, shape (parameter, 2); `white`: whitening matrix of each
+    stack's used strips; `waves`: sine and cosine of every frequency at the strips of each stack, shape (frequency,
+    strip); `core`: core family; `halo`: whether there is a halo.
     """
 
     strips: tuple[Strips, ...]

@@ -19,22 +19,11 @@ PARTS, LAGS = 12, 6
 class LitEdgeLine:
     """Straight edge: column `at` + `slope` * row of the frame, or of the transposed frame for an edge along a row.
 
-    Parameters
-    ----------
-    upright
-        Whether the edge runs along columns.
-    side
-        1 where the dark side has the higher column, else -1.
-    at, slope
-        Column at row 0, and columns per row.
-    first, last
-        First and last row, without ends that lie in the frame.
-    room_px
-        Distance of the border on the dark side, column pitches.
-    ends_px
-        Omitted length at the nearer end inside the frame, column pitches; inf without one.
-    width_px
-        Distance of the opposite edge, column pitches; inf where it is outside the frame.
+    `upright`: whether the edge runs along columns; `side`: 1 where the dark side has the higher column, else -1; `at`,
+    `slope`: column at row 0, and columns per row; `first`, `last`: first and last row, without ends that lie in the
+    frame; `room_px`: distance of the border on the dark side, column pitches; `ends_px`: omitted length at the nearer
+    end inside the frame, column pitches; inf without one; `width_px`: distance of the opposite edge, column pitches;
+    inf where it is outside the frame.
     """
 
     upright: bool
@@ -60,22 +49,11 @@ class LitEdgeLine:
 class Strips:
     """Mean signal by distance from an edge.
 
-    Parameters
-    ----------
-    label
-        Label of the stack.
-    distance_px
-        Mean distance of each strip from the line, positive on the dark side, column pitches, shape (strip,).
-    mean_dn, sd_dn
-        Mean and its standard error, shape (strip,), DN.
-    correlation
-        Correlation of strips 1, 2, ... apart, shape (lag,).
-    used
-        Strips that are not clipped, shape (strip,).
-    cut
-        Whether the illuminated side reaches full scale.
-    least_light_dn
-        Minimum signal of the illuminated side, DN above dark: full scale where it is clipped, else 0.
+    `label`: label of the stack. `distance_px`: mean distance of each strip from the line, positive on the dark side,
+    column pitches, shape (strip,). `mean_dn`, `sd_dn`: mean and its standard error, shape (strip,), DN. `correlation`:
+    correlation of strips 1, 2, ... apart, shape (lag,). `used`: strips that are not clipped, shape (strip,). `cut`:
+    whether the illuminated side reaches full scale. `least_light_dn`: minimum signal of the illuminated side, DN above
+    dark: full scale where it is clipped, else 0.
     """
 
     label: str
@@ -100,14 +78,8 @@ class Strips:
 def edge_line(image: NDArray, level_dn: float, pitch_ratio: float) -> LitEdgeLine | str:
     """Return the straight edge of the illuminated area with most dark room, or a refusal reason.
 
-    Parameters
-    ----------
-    image
-        Mean frame, shape (row, col), DN.
-    level_dn
-        Threshold of the edge, DN.
-    pitch_ratio
-        Row pitch over column pitch.
+    `image`: mean frame, shape (row, col), DN; `level_dn`: threshold of the edge, DN; `pitch_ratio`: row pitch over
+    column pitch.
     """
     from scipy import ndimage
 

@@ -27,26 +27,14 @@ SECTORS = 12
 class FrameSeries:
     """Frame-by-frame statistics of one stack.
 
-    Parameters
-    ----------
-    label, conditions
-        As in the session.
-    dark_dn, dark_known
-        Black level, DN, and whether it was measured or recorded.
-    time_s
-        Time of each frame, shape (frame,), s; empty if unknown.
-    background_dn, background_sd_dn
-        Mean far from the source above dark, and its standard error, DN.
-    background_by_frame_dn
-        The same of each frame, shape (frame,), DN.
-    centre_px
-        Row and column of the centre of the bright region of each frame, shape (frame, 2), px; NaN without a source.
-    light_by_frame, light_noise
-        Signal of the unsaturated pixels of each frame over the mean, shape (frame,), and the standard deviation due to
-        pixel noise; NaN without a source.
-    noise_level_dn, noise_variance, noise_variance_sd
-        Signals above dark at which noise was measured, its temporal variance and standard error, shape (level,), DN and
-        DN^2.
+    `label`, `conditions`: as in the session; `dark_dn`, `dark_known`: black level, DN, and whether it was measured or
+    recorded; `time_s`: time of each frame, shape (frame,), s; empty if unknown; `background_dn`, `background_sd_dn`:
+    mean far from the source above dark, and its standard error, DN; `background_by_frame_dn`: the same of each frame,
+    shape (frame,), DN; `centre_px`: row and column of the centre of the bright region of each frame, shape (frame, 2),
+    px; NaN without a source; `light_by_frame`, `light_noise`: signal of the unsaturated pixels of each frame over the
+    mean, shape (frame,), and the standard deviation due to pixel noise; NaN without a source; `noise_level_dn`,
+    `noise_variance`, `noise_variance_sd`: signals above dark at which noise was measured, its temporal variance and
+    standard error, shape (level,), DN and DN^2.
     """
 
     label: str
@@ -68,14 +56,7 @@ class FrameSeries:
 def frame_series(spot: PointStack, stack: FrameStack, row_pitch: float) -> FrameSeries:
     """Analyse one stack frame by frame.
 
-    Parameters
-    ----------
-    spot
-        Position and thresholds of the source.
-    stack
-        Its frames.
-    row_pitch
-        Row pitch over column pitch.
+    `spot`: position and thresholds of the source; `stack`: its frames; `row_pitch`: row pitch over column pitch.
     """
     data = np.asarray(stack.data)
     mean = data.mean(axis=0, dtype=np.float64)
@@ -257,8 +238,6 @@ def frames_before_switch_off(watched: FrameSeries) -> int | None:
 def recoveries(watched: tuple[FrameSeries, ...], seed: int, **fields: Any) -> list[Measurement]:
     """Return the times until 10 % and 1 % of the source signal remain, for each stack with a switch-off.
 
-    Notes
-    -----
     Switch-off happens between two frames, which the interval includes. Between frames the decay is exponential. Pixels
     saturated by the source are excluded.
     """

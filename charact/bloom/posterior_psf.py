@@ -141,10 +141,7 @@ class PosteriorPsf:
     def density(self, radius_px: ArrayLike) -> Array:
         """Return the PSF at distances from the source, 1/px2, shape (draw, radius).
 
-        Parameters
-        ----------
-        radius_px
-            Distances, column pitches, shape (radius,); valid to about 150 px.
+        `radius_px`: distances, column pitches, shape (radius,); valid to about 150 px.
         """
         return np.maximum(self.transfer(nodes()[0]) @ density_matrix(radius_px), 0.0)
 
@@ -172,20 +169,9 @@ def density_matrix(radius_px: ArrayLike) -> Array:
 def spread_of(posterior: Posterior, *, pitch_ratio: float = 1.0, **known: ArrayLike) -> PosteriorPsf:
     """Return the point spread functions described by a posterior.
 
-    Parameters
-    ----------
-    posterior
-        Draws with the names of `NAMES`, or with `core_sd`, the core before the pixel aperture, as fitted to point
-        series.
-    pitch_ratio
-        Row pitch over column pitch, for that aperture.
-    known
-        Fields of `PosteriorPsf` that the posterior lacks.
-
-    Raises
-    ------
-    BadInput
-        If a required parameter is missing, or the halo model has no edge.
+    `posterior`: draws with the names of `NAMES`, or with `core_sd`, the core before the pixel aperture, as fitted to
+    point series; `pitch_ratio`: row pitch over column pitch, for that aperture; `known`: fields of `PosteriorPsf` that
+    the posterior lacks. Raises BadInput if a required parameter is missing, or the halo model has no edge.
     """
     found = {field: posterior[name] for name, field in NAMES.items() if name in posterior.names}
     if "core_sd" in posterior.names:
@@ -214,14 +200,8 @@ RADIUS_STEP_PX, REACH_PX = 0.1, 150.0
 class FrameGrid:
     """Pixels of a frame with padding, so that blur does not wrap around.
 
-    Parameters
-    ----------
-    shape
-        Rows and columns of the frame.
-    room_px
-        Padding on each side, px.
-    pitch_ratio
-        Row pitch over column pitch.
+    `shape`: rows and columns of the frame; `room_px`: padding on each side, px; `pitch_ratio`: row pitch over column
+    pitch.
     """
 
     shape: tuple[int, int]

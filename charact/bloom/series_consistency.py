@@ -46,8 +46,6 @@ def depressions(
 ) -> list[Measurement]:
     """Return the fall of each stack's background below that of the faintest stack at the same settings, dB.
 
-    Notes
-    -----
     20 log10(B0 / B). Automatic gain lowers the background of a bright frame, glare of the source raises it: the value
     is a lower limit of the gain change. A background that rises is glare alone, and the value is refused.
     """
@@ -84,16 +82,8 @@ def _reason(reference: FrameSeries, stack: FrameSeries) -> str | None:
 def dark_level_error(stacks: tuple[FrameSeries, ...], dark_variance: float | None) -> tuple[float, float] | None:
     """Return the black level above the dark frames' mean and its standard error, DN; None if not measurable.
 
-    Parameters
-    ----------
-    stacks
-        Stacks with this dark and a stationary source.
-    dark_variance
-        Temporal variance of the dark frames, DN^2.
-
-    Notes
-    -----
-    Temporal variance grows with the signal from that of the dark frames. The signal at which the line through
+    `stacks`: stacks with this dark and a stationary source; `dark_variance`: temporal variance of the dark frames,
+    DN^2. Temporal variance grows with the signal from that of the dark frames. The signal at which the line through
     background and halo reaches the dark variance is the black level, independent of the dark frames' mean.
     """
     if dark_variance is None or dark_variance < 0.24:
@@ -135,14 +125,8 @@ def is_dark_inconsistent(misfit: tuple[float, float] | None, background_dn: floa
 class SeriesConsistency:
     """Inconsistencies of a series.
 
-    Parameters
-    ----------
-    flags
-        Flags of each stack's measurements, by label; empty without an inconsistency.
-    measurements
-        Background depression of every stack but the faintest, and recovery times.
-    evidence
-        Figure data.
+    `flags`: flags of each stack's measurements, by label; empty without an inconsistency; `measurements`: background
+    depression of every stack but the faintest, and recovery times; `evidence`: figure data.
     """
 
     flags: dict[str, tuple[str, ...]]
@@ -160,23 +144,11 @@ def check_consistency(
 ) -> SeriesConsistency:
     """Check a series from stack to stack and from frame to frame.
 
-    Parameters
-    ----------
-    session
-        Session with the frames of the point stacks, each read once more, and the darks.
-    spots
-        Point stacks.
-    context
-        Seed and pitches.
-    fields
-        Method and provenance of the measurements.
-
-    Notes
-    -----
-    Flags: `agc` where the background falls below that of the faintest stack at the same settings; `drift` where the
-    source moves, or its signal or the background drifts; `lag` where the source is switched off and decays;
-    `dark-mismatch` where noise contradicts the dark level, or the background lies below it. Decay of a constant source
-    changes no mean and is not flagged.
+    `session`: session with the frames of the point stacks, each read once more, and the darks; `spots`: point stacks;
+    `context`: seed and pitches; `fields`: method and provenance of the measurements. Flags: `agc` where the background
+    falls below that of the faintest stack at the same settings; `drift` where the source moves, or its signal or the
+    background drifts; `lag` where the source is switched off and decays; `dark-mismatch` where noise contradicts the
+    dark level, or the background lies below it. Decay of a constant source changes no mean and is not flagged.
     """
     ratio = context.pitch_ratio
     shown = [spot for spot in spots if spot.significance >= DETECTED and min(spot.image.shape) >= 24]

@@ -37,15 +37,9 @@ NARROW = "the frame is too narrow: there are no columns far from the source for 
 class Core:
     """Columns of the core, and their signal.
 
-    Parameters
-    ----------
-    half_width_px
-        Columns on either side of the source's column.
-    light_dn, light_sd_dn
-        Mean over these columns of their summed signal above that of their neighbours', per unit light, and its standard
-        error, DN.
-    stack
-        Label of the unsaturated stack.
+    `half_width_px`: columns on either side of the source's column; `light_dn`, `light_sd_dn`: mean over these columns
+    of their summed signal above that of their neighbours', per unit light, and its standard error, DN; `stack`: label
+    of the unsaturated stack.
     """
 
     half_width_px: int
@@ -58,16 +52,9 @@ class Core:
 class Smear:
     """Uniform column signal of one stack.
 
-    Parameters
-    ----------
-    label
-        The stack.
-    light
-        Stated light.
-    level_dn, level_sd_dn
-        Mean of the core's columns above their neighbours far from the source, and its standard error, DN.
-    uneven
-        Whether it differs between above and below the source.
+    `label`: the stack; `light`: stated light; `level_dn`, `level_sd_dn`: mean of the core's columns above their
+    neighbours far from the source, and its standard error, DN; `uneven`: whether it differs between above and below the
+    source.
     """
 
     label: str
@@ -82,19 +69,12 @@ def smear_measurement(
 ) -> tuple[Measurement, dict[str, Any]]:
     """Return the smear fraction of a series of stacks, and its figure data.
 
-    Parameters
-    ----------
-    spots
-        Stacks of one source at several known illuminances, one of them unsaturated.
-    context
-        Pitches, and whether frames are interlaced.
-
-    Notes
-    -----
-    The fraction f refers to the summed signal S of a column of R rows, each of which receives f S / R. A stack with
-    visible smear has a saturated core, so that S is scaled from an unsaturated stack by the ratio of stated light.
-    Linearity of the tube is verified only by a second stack with proportional smear: with one alone the number is
-    flagged `extrapolated`. Without visible smear it is refused with an upper limit that assumes linearity.
+    `spots`: stacks of one source at several known illuminances, one of them unsaturated; `context`: pitches, and
+    whether frames are interlaced. The fraction f refers to the summed signal S of a column of R rows, each of which
+    receives f S / R. A stack with visible smear has a saturated core, so that S is scaled from an unsaturated stack by
+    the ratio of stated light. Linearity of the tube is verified only by a second stack with proportional smear: with
+    one alone the number is flagged `extrapolated`. Without visible smear it is refused with an upper limit that assumes
+    linearity.
     """
     clear = tuple(spot for spot in spots if spot.significance > DETECTED)
     core = core_of(clear, context)

@@ -62,19 +62,11 @@ def backscatter_profile(elastic: Array) -> Array:
 def disc(frequency: Array, diameter_px: Array, profile: Array) -> Array:
     """Transfer function of a halo disc of finite diameter and any smooth profile.
 
-    Parameters
-    ----------
-    frequency, diameter_px
-        As in the module docstring.
-    profile
-        Fractions of its light with the radial densities of `PROFILE`, shape (draw, fraction); the rest is flat.
-
-    Notes
-    -----
-    With x the radius over that of the disc and u = pi f D: elastically backscattered electrons have the density
-    1/sqrt(1 - x^2), those with uniformly distributed energies arccos(x)/x (range 2 d e sin 2t in the gap, cosine law),
-    with the transforms sin(u)/u and Si(u)/u. Powers of x are sums of (1 - x^2)^k, with Sonine's transforms Gamma(k + 2)
-    (2/u)^(k + 1) J_(k+1)(u).
+    `frequency`, `diameter_px`: as in the module docstring; `profile`: fractions of its light with the radial densities
+    of `PROFILE`, shape (draw, fraction); the rest is flat. With x the radius over that of the disc and u = pi f D:
+    elastically backscattered electrons have the density 1/sqrt(1 - x^2), those with uniformly distributed energies
+    arccos(x)/x (range 2 d e sin 2t in the gap, cosine law), with the transforms sin(u)/u and Si(u)/u. Powers of x are
+    sums of (1 - x^2)^k, with Sonine's transforms Gamma(k + 2) (2/u)^(k + 1) J_(k+1)(u).
     """
     u = np.pi * diameter_px[:, None] * np.maximum(frequency, LEAST_CY_PER_PX)
     first, weight = _four(DISC_ARGUMENTS, np.minimum(u, DISC_ARGUMENTS[-1]))

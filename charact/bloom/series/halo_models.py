@@ -66,16 +66,9 @@ HALO_FRACTION = ModelParameter(name="halo_fraction", unit="1", low=1e-4, high=0.
 class HaloModel:
     """Blur model of a point source.
 
-    Parameters
-    ----------
-    core, halo
-        Families of core and halo.
-    reach_px
-        Radius of the outermost ring, which limits the halo diameter.
-    pitch_ratio
-        Row pitch over column pitch, for the pixel's aperture.
-    sensor
-        Sensor description, whose tube gives the core's priors; None if unknown.
+    `core`, `halo`: families of core and halo; `reach_px`: radius of the outermost ring, which limits the halo diameter;
+    `pitch_ratio`: row pitch over column pitch, for the pixel's aperture; `sensor`: sensor description, whose tube gives
+    the core's priors; None if unknown.
     """
 
     core: Core
