@@ -54,6 +54,11 @@ def matern(frequency: Array, sd_px: Array, peak: Array) -> Array:
     return np.exp(-np.log1p(0.5 * power * (2.0 * np.pi * sd_px[:, None] * frequency) ** 2) / power)
 
 
+def mix(of: Array | float, share: Array, part: Array) -> Array:
+    """Replace a fraction, shape (draw,), of a transfer function by another one, shape (draw, frequency)."""
+    return of * (1.0 - share[:, None]) + share[:, None] * part
+
+
 def backscatter_profile(elastic: Array) -> Array:
     """Return the profile of backscattered electrons, shape (draw, fraction), from their elastic fraction."""
     return np.stack([elastic, 1.0 - elastic, 0.0 * elastic, 0.0 * elastic], axis=-1)
@@ -114,6 +119,14 @@ def quadrature(highest_cy_per_px: float, count: int) -> tuple[Array, Array]:
     return 0.5 * highest_cy_per_px * (node + 1.0), 0.5 * highest_cy_per_px * weight
 
 
+def hankel_matrix(nodes: tuple[Array, Array], radius_px: Array) -> Array:
+    """Matrix from a transfer function at quadrature nodes to light at radii, 1/px^2, shape (node, radius)."""
+    from scipy.special import j0
+
+    frequency, weight = (one[:, None] for one in nodes)
+    return 2.0 * np.pi * frequency * weight * j0(2.0 * np.pi * frequency * radius_px)
+
+
 def _quadrature() -> tuple[Array, Array]:
     """Quadrature for the sharpest core and the outermost ring of a series."""
     return quadrature(1.25, 300)
@@ -131,8 +144,4 @@ def onto_nodes(node_px: Array) -> Array:
 
 @lru_cache(maxsize=4)
 def _onto_nodes(nodes: bytes) -> Array:
-    from scipy.special import j0
-
-    node_px = np.frombuffer(nodes)
-    frequency, weight = (one[:, None] for one in _quadrature())
-    return 2.0 * np.pi * frequency * weight * j0(2.0 * np.pi * frequency * node_px)
+    return hankel_matrix(_quadrature(), np.frombuffer(nodes))
