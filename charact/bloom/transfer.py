@@ -59,11 +59,6 @@ def mix(of: Array | float, share: Array, part: Array) -> Array:
     return of * (1.0 - share[:, None]) + share[:, None] * part
 
 
-def backscatter_profile(elastic: Array) -> Array:
-    """Return the profile of backscattered electrons, shape (draw, fraction), from their elastic fraction."""
-    return np.stack([elastic, 1.0 - elastic, 0.0 * elastic, 0.0 * elastic], axis=-1)
-
-
 def disc(frequency: Array, diameter_px: Array, profile: Array) -> Array:
     """Transfer function of a halo disc of finite diameter and any smooth profile.
 
