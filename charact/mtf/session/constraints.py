@@ -23,22 +23,10 @@ POST_GAIN = {"mtf_post_gain": 0.0, "mtf_post_gain_vertical": 90.0}
 
 @dataclass(frozen=True, kw_only=True)
 class MtfConstraint:
-    """Combinations of the MTF that one target measures.
+    """Combinations of the MTF that one target measures, with standard uncertainties.
 
-    Parameters
-    ----------
-    target
-        Label of the stack.
-    kind
-        "edge", "bars", "point" or "noise spectrum".
-    frequency, angle_rad
-        Frequencies, cycles per column pitch, and their directions from the rows' direction, shape (f,).
-    weights
-        Combinations of the MTF at these frequencies, shape (combination, f).
-    value, sd
-        Measured combinations and their standard uncertainties, shape (combination,), dimensionless.
-    within
-        Whether it is normalised to a window narrower than the halo.
+    Frequencies (f,) are cycles per column pitch; `weights` has the shape (combination, f); `within`: normalised to a
+    window narrower than the halo.
     """
 
     target: str

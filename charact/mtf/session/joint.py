@@ -31,17 +31,7 @@ NATURAL_BOUNDS = ("blur_px2", "halo_fraction", "halo_elastic_share", "moffat_exp
 
 @dataclass(frozen=True, kw_only=True)
 class JointLikelihood:
-    """Likelihood of one form.
-
-    Parameters
-    ----------
-    form
-        Form of the transfer.
-    constraints
-        Constraints of the targets on the MTF.
-    bounds
-        Lower bounds on the post-gain MTF by the noise of flats.
-    """
+    """Likelihood of one form: constraints of the targets, and the post-gain MTF of flats as an upper bound."""
 
     form: JointBlurModel
     constraints: Sequence[MtfConstraint]
@@ -137,18 +127,9 @@ def _slope(values: Callable[[Array], Array], point: Array, walls: Array) -> Arra
 
 @dataclass(frozen=True, kw_only=True)
 class ConsistencyTest:
-    """Test whether the targets measure one MTF.
+    """Chi-squared of all targets against the joint curve with its p-value, and of each target against the others'.
 
-    Parameters
-    ----------
-    chi2, freedom, probability
-        Chi-squared of all combinations against the joint curve, its degrees of freedom, and its p-value.
-    targets
-        Name of each target.
-    leave_one_out_chi2, leave_one_out_p_value
-        Chi-squared of each target against the curve of all others, and its p-value.
-    residuals
-        Whitened residuals of each target, shape (combination,) each.
+    `residuals`: whitened residuals of each target.
     """
 
     chi2: float
@@ -277,9 +258,7 @@ def fit_joint_mtf(result: Result, kinds: Mapping[str, str], *, context: Context)
         ]
         name = "mtf_joint_vertical" if vertical else "mtf_joint"
         curves[name] = curve_of(REPORTED, found.mtf(np.maximum(REPORTED, 1e-6), vertical))
-    return Result(
-        measurements=tuple(measurements), curves=curves, evidence={"joint MTF": _figure_data(found, sound)}
-    )
+    return Result(measurements=tuple(measurements), curves=curves, evidence={"joint MTF": _figure_data(found, sound)})
 
 
 def _directions(sound: Sequence[MtfConstraint]) -> list[bool]:
