@@ -21,7 +21,32 @@ test-all: test
 	$(BIN)/pytest -m wires
 	$(BIN)/pytest -m "slow and not wires" -n $(WORKERS) --dist loadfile
 	for i in 1 2 3; do \
-	  seed=$$(date +%N | sed 's/^0*//'); echo "seed from the clock:
+	  seed=$$(date +%N | sed 's/^0*//'); echo "seed from the clock: $$seed"; \
+	  CHARACT_TEST_SEED=$$seed $(BIN)/pytest -q -m "not wires" -n $(WORKERS) --dist loadfile || exit 1; \
+	done
+	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=$(CURDIR)/build/bounds $(BIN)/pytest -q -m "not wires" -n $(WORKERS) \
+	  --dist loadfile tests/simulate tests/charact tests/physics
+	$(BIN)/python tests/vivid/guest.py
+
+check: $(READY)
+	$(BIN)/ruff check --no-cache .
+	$(BIN)/ruff format --check .
+	$(BIN)/basedpyright
+	$(BIN)/lint-imports
+
+# Time ratios against other programs and against limits.
+bench: $(READY)
+	$(BIN)/python -m benchmarks
+
+# `make study` lists the studies, `make study NAME=edge-map` runs one.
+study: $(READY)
+	$(QUIET) $(BIN)/python -m benchmarks.studies $(if $(NAME),run $(NAME),list)
+
+# The documentation as a site, docs/_build/index.html; warnings are errors.
+docs: $(READY)
+	$(QUIET) $(BIN)/sphinx-build -q -W --keep-going -b html docs docs/_build
+
+lock:
 	uv pip compile --universal --python-version 3.11 --generate-hashes --no-header \
 	  --all-extras --group dev pyproject.toml -o requirements.lock
 
