@@ -27,7 +27,7 @@ FIELD_HZ = 60.0 / 1.001
 SELF_TEST_S = 2.0
 QUEUE_LENGTH = 20
 OUTPUTS, EDGES = 5, 10  # T0 AB CD EF GH; T0 T1 A B C D E F G H
-_REFERENCES = dict(enumerate((0, 0, 0, 2, 0, 4, 0, 6, 0, 8)))
+_REFERENCES: dict[int, int] = dict(enumerate((0, 0, 0, 2, 0, 4, 0, 6, 0, 8)))
 _TRIGGERS: dict[int, Trigger] = {1: "camera", 2: "camera", 6: "mains"}
 
 

@@ -2,6 +2,7 @@
 
 import re
 from enum import IntEnum, IntFlag
+from typing import Any
 
 from simulate.virtual_bench.faults import Faults
 from simulate.virtual_bench.instrument import (
@@ -192,7 +193,7 @@ class Dg535(BusInstrument, GateGenerator):
         return "mains" if self._values["TM", 0] == TriggerMode.LINE else "clock"
 
     def _trigger_hz(self) -> float:
-        rates_hz = {TriggerMode.INTERNAL: self._values["TR", 0], TriggerMode.LINE: LINE_HZ}
+        rates_hz: dict[int, float] = {TriggerMode.INTERNAL: self._values["TR", 0], TriggerMode.LINE: LINE_HZ}
         return rates_hz.get(int(self._values["TM", 0]), 0.0)
 
     def _busy_s(self) -> float:
@@ -205,5 +206,5 @@ class Dg535(BusInstrument, GateGenerator):
             self._status |= InstrumentStatus.TRIGGERED | lost
 
 
-def _number(text: str, kind: type = int):
+def _number(text: str, kind: type = int) -> Any:
     return parse_number(text, kind, ErrorStatus.VALUE)

@@ -149,7 +149,7 @@ class RefusedCommand(Exception):
         self.code = code
 
 
-def parse_number(text: str, kind: type, wrong: int) -> float:
+def parse_number(text: str, kind: type, wrong: int) -> Any:
     """Return the finite number of a command; any other text is refused with a code."""
     try:
         value = kind(text)

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 from labdata.errors import BadInput
 from labdata.event_log import EventLog, read_events
@@ -81,7 +81,7 @@ class ScriptedFault:
     def faults(self) -> Faults:
         """The fault as `Faults`; the caller counts power cycles."""
         others = {"power cycle": 1, "front panel": self.panel, "port renamed": f"{self.instrument}.renamed"}
-        value = self.value if self.kind in _COUNTED else others.get(self.kind, True)
+        value: Any = self.value if self.kind in _COUNTED else others.get(self.kind, True)
         return Faults(**{_FIELDS[self.kind]: value})
 
 

@@ -11,7 +11,7 @@ import tifffile
 
 from labdata import BadInput
 from labdata.importers import read_frames
-from labdata.importers.frame_files import import_frames
+from labdata.importers.sessions import import_frames
 
 TYPES = ["u1", "u2", "u4", "i2", "i4", "f4", "f8"]
 
@@ -298,7 +298,7 @@ def test_an_array_that_is_no_stack_of_pictures_is_refused(tmp_path, data):
 
 def test_pickled_objects_are_never_loaded(tmp_path):
     np.save(tmp_path / "a.npy", np.array([[{}]], dtype=object), allow_pickle=True)
-    with pytest.raises(BadInput, match="one whole array of numbers"):
+    with pytest.raises(BadInput, match="must be whole and readable"):
         read_frames(tmp_path / "a.npy")
 
 
