@@ -130,7 +130,8 @@ def _with_tuples(document: dict[str, Any]) -> dict[str, Any]:
 
 def _read_curve(document: dict[str, Any]) -> Curve:
     lists = {name: np.array(value, float) for name, value in document.items() if isinstance(value, list)}
-    return Curve(**(document | lists))
+    keys: dict[str, Any] = {**document, **lists}
+    return Curve(**keys)
 
 
 def _value(value: Any) -> Any:
