@@ -42,13 +42,6 @@ def test_tiff_pages_are_frames_in_either_byte_order(tmp_path, kind, order):
     assert not read.flags.writeable
 
 
-@pytest.mark.parametrize("compression", [None, "deflate"])
-def test_one_page_is_a_stack_of_one_frame(tmp_path, compression):
-    data = pixels("u2", (5, 7))
-    tifffile.imwrite(tmp_path / "a.tiff", data, compression=compression)
-    assert np.array_equal(read_frames(tmp_path / "a.tiff").data, data[None])
-
-
 @pytest.mark.parametrize("kind", ["u1", "u2", "f4"])
 def test_what_opencv_writes_by_default_is_read(tmp_path, kind):
     """It packs by LZW: one page, several, and colours, blue first in its hands."""
@@ -140,13 +133,6 @@ def test_npy_and_fits_and_png_come_in_unchanged(tmp_path):
     assert np.array_equal(read_frames(tmp_path / "a.png").data, data[:1])
     assert read_frames(tmp_path / "a.png").data.dtype == np.uint16
     assert read_frames(tmp_path / "a.fits", axis="0").data.dtype.isnative
-
-
-def test_a_fits_image_behind_an_empty_header_is_found(tmp_path):
-    fits = pytest.importorskip("astropy.io.fits")
-    data = pixels("i2")
-    fits.HDUList([fits.PrimaryHDU(), fits.ImageHDU(data)]).writeto(tmp_path / "a.fits")
-    assert np.array_equal(read_frames(tmp_path / "a.fits", axis="frame").data, data)
 
 
 def test_the_colours_of_a_png_are_in_their_places(tmp_path):
@@ -352,11 +338,6 @@ def test_a_full_scale_that_does_not_show_is_unknown(tmp_path, top):
     np.save(tmp_path / "c.npy", pixels("f4"))
     for name in ("a.npy", "b.npy", "c.npy"):
         assert read_frames(tmp_path / name).full_scale_dn is None
-
-
-def test_whole_numbers_of_8_bits_end_at_255(tmp_path):
-    np.save(tmp_path / "a.npy", pixels("u1"))
-    assert read_frames(tmp_path / "a.npy").full_scale_dn == 255
 
 
 def test_a_session_of_raw_files_keeps_their_plane(tmp_path):
