@@ -6,7 +6,7 @@ from typing import Literal
 
 from numpy.typing import NDArray
 
-from labdata.errors import BadInput
+from labdata.errors import BadInput, check
 from labdata.frames import read_only
 
 # Bits of a pixel by format name: GenICam names for grey, V4L2 FourCC for the luma of colour video
@@ -44,14 +44,8 @@ class CameraSettings:
     notes: tuple[str, ...] = ()  # Remarks of the camera on its frames; read back, never set
 
     def __post_init__(self) -> None:
-        for name in ("rows", "columns", "exposure_s", "frame_rate_hz"):
-            value = getattr(self, name)
-            if value is not None and not value > 0:
-                raise BadInput(f"{name} of a camera must be positive, got {value:g}")
-        for name in ("first_row", "first_column"):
-            value = getattr(self, name)
-            if value is not None and value < 0:
-                raise BadInput(f"{name} of a camera must not be negative, got {value}")
+        positive, not_negative = "rows columns exposure_s frame_rate_hz", "first_row first_column"
+        check(self, of=" of a camera", positive=positive, not_negative=not_negative)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,18 +1,11 @@
 """Conditions of a stack: gain, gate, exposure, light and temperature."""
 
-import math
 from dataclasses import dataclass, fields
 
-from labdata.errors import BadInput
+from labdata.errors import check, check_range
 
 # Booleans; every other condition is a number.
 SWITCHES = ("automatic_gain", "brightness_control")
-
-
-# Plausible temperatures of a camera, degrees Celsius.
-CAMERAS_LIVE_C = (-200.0, 150.0)
-# Largest plausible gain of a camera, up or down, dB.
-MOST_GAIN_DB = 200.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,19 +40,8 @@ class Conditions:
     filter_density: float | None = None
 
     def __post_init__(self) -> None:
-        for item in fields(Conditions):
-            value = getattr(self, item.name)
-            if value is not None and not math.isfinite(value):
-                raise BadInput(f"{item.name} must be a finite number, got {value:g}")
-        free = {"camera_gain_db", "temperature_c", "metered_w", "metered_lux", *SWITCHES}
-        for item in fields(Conditions):
-            value = getattr(self, item.name)
-            if value is not None and item.name not in free and not value >= 0:
-                raise BadInput(f"{item.name} must not be negative, got {value:g}")
-        if self.em_gain is not None and not self.em_gain >= 1:
-            raise BadInput(f"em_gain must be at least 1, got {self.em_gain:g}")
-        if self.camera_gain_db is not None and not abs(self.camera_gain_db) <= MOST_GAIN_DB:
-            raise BadInput(f"camera_gain_db must lie within {MOST_GAIN_DB:g} dB of none, got {self.camera_gain_db:g}")
-        coldest, warmest = CAMERAS_LIVE_C
-        if self.temperature_c is not None and not coldest <= self.temperature_c <= warmest:
-            raise BadInput(f"temperature_c must lie between {coldest:g} and {warmest:g}, got {self.temperature_c:g}")
+        names = [item.name for item in fields(Conditions)]
+        free = {"camera_gain_db", "temperature_c", "metered_w", "metered_lux"}
+        check(self, finite=names, not_negative=[name for name in names if name not in free], one_or_more="em_gain")
+        check_range(self, -200.0, 200.0, "camera_gain_db")
+        check_range(self, -200.0, 150.0, "temperature_c")  # plausible for a camera

@@ -75,3 +75,21 @@ def require_regular_parts(folder: Path, what: str) -> None:
     for part in folder.rglob("*"):
         if not part.is_dir():
             require_regular(part, f"a part of {what}")
+
+
+def shipped_names(kind: str) -> tuple[str, ...]:
+    """Names of the TOML files of a kind, "sensors" or "phosphors", that come with the package."""
+    return tuple(sorted(file.stem for file in (Path(__file__).parent / kind).glob("*.toml")))
+
+
+def shipped_file(kind: str, name_or_path: str | Path, relative_to: str | Path | None = None) -> Path:
+    """Return a shipped TOML file by its name, or any other by its path; one that is not there is BadInput."""
+    if str(name_or_path) in shipped_names(kind):
+        return Path(__file__).parent / kind / f"{name_or_path}.toml"
+    path = Path(relative_to or ".") / Path(name_or_path).expanduser()
+    if not os.path.isfile(path):  # Path.is_file raises on invalid names
+        raise BadInput(
+            f"a {kind[:-1]} must be one of {', '.join(shipped_names(kind))} or the path of a TOML file, "
+            f"got {str(name_or_path)!r}"
+        )
+    return path

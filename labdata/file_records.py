@@ -20,20 +20,6 @@ from labdata.target import Target
 Order = Literal["as-written", "boustrophedon", "randomised"]
 Numbers = float | tuple[float, ...]
 
-# Settings that can be swept; the outermost is the slowest and stresses the tube most
-AXES = (
-    "target",
-    "mcp_v",
-    "luminous_gain",
-    "gate_ns",
-    "exposure_s",
-    "camera_gain_db",
-    "filter_density",
-    "illuminance_lux",
-)
-
-MOST_STEPS = 20_000  # Largest number of steps of a plan; more are an error of input
-
 _SHORT = {
     "mcp_v": "{:g}V",
     "luminous_gain": "gain{:g}",
@@ -43,6 +29,8 @@ _SHORT = {
     "filter_density": "nd{:g}",
     "illuminance_lux": "{:g}lux",
 }
+AXES = ("target", *_SHORT)  # Settings that can be swept; the outermost is the slowest and stresses the tube most
+MOST_STEPS = 20_000  # Largest number of steps of a plan; more are an error of input
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -233,16 +221,7 @@ class StepRecord(Conditions):
 
     def step(self) -> Step:
         """Return the step that this table describes."""
-        return Step(
-            label=self.label,
-            kind=self.kind,
-            frames=self.frames,
-            conditions=conditions_of(self),
-            target=self.target,
-            until=self.until,
-            search=self.search,
-            saturated_fraction=self.saturated_fraction,
-        )
+        return Step(conditions=conditions_of(self), **own_keys(self, StepRecord))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -277,7 +256,7 @@ class PlanFile(PlanHead):
             override=plan.overrides,
             gain_table=plan.gain_table,
             lamp=plan.lamp,
-            step=tuple(_step_form(step) for step in plan.steps),
+            step=tuple(StepRecord(**_flat(step.conditions), **own_keys(step, StepRecord)) for step in plan.steps),
         )
 
 
@@ -286,17 +265,9 @@ def _read(given: T | str | None, type_: type[T]) -> T | None:
     return from_toml(given, type_) if isinstance(given, str) else given
 
 
-def _step_form(step: Step) -> StepRecord:
-    return StepRecord(
-        label=step.label,
-        kind=step.kind,
-        frames=step.frames,
-        target=step.target,
-        until=step.until,
-        search=step.search,
-        saturated_fraction=step.saturated_fraction,
-        **_flat(step.conditions),
-    )
+def own_keys(of: Any, record: type) -> dict[str, Any]:
+    """Return the values of a record's keys other than its conditions."""
+    return {name: getattr(of, name) for name in record.__annotations__}
 
 
 def stack_record(conditions: Conditions, **keys: Any) -> StackRecord:

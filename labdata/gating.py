@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from labdata.errors import BadInput
+from labdata.errors import BadInput, check_range
 
 Sync = Literal["free-running", "line-locked", "triggered"]
 MAINS_HZ = (50.0, 60.0)
@@ -29,8 +29,7 @@ class Gating:
     def __post_init__(self) -> None:
         if self.line_hz not in MAINS_HZ:
             raise BadInput(f"line_hz must be one of {', '.join(f'{one:g}' for one in MAINS_HZ)}, got {self.line_hz:g}")
-        if not 0.0 <= self.delay_ns <= 1e9:
-            raise BadInput(f"delay_ns must lie between 0 and 1e9, got {self.delay_ns:g}")
+        check_range(self, 0.0, 1e9, "delay_ns")
 
     def rate_hz(self, field_hz: float) -> float:
         """Return the gate rate for a camera of a field rate, Hz."""

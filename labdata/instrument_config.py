@@ -1,10 +1,11 @@
 """Instruments of a bench: models, ports and addresses, and the use of the auxiliary meters."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from importlib.metadata import entry_points
+from typing import Any, Literal, TypeVar
 
-from labdata.errors import BadInput
+from labdata.errors import BadInput, check
 
 Role = Literal["gate", "supply", "light-source", "filter-wheel", "light-meter", "thermometer"]  # Role of an instrument
 
@@ -101,7 +102,30 @@ class Meters:
     temperature_needed: bool = False
 
     def __post_init__(self) -> None:
-        if self.lux_per_w is not None and not self.lux_per_w > 0:
-            raise BadInput(f"lux_per_w must be positive, got {self.lux_per_w:g}")
-        if not self.wavelength_nm > 0:
-            raise BadInput(f"wavelength_nm must be positive, got {self.wavelength_nm:g}")
+        check(self, positive="lux_per_w wavelength_nm")
+
+
+T = TypeVar("T")
+
+
+def models_by_name(shipped: Sequence[T], kind: type[T], group: str) -> dict[str, T]:
+    """Return the models of a kind by name: the shipped ones, and those that entry points of a group bring.
+
+    An entry point that does not load, is of another kind or name, or has a name in use is BadInput.
+    """
+    known: dict[str, T] = {_name_of(model): model for model in shipped}
+    for point in entry_points(group=group):
+        try:
+            model: Any = point.load()
+        except Exception as error:
+            raise BadInput(f"the instrument {point.name!r} of {point.value} must load, got: {error}") from error
+        if not isinstance(model, kind) or _name_of(model) != point.name:
+            raise BadInput(f"the entry point {point.name!r} must be a {kind.__name__} of that name, got {model!r}")
+        if point.name in known:
+            raise BadInput(f"the instrument {point.name!r} of {point.value} must have a new name, got a taken one")
+        known[point.name] = model
+    return known
+
+
+def _name_of(model: Any) -> str:
+    return model.name

@@ -4,8 +4,8 @@ import math
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING
 
-from labdata.camera_description import Parameter, must_be_a_share, must_be_positive
-from labdata.errors import BadInput
+from labdata.camera_description import Parameter
+from labdata.errors import BadInput, check
 
 if TYPE_CHECKING:
     from labdata.sensor import Sensor
@@ -139,8 +139,7 @@ class TubeLimits:
     )
 
     def __post_init__(self) -> None:
-        must_be_positive(self, *(item.name for item in fields(self)))
-        must_be_a_share(self, "gate_duty")
+        check(self, positive=(item.name for item in fields(self)), share="gate_duty")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,10 +156,7 @@ class Limits:
     point_anode_na_per_cm2: float | None = None
 
     def __post_init__(self) -> None:
-        for name in LIMITS:
-            value = getattr(self, name)
-            if value is not None and not value > 0:
-                raise BadInput(f"the limit {name} must be positive, got {value:g}")
+        check(self, of=" of the limits", positive=LIMITS)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from labdata.calibration import GainTable, LampCalibration
 from labdata.capture import PIXEL_BITS
 from labdata.conditions import Conditions
-from labdata.errors import BadInput
+from labdata.errors import BadInput, check, check_range
 from labdata.gating import Gating
 from labdata.instrument_config import InstrumentConfig, Meters
 from labdata.limits import Limits, LimitsInForce, Override, limits_in_force
@@ -31,10 +31,7 @@ class FrameFormat:
     trigger: str | None = None  # "off": free-running; else the camera's name of the trigger source, such as "Line1"
 
     def __post_init__(self) -> None:
-        for name, least in (("rows", 1), ("columns", 1), ("first_row", 0), ("first_column", 0)):
-            value = getattr(self, name)
-            if value is not None and value < least:
-                raise BadInput(f"{name} of a picture must be at least {least}, got {value}")
+        check(self, of=" of a picture", one_or_more="rows columns", not_negative="first_row first_column")
         if self.pixel_format is not None and self.pixel_format not in PIXEL_BITS:
             raise BadInput(f"pixel_format must be one of {', '.join(PIXEL_BITS)}, got {self.pixel_format!r}")
 
@@ -47,8 +44,7 @@ class StopCriterion:
     least_frames: int = 8  # Smallest number of frames
 
     def __post_init__(self) -> None:
-        if not self.mean_within_dn > 0:
-            raise BadInput(f"mean_within_dn must be positive, got {self.mean_within_dn:g}")
+        check(self, positive="mean_within_dn")
         if self.least_frames < 4:
             raise BadInput(f"least_frames must be at least 4, got {self.least_frames}")
 
@@ -62,10 +58,7 @@ class SaturationSearch:
     within_percent: float = 10.0
 
     def __post_init__(self) -> None:
-        if not self.most_illuminance_lux > 0:
-            raise BadInput(f"most_illuminance_lux must be positive, got {self.most_illuminance_lux:g}")
-        if not self.within_percent > 0:
-            raise BadInput(f"within_percent must be positive, got {self.within_percent:g}")
+        check(self, positive="most_illuminance_lux within_percent")
 
     def next_lux(self, begin_lux: float, seen: Sequence[tuple[float, bool]]) -> float | None:
         """Return the light to try next, lux, after levels and whether each saturated; None when the search is over."""
@@ -97,8 +90,6 @@ class SaturationSearch:
         return 1 + doublings + max(0, math.ceil(math.log2(math.log(2.0) / math.log1p(self.within_percent / 100.0))))
 
 
-LONGEST_SETTLE_S = 86400.0  # Longest settle time, one day, s; longer ones are an error of input
-
 # Fraction of pixels that a bright point, its halo and streaks may saturate; room light saturates all pixels
 POINT_SATURATION = 0.3
 
@@ -127,10 +118,7 @@ class Step:
                 f"least_frames must not exceed the frames of its step, got {self.until.least_frames} of {self.frames} "
                 f"in {self.label!r}"
             )
-        if self.saturated_fraction is not None and not 0.0 <= self.saturated_fraction <= 1.0:
-            raise BadInput(
-                f"saturated_fraction must lie between 0 and 1, got {self.saturated_fraction:g} in {self.label!r}"
-            )
+        check_range(self, 0.0, 1.0, "saturated_fraction", of=f" in {self.label!r}")
         if self.search is not None:
             self._check_search(self.search)
 
@@ -181,9 +169,7 @@ class SettleTimes:
     after_light_s: float = 0.0  # Time after a change of light, filter, gate or target, s
 
     def __post_init__(self) -> None:
-        for name in ("after_gain_s", "after_light_s"):
-            if not 0.0 <= getattr(self, name) <= LONGEST_SETTLE_S:
-                raise BadInput(f"{name} must lie between 0 and {LONGEST_SETTLE_S:g}, got {getattr(self, name):g}")
+        check_range(self, 0.0, 86400.0, "after_gain_s", "after_light_s")  # one day
 
     def wait_s(self, before: Conditions | None, now: Conditions) -> float:
         """Return the settle time between two settings, s; `before` None: nothing was set yet."""

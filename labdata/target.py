@@ -1,9 +1,8 @@
 """Target in front of the camera."""
 
-import math
 from dataclasses import dataclass
 
-from labdata.errors import BadInput
+from labdata.errors import BadInput, check
 
 # Fields of a single kind of target.
 BELONGS_TO = {"bars": "bars", "frequency_cy_per_px": "bars", "pinhole_px": "point"}
@@ -25,10 +24,7 @@ class Target:
     def __post_init__(self) -> None:
         if self.bars is not None and self.bars < 2:
             raise BadInput(f"a bar target must have at least 2 bars, got {self.bars}")
-        if self.frequency_cy_per_px is not None and not 0 < self.frequency_cy_per_px < math.inf:
-            raise BadInput(f"frequency_cy_per_px must be positive, got {self.frequency_cy_per_px:g}")
-        if self.pinhole_px is not None and not 0 <= self.pinhole_px < math.inf:
-            raise BadInput(f"pinhole_px must not be negative, or infinite, got {self.pinhole_px:g}")
+        check(self, positive="frequency_cy_per_px", not_negative="pinhole_px")
         if self.contrast is not None and not 0 < self.contrast <= 1:
             raise BadInput(f"contrast must lie in (0, 1], got {self.contrast:g}")
 

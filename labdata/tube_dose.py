@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from labdata.errors import BadInput
+from labdata.errors import BadInput, check
 from labdata.file_io import ends_mid_line, sync_folder, write_whole
 
 if TYPE_CHECKING:
@@ -35,9 +35,7 @@ class Dose:
     log_sd: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("screen_c_per_cm2", "point_c_per_cm2", "hours_at_gain", "log_sd"):
-            if not 0.0 <= getattr(self, name) < math.inf:
-                raise BadInput(f"{name} must be finite and not negative, got {getattr(self, name)}")
+        check(self, not_negative=(item.name for item in fields(self)))
 
     @property
     def charge_c_per_cm2(self) -> float:

@@ -108,7 +108,7 @@ def _on_virtual_bench(
 def _virtual_sensor(plan: Plan) -> Sensor:
     """Return the sensor of a plan for the virtual bench; the plan must name one and use the virtual mains frequency."""
     from labdata.sensors import load_sensor
-    from simulate.virtual_bench.delay_generator import LINE_HZ
+    from simulate.virtual_bench.instrument import LINE_HZ
 
     if plan.sensor is None:
         raise BadInput("a plan for the virtual bench must name its sensor, got none")

@@ -51,6 +51,7 @@ class TubeState:
         return limits.load.anode_na_per_cm2(self.light_lux, self.mcp_v, self.duty)
 
 
+# `state_when_sent` returns the state after a command was sent, `state_after` that after an event.
 # Commands that may increase the load of the tube; shutting, switching off and darkening need no permission.
 
 
@@ -62,7 +63,6 @@ class OpenGate:
     rate_hz: float
 
     def state_when_sent(self, state: TubeState) -> TubeState:
-        """Return the state after the command was sent."""
         return replace(state, duty=max(state.duty, min(1.0, self.width_ns * 1e-9 * self.rate_hz)))
 
 
@@ -74,7 +74,6 @@ class RaiseGain:
     rate_v_per_s: float
 
     def state_when_sent(self, state: TubeState) -> TubeState:
-        """Return the state after the command was sent."""
         return replace(state, mcp_v=max(state.mcp_v, self.goal_v))
 
 
@@ -85,7 +84,7 @@ class LowerGain:
     goal_v: float
 
     def state_when_sent(self, state: TubeState) -> TubeState:
-        """Return the state after the command was sent; the voltage is lower only once read back."""
+        # The voltage is lower only once read back.
         return replace(state, mcp_v=max(state.mcp_v, self.goal_v), surely_v=0.0)
 
 
@@ -98,7 +97,7 @@ class SetLight:
     target: Target
 
     def state_when_sent(self, state: TubeState) -> TubeState:
-        """Return the state after the command was sent; the target counts as moved."""
+        # The target counts as moved.
         lux = max(state.light_lux, self.illuminance_lux)
         return replace(state, light_lux=lux, point=self.point, target=self.target, probed=False)
 
@@ -110,7 +109,7 @@ class TurnFilter:
     position: int
 
     def state_when_sent(self, state: TubeState) -> TubeState:
-        """Return the state after the command was sent; the filter is unknown until read."""
+        # The filter is unknown until read.
         return replace(state, filter_known=False)
 
 
@@ -125,7 +124,6 @@ class SafeOrdered:
     """Gate or gain was ordered shut, down or off; both are unknown until read back."""
 
     def state_after(self, state: TubeState) -> TubeState:
-        """Return the state after this event."""
         return replace(state, surely_open=False, surely_v=0.0)
 
 
@@ -137,7 +135,6 @@ class GateRead:
     rate_hz: float
 
     def state_after(self, state: TubeState) -> TubeState:
-        """Return the state after this event."""
         duty = min(1.0, self.width_ns * 1e-9 * self.rate_hz)
         return replace(state, duty=duty, surely_open=duty > 0.0)
 
@@ -149,7 +146,6 @@ class GainRead:
     mcp_v: float
 
     def state_after(self, state: TubeState) -> TubeState:
-        """Return the state after this event."""
         return replace(state, mcp_v=self.mcp_v, surely_v=self.mcp_v)
 
 
@@ -160,7 +156,6 @@ class LightRead:
     illuminance_lux: float
 
     def state_after(self, state: TubeState) -> TubeState:
-        """Return the state after this event."""
         probed = state.probed and self.illuminance_lux <= state.light_lux
         return replace(state, light_lux=self.illuminance_lux, probed=probed)
 
@@ -170,7 +165,6 @@ class FilterMoved:
     """There is a filter wheel at an unknown position."""
 
     def state_after(self, state: TubeState) -> TubeState:
-        """Return the state after this event."""
         return replace(state, filter_known=False)
 
 
@@ -181,7 +175,6 @@ class FilterRead:
     position: int
 
     def state_after(self, state: TubeState) -> TubeState:
-        """Return the state after this event."""
         return replace(state, filter_known=True)
 
 
@@ -190,7 +183,6 @@ class DarkSeen:
     """A frame was dark; it counts only through an open gate, at gain and without light."""
 
     def state_after(self, state: TubeState) -> TubeState:
-        """Return the state after this event."""
         looking = state.surely_open and state.surely_v > 0.0 and state.dark
         return replace(state, dark_seen=state.dark_seen or looking)
 
@@ -202,7 +194,6 @@ class FrameSeen:
     excess_saturation: float
 
     def state_after(self, state: TubeState) -> TubeState:
-        """Return the state after this event."""
         looking = state.surely_open and state.surely_v > 0.0 and self.excess_saturation <= 0.0
         return replace(state, excess_saturation=self.excess_saturation, probed=state.probed or looking)
 
@@ -214,7 +205,6 @@ class Heard:
     now_s: float
 
     def state_after(self, state: TubeState) -> TubeState:
-        """Return the state after this event."""
         return replace(state, heard_s=self.now_s)
 
 
@@ -225,7 +215,7 @@ class Failed:
     sentence: str
 
     def state_after(self, state: TubeState) -> TubeState:
-        """Return the state after this event; the first failure is kept."""
+        # The first failure is kept.
         return replace(state, fault=state.fault or self.sentence)
 
 

@@ -1,6 +1,7 @@
 """Importers of frames: one reader per format, selected by the file name and checked by the content."""
 
 import os
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from importlib import import_module
@@ -28,6 +29,9 @@ KINDS: dict[str, tuple[str, ...]] = {
     "image_files.read_video": (".avi",),
     "array_files.read_zarr": (".zarr",),
 }
+
+
+_LONG_NAMES = {"tif": "TIFF", "fit": "FITS", "fts": "FITS", "gz": "FITS", "fz": "FITS", "h5": "HDF5", "": "Zarr"}
 
 
 def list_kinds() -> str:
@@ -60,12 +64,26 @@ def read_frames(
     """
     path = Path(path)
     try:
-        stack = _stack(reader_of(path)(path), plane, axis, path.name)
+        stack = _stack(_recorded(path), plane, axis, path.name)
         return with_full_scale(stack) if find_full_scale else stack
     except BadInput as error:
         if path.name in str(error):
             raise
         raise BadInput(f"{error}, in {path}") from None
+
+
+def _recorded(path: Path) -> Recorded | FrameStack:
+    """Read a file; whatever the library of its kind raises on a damaged one is BadInput."""
+    reader = reader_of(path)
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            return reader(path)
+    except (BadInput, MemoryError):
+        raise
+    except Exception as error:
+        why = (str(error).strip().splitlines() or [type(error).__name__])[0]
+        kind = _LONG_NAMES.get(path.suffix.lower()[1:], path.suffix[1:].upper())
+        raise BadInput(f"a {kind} file must be whole and readable, got {path}: {why}") from None
 
 
 def _stack(found: Recorded | FrameStack, plane: str | None, axis: str | None, name: str) -> FrameStack:

@@ -6,6 +6,9 @@ An axis counts frames if the file or the documented layout of its kind states it
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from importlib import import_module
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -259,3 +262,14 @@ class Recorded:
 def lossy_note(how: str) -> str:
     """Return the note of a lossy compression."""
     return f"{how} compression is lossy: it alters fine detail and noise, so MTF, noise and their intervals may be off"
+
+
+def optional_module(name: str, extra: str, path: Path) -> Any:
+    """Import the library of an extra; where it is missing, a file that needs it is BadInput."""
+    try:
+        return import_module(name)
+    except ImportError:
+        library = name.split(".")[0]
+        raise BadInput(
+            f"{extra.upper()} files need {library}, got {path.name}: pip install 'charact[{extra}]'"
+        ) from None

@@ -26,17 +26,12 @@ def read(path: Path) -> Recorded:
         from astropy.io import fits
     except ImportError:
         raise BadInput(f"FITS files need astropy, got {path.name}: pip install 'charact[fits]'") from None
-    try:
-        # Headers out of order are common and harmless; a truncated file is not.
-        with warnings.catch_warnings(record=True) as warned, open(path, "rb") as content:
-            warnings.simplefilter("always")
-            _check_headers(path)
-            with fits.open(content, memmap=False) as file:
-                found = _image_of(file, path)
-    except (BadInput, MemoryError):
-        raise
-    except Exception:
-        raise BadInput(f"a FITS file must be whole and readable, got {path}") from None
+    # Headers out of order are common and harmless; a truncated file is not.
+    with warnings.catch_warnings(record=True) as warned, open(path, "rb") as content:
+        warnings.simplefilter("always")
+        _check_headers(path)
+        with fits.open(content, memmap=False) as file:
+            found = _image_of(file, path)
     if any("truncated" in str(warning.message) for warning in warned):
         raise BadInput(f"a FITS file must be whole, got {path} without its end")
     return found

@@ -15,7 +15,7 @@ from labdata.capture import Frame, LostFrames
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
 from labdata.file_io import write_atomically
-from labdata.file_records import SessionFile, StackRecord, stack_record
+from labdata.file_records import SessionFile, StackRecord, own_keys, stack_record
 from labdata.serialiser import from_toml, to_toml
 from labdata.session import MANIFEST, Kind, Session, open_session
 from labdata.store.array_writer import ArrayWriter
@@ -72,7 +72,7 @@ class StackWriter:
         """Mark the stack as complete, with further losses and notes, and conditions read back at the end, if any."""
         if not len(self._array):
             raise BadInput(f"a finished stack must hold at least one frame, got none in {self.label!r}")
-        entry = self._entry if conditions is None else stack_record(conditions, **_other_keys(self._entry))
+        entry = self._entry if conditions is None else stack_record(conditions, **own_keys(self._entry, StackRecord))
         self._entry = _with_losses(replace(entry, finished=None, notes=(*entry.notes, *notes)), losses)
         self._enter(self._entry)
         self.close()
@@ -100,10 +100,6 @@ def _with_losses(entry: StackRecord, losses: tuple[LostFrames, ...]) -> StackRec
     return replace(entry, lost=(*entry.lost, *losses), lost_frames=count or None)
 
 
-def _other_keys(entry: StackRecord) -> dict[str, Any]:
-    return {name: getattr(entry, name) for name in StackRecord.__annotations__}
-
-
 FRAMES = "frames"
 LOCK = ".lock"
 
@@ -118,16 +114,7 @@ class SessionWriter:
         self._manifest = ManifestWriter(folder)
 
     @classmethod
-    def create(
-        cls,
-        folder: str | Path,
-        *,
-        name: str,
-        sensor: str | None = None,
-        bit_depth: int | None = None,
-        interlaced: bool | None = None,
-        notes: tuple[str, ...] = (),
-    ) -> "SessionWriter":
+    def create(cls, folder: str | Path, **keys: Any) -> "SessionWriter":
         """Begin a session in a folder without one; the keys are those of `SessionFile`."""
         folder = Path(folder)
         if (folder / MANIFEST).exists():
@@ -135,7 +122,7 @@ class SessionWriter:
         if folder.exists() and not folder.is_dir():
             raise BadInput(f"a session must be a folder, got the file {folder}")
         (folder / FRAMES).mkdir(parents=True, exist_ok=True)
-        form = SessionFile(name=name, sensor=sensor, bit_depth=bit_depth, interlaced=interlaced, notes=notes)
+        form = SessionFile(**keys)
         writer = cls(folder, form)
         writer._save(form)
         return writer

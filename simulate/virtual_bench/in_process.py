@@ -15,11 +15,12 @@ from labdata.capture import CameraSettings, Frame
 from labdata.errors import BadInput
 from labdata.instrument_config import InstrumentConfig, Role
 from simulate.virtual_bench.faults import Faults
+from simulate.virtual_bench.instrument import SerialInstrument
+from simulate.virtual_bench.meters import TEMPERATURE_C
 from simulate.virtual_bench.models import virtual_model
 from simulate.virtual_bench.outputs import GateOutput, Outputs
 from simulate.virtual_bench.prologix import PrologixAdapter
-from simulate.virtual_bench.pseudo_terminal import SerialInstrument, enter_at_panel
-from simulate.virtual_bench.thermometer import TEMPERATURE_C
+from simulate.virtual_bench.pseudo_terminal import enter_at_panel
 from simulate.virtual_bench.tube import VirtualTube
 
 AT_ONCE_S = 2.5e-3  # Commands that take less time are answered at once, s

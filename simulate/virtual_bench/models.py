@@ -6,19 +6,18 @@ A package brings one with a Python entry point of the group `charact.virtual_ins
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from importlib.metadata import entry_points
 
 from labdata.errors import BadInput
+from labdata.instrument_config import models_by_name
 from simulate.virtual_bench.delay_generator import DelayGenerator
 from simulate.virtual_bench.dg535 import Dg535
 from simulate.virtual_bench.filter_wheel import FilterWheel
 from simulate.virtual_bench.high_voltage import HighVoltageSupply
+from simulate.virtual_bench.instrument import SerialInstrument
 from simulate.virtual_bench.iseg import IsegSupply
 from simulate.virtual_bench.light_source import LightSource
-from simulate.virtual_bench.power_meter import PowerMeter
+from simulate.virtual_bench.meters import PowerMeter, Thermometer
 from simulate.virtual_bench.prologix import PrologixAdapter
-from simulate.virtual_bench.pseudo_terminal import SerialInstrument
-from simulate.virtual_bench.thermometer import Thermometer
 
 GROUP = "charact.virtual_instruments"
 GATE, SUPPLY, WHEEL, LIGHT, METER, THERMOMETER = PLACES = (
@@ -88,13 +87,7 @@ SHIPPED = (
 
 def virtual_models() -> dict[str, VirtualModel]:
     """Return all virtual models by name."""
-    known = {each.name: each for each in SHIPPED}
-    for point in entry_points(group=GROUP):
-        brought = point.load()
-        if not isinstance(brought, VirtualModel) or brought.name != point.name or point.name in known:
-            raise BadInput(f"the entry point {point.name!r} must be a VirtualModel of that new name, got {brought!r}")
-        known[point.name] = brought
-    return known
+    return models_by_name(SHIPPED, VirtualModel, GROUP)
 
 
 def virtual_model(name: str) -> VirtualModel:

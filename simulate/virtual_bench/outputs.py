@@ -6,15 +6,15 @@ import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from labdata.conditions import Conditions
 from labdata.session import Kind
 from labdata.target import Target
 
-_GATE_FILE, _VOLTAGE_FILE = "gate.output.json", "high_voltage.output.json"
-_LAMP_FILE, _WHEEL_FILE = "light_source.output.json", "filter_wheel.output.json"
-_THERMOMETER_FILE = "thermometer.output.json"
+GATE_FILE, VOLTAGE_FILE, LAMP_FILE, WHEEL_FILE, THERMOMETER_FILE = (
+    f"{name}.output.json" for name in ("gate", "high_voltage", "light_source", "filter_wheel", "thermometer")
+)
 
 
 Trigger = Literal["clock", "mains", "camera"]
@@ -58,22 +58,17 @@ class Outputs:
         return min(self.gate_ns * self.gate_hz * exposure_s, exposure_ns)
 
 
-def publish_gate(folder: Path, gate: GateOutput) -> None:
-    """Publish the gate drive."""
-    replace_file(folder / _GATE_FILE, json.dumps(vars(gate)))
-
-
-def publish_voltage(folder: Path, mcp_v: float) -> None:
-    """Publish the voltage, V."""
-    replace_file(folder / _VOLTAGE_FILE, json.dumps({"mcp_v": mcp_v}))
+def publish(folder: Path, file: str, outputs: dict[str, Any]) -> None:
+    """Publish the outputs of an instrument in its file."""
+    replace_file(folder / file, json.dumps(outputs))
 
 
 def read_outputs(folder: Path) -> Outputs:
     """Read the outputs of the instruments of a bench; an instrument without a file has no output."""
-    gate = _read(Path(folder) / _GATE_FILE) or vars(GateOutput())
-    voltage = _read(Path(folder) / _VOLTAGE_FILE) or {"mcp_v": 0.0}
-    warm = _read(Path(folder) / _THERMOMETER_FILE)
-    lamp, wheel = _read(Path(folder) / _LAMP_FILE), _read(Path(folder) / _WHEEL_FILE)
+    gate = _read(Path(folder) / GATE_FILE) or vars(GateOutput())
+    voltage = _read(Path(folder) / VOLTAGE_FILE) or {"mcp_v": 0.0}
+    warm = _read(Path(folder) / THERMOMETER_FILE)
+    lamp, wheel = _read(Path(folder) / LAMP_FILE), _read(Path(folder) / WHEEL_FILE)
     return Outputs(
         **gate,
         **voltage,

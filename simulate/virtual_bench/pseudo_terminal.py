@@ -9,34 +9,14 @@ import tty
 from collections import deque
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Protocol
 
 from simulate.virtual_bench.faults import FaultFile, Faults
+from simulate.virtual_bench.instrument import SerialInstrument
 from simulate.virtual_bench.prologix import PrologixAdapter
 
 TICK_S = 0.02  # Longest time between two updates of an instrument's physics, s
 BITS_PER_CHARACTER = 10  # start, eight data bits, stop
 ORPHAN_S = 5.0  # An instrument whose bench is gone switches itself off after this time without a byte, s
-
-
-class SerialInstrument(Protocol):
-    """Instrument on a serial line."""
-
-    def receive(self, data: bytes) -> list[tuple[float, bytes]]:
-        """Take bytes from the line; return answers, each with the time it takes to make, s."""
-        ...
-
-    def advance(self, now_s: float, faults: Faults) -> None:
-        """Advance the physics to a time, s."""
-        ...
-
-    def publish(self, folder: Path) -> None:
-        """Publish the outputs that changed."""
-        ...
-
-    def power_cycle(self) -> None:
-        """Power cycle."""
-        ...
 
 
 class PseudoTerminal:

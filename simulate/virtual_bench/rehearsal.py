@@ -7,40 +7,26 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 from labdata.errors import BadInput
 from labdata.event_log import EventLog, read_events
 from simulate.virtual_bench.faults import Faults
 
-Place = Literal[
-    "delay_generator",
-    "high_voltage",
-    "filter_wheel",
-    "light_source",
-    "light_meter",
-    "thermometer",
-    "camera",
-    "surroundings",
-]
-Kind = Literal[
-    "garbage",
-    "half lines",
-    "silence",
-    "no answers",
-    "late answers",
-    "unplugged",
-    "power cycle",
-    "trip",
-    "packet loss",
-    "stalled camera",
-    "clock jump",
-    "front panel",
-    "disobedience",
-    "no triggers",
-    "port renamed",
-    "room light",
-]
+Place = Literal["delay_generator", "high_voltage", "filter_wheel", "light_source", "light_meter", "thermometer",
+                "camera", "surroundings"]  # fmt: skip
+Kind = Literal["garbage", "half lines", "silence", "no answers", "late answers", "unplugged", "power cycle", "trip",
+               "packet loss", "stalled camera", "clock jump", "front panel", "disobedience", "no triggers",
+               "port renamed", "room light"]  # fmt: skip
+
+# Field of `Faults` by kind
+_FIELDS: dict[Kind, str] = {
+    "garbage": "garbage", "half lines": "half_lines", "silence": "silent", "no answers": "mute",
+    "late answers": "late_s", "unplugged": "unplugged", "power cycle": "power_cycles", "trip": "tripped",
+    "packet loss": "lost_packet_share", "stalled camera": "stalled", "clock jump": "clock_jump_s",
+    "front panel": "panel", "disobedience": "disobedient", "no triggers": "untriggered",
+    "port renamed": "port_name", "room light": "room_light_lux",
+}  # fmt: skip
 
 # Kinds that need a number, and what it counts; those that only some instruments can suffer.
 _COUNTED = {"late answers": "s late", "packet loss": "share of packets", "clock jump": "s off", "room light": "lux"}
@@ -94,26 +80,9 @@ class ScriptedFault:
     @property
     def faults(self) -> Faults:
         """The fault as `Faults`; the caller counts power cycles."""
-        value = self.value or 0.0
-        known = {
-            "garbage": Faults(garbage=True),
-            "half lines": Faults(half_lines=True),
-            "silence": Faults(silent=True),
-            "no answers": Faults(mute=True),
-            "late answers": Faults(late_s=value),
-            "unplugged": Faults(unplugged=True),
-            "power cycle": Faults(power_cycles=1),
-            "trip": Faults(tripped=True),
-            "packet loss": Faults(lost_packet_share=value),
-            "stalled camera": Faults(stalled=True),
-            "clock jump": Faults(clock_jump_s=value),
-            "front panel": Faults(panel=self.panel),
-            "disobedience": Faults(disobedient=True),
-            "no triggers": Faults(untriggered=True),
-            "port renamed": Faults(port_name=f"{self.instrument}.renamed"),
-            "room light": Faults(room_light_lux=value),
-        }
-        return known[self.kind]
+        others = {"power cycle": 1, "front panel": self.panel, "port renamed": f"{self.instrument}.renamed"}
+        value: Any = self.value if self.kind in _COUNTED else others.get(self.kind, True)
+        return Faults(**{_FIELDS[self.kind]: value})
 
 
 @dataclass(frozen=True, kw_only=True)

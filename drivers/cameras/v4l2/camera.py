@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from fractions import Fraction
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 from drivers.cameras.v4l2 import fields, listing, structures
 from drivers.cameras.v4l2.capture import V4l2Capture
@@ -186,7 +186,7 @@ class V4l2Settings:
             notes=self._notes(form, picture),
         )
 
-    def form(self) -> Format:
+    def form(self) -> Any:
         """Return the format in force."""
         form = Format(type=CAPTURE)
         query_device(
@@ -218,10 +218,10 @@ class V4l2Settings:
             self._ask_format(before)
             raise BadInput(complaint)
 
-    def _ask_format(self, form: Format) -> None:
+    def _ask_format(self, form: Any) -> None:
         query_device(self._device, structures.SET_FORMAT, form, f"camera {self._identifier} must take a picture format")
 
-    def _complaint(self, settings: CameraSettings, given: Format, *, code: int) -> str | None:
+    def _complaint(self, settings: CameraSettings, given: Any, *, code: int) -> str | None:
         """Return the first difference between the format in force and the requested one; None if there is none."""
         pix = given.of.pix
         there = fields.rows_of(pix.height, pix.field)
@@ -277,11 +277,11 @@ class V4l2Settings:
                 f"but reads back {'none' if is_now is None else f'{is_now:g}'}"
             )
 
-    def _ask_parameters(self, parameters: StreamParameters) -> None:
+    def _ask_parameters(self, parameters: Any) -> None:
         rule = f"camera {self._identifier} must take a frame rate"
         query_device(self._device, structures.SET_PARAMETERS, parameters, rule)
 
-    def _parameters(self) -> StreamParameters | None:
+    def _parameters(self) -> Any:
         parameters = StreamParameters(type=CAPTURE)
         return parameters if offers(self._device, structures.GET_PARAMETERS, parameters) else None
 
@@ -326,7 +326,7 @@ class V4l2Settings:
         control = listing.find_control(self._device, identifier)
         return None if control is None else listing.read_control(self._device, control)
 
-    def _notes(self, form: Format, picture: BufferImage) -> tuple[str, ...]:
+    def _notes(self, form: Any, picture: BufferImage) -> tuple[str, ...]:
         notes = []
         if picture.layout.is_video and form.of.pix.quantization != FULL_RANGE:
             notes.append(f"grey is the luma of {picture.layout.name} video: black is 16 and white is 235 DN")

@@ -1,8 +1,8 @@
 """Video devices of the machine, with their inputs, pixel formats, sizes and controls."""
 
 import glob
-from dataclasses import dataclass, field
-from typing import Literal
+from dataclasses import dataclass
+from typing import Any, Literal
 
 from drivers.cameras.v4l2 import structures
 from drivers.cameras.v4l2.device import MOST_LISTED, Device, list_structures, offers, query_device
@@ -18,7 +18,6 @@ MANUAL_EXPOSURE = 1
 
 Kind = Literal["integer", "boolean", "menu", "button", "integer menu", "bitmask"]
 _KINDS: dict[int, Kind] = {1: "integer", 2: "boolean", 3: "menu", 4: "button", 8: "bitmask", 9: "integer menu"}
-_MOST_CHOICES = 64
 _DISCRETE = 1
 
 
@@ -34,7 +33,6 @@ class Control:
     step: int  # Range of its values, in its own unit
     default: int  # Range of its values, in its own unit
     is_read_only: bool  # Whether it cannot be set, also while inactive because of another control
-    choices: dict[int, str] = field(default_factory=dict)  # Names of a menu's values
 
 
 def list_controls(device: Device) -> tuple[Control, ...]:
@@ -89,9 +87,8 @@ def write_control(device: Device, control: Control, value: int) -> int | None:
     return is_now
 
 
-def _control(device: Device, query: structures.ControlQuery) -> Control:
+def _control(device: Device, query: Any) -> Control:
     kind = _KINDS[query.type]
-    is_menu = kind in ("menu", "integer menu")
     return Control(
         identifier=query.id,
         name=words(query.name),
@@ -101,20 +98,7 @@ def _control(device: Device, query: structures.ControlQuery) -> Control:
         step=query.step,
         default=query.default_value,
         is_read_only=bool(query.flags & (structures.CONTROL_READ_ONLY | structures.CONTROL_INACTIVE)),
-        choices=_choices(device, query, numbers=kind == "integer menu") if is_menu else {},
     )
-
-
-def _choices(device: Device, query: structures.ControlQuery, *, numbers: bool) -> dict[int, str]:
-    """Return the names of a menu's values; the driver may skip values."""
-    choices = {}
-    first = max(0, query.minimum)
-    for index in range(first, min(query.maximum, first + _MOST_CHOICES) + 1):
-        entry = structures.MenuQuery(id=query.id, index=index)
-        if offers(device, structures.QUERY_MENU, entry):
-            raw = bytes(entry)[8:40]
-            choices[index] = str(int.from_bytes(raw[:8], "little", signed=True)) if numbers else words(raw)
-    return choices
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -179,7 +163,7 @@ def describe(device: Device, path: str) -> VideoDevice:
     )
 
 
-def capture_capability(device: Device, path: str) -> structures.Capability:
+def capture_capability(device: Device, path: str) -> Any:
     """Return the capabilities of a device that captures video into mapped memory."""
     capability = structures.Capability()
     try:

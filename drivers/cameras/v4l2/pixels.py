@@ -1,12 +1,13 @@
 """Grey images from the memory of V4L2 buffers."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.cameras.v4l2.fields import FIRST_ROW, weave
-from drivers.cameras.v4l2.structures import BIG_ENDIAN, Format, code_of, four_letters
+from drivers.cameras.v4l2.structures import BIG_ENDIAN, code_of, four_letters
 from labdata.errors import BadInput
 
 MOST_PIXELS_A_SIDE = 65536
@@ -93,7 +94,7 @@ class BufferImage:
         return weave(rows[: self.rows // 2], rows[self.rows // 2 :], first_row=self.first_field)
 
 
-def picture_of(form: Format) -> BufferImage:
+def picture_of(form: Any) -> BufferImage:
     """Return the image layout of a kernel format; an unsupported one is a BadInput."""
     pix = form.of.pix
     if pix.pixelformat not in LAYOUTS:
