@@ -93,12 +93,9 @@ def one(
 ) -> Observation:
     """Return an observation of one number; its prediction has shape (n,)."""
     return Observation(
-        name=name,
-        value=np.array([value]),
-        covariance=np.array([[sd**2]]),
-        predict=lambda values: predict(values)[:, None],
-        speaks_of=speaks_of,
-    )
+        name=name, value=np.array([value]), covariance=np.array([[sd**2]]),
+        predict=lambda values: predict(values)[:, None], speaks_of=speaks_of,
+    )  # fmt: skip
 
 
 def curve_observation(
@@ -158,15 +155,10 @@ def _level(session: Session, entry: StackEntry) -> StackMean | None:
     gate_s = exposure_s if conditions.gate_ns is None else min(conditions.gate_ns * 1e-9, exposure_s)
     reference_v = float(session.sensor.microchannel_plate.reference_v)
     return StackMean(
-        label=entry.label,
-        mean_dn=float(means.mean()),
-        sd_dn=scatter,
-        noise_dn=_noise_dn(stack.data[0]),
-        illuminance_lux=float(illuminance),
-        gate_s=float(gate_s),
-        exposure_s=float(exposure_s),
+        label=entry.label, mean_dn=float(means.mean()), sd_dn=scatter, noise_dn=_noise_dn(stack.data[0]),
+        illuminance_lux=float(illuminance), gate_s=float(gate_s), exposure_s=float(exposure_s),
         mcp_v=float(conditions.mcp_v or reference_v),
-    )
+    )  # fmt: skip
 
 
 def _noise_dn(frame: NDArray) -> float:

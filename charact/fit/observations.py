@@ -169,11 +169,9 @@ def _neighbours(result: Result, volts: float) -> list[_Noise]:
     mean = dict(zip(transfer.get("label", ()), transfer.get("signal_dn", ()), strict=True))
     fitted = dict(zip(transfer.get("label", ()), transfer.get("fitted", ()), strict=True))
     rows = zip(
-        measured.get("label", ()),
-        measured.get("neighbour_correlation", ()),
-        measured.get("neighbour_sd", ()),
+        measured.get("label", ()), measured.get("neighbour_correlation", ()), measured.get("neighbour_sd", ()),
         strict=True,
-    )
+    )  # fmt: skip
     usable = [(mean[label], value, sd) for label, value, sd in rows if fitted.get(label)]
     return [
         _Noise(
@@ -203,12 +201,10 @@ def _together(parts: list[_Noise], mcp_v: float, reference_v: float) -> Observat
         return np.stack(np.broadcast_arrays(*(part.predict(values, gain, shape) for part in parts)), axis=1)
 
     return Observation(
-        name="noise",
-        value=np.array([part.value for part in parts]),
-        covariance=np.diag([part.sd**2 for part in parts]),
-        predict=predict,
+        name="noise", value=np.array([part.value for part in parts]),
+        covariance=np.diag([part.sd**2 for part in parts]), predict=predict,
         speaks_of=tuple(dict.fromkeys(path for part in parts for path in part.speaks_of)),
-    )
+    )  # fmt: skip
 
 
 def _dark(m: Measurement, dark: StackMean, sensor: Sensor, reference_v: float) -> _Noise:
@@ -228,12 +224,10 @@ def _dark(m: Measurement, dark: StackMean, sensor: Sensor, reference_v: float) -
         return own + predicted_quantities.ion_variance(values, gain, shape[0], dark.gate_s)
 
     return _Noise(
-        mcp_v=dark.mcp_v,
-        value=variance,
+        mcp_v=dark.mcp_v, value=variance,
         sd=float(np.hypot.reduce([2.0 * (m.value or 0.0) * sd_of(m), NOISE_MODEL_SD * variance, spread])),
-        predict=predict,
-        speaks_of=("ccd.read_noise_e", "photocathode.ebi_lm_per_cm2", *NOISE),
-    )
+        predict=predict, speaks_of=("ccd.read_noise_e", "photocathode.ebi_lm_per_cm2", *NOISE),
+    )  # fmt: skip
 
 
 def _flat_volts(session: Session, reference_v: float) -> float:

@@ -123,15 +123,9 @@ def posterior_of(model: Model, *, seed: int) -> Posterior:
 
     point, covariance = find_maximum(model.log_probability, model.prior.centre, model.prior.bounds)
     return sample(
-        model.log_probability,
-        names=model.prior.names,
-        units=("1",) * len(model.prior.names),
-        start=point,
-        covariance=covariance,
-        seed=seed,
-        bounds=model.prior.bounds,
-        draws=KEPT_DRAWS,
-    )
+        model.log_probability, names=model.prior.names, units=("1",) * len(model.prior.names), start=point,
+        covariance=covariance, seed=seed, bounds=model.prior.bounds, draws=KEPT_DRAWS,
+    )  # fmt: skip
 
 
 FULL_WELL = "ccd.full_well_e"
@@ -218,12 +212,9 @@ def fit_sensor(
     posterior = posterior_of(model, seed=seed)
     progress("identifying parameters", 0.9)
     fitted = description_from_posterior(
-        model,
-        posterior,
-        illuminance_relative_sd=_illuminance_sd(session),
-        scale_filled=fills_the_scale(session),
+        model, posterior, illuminance_relative_sd=_illuminance_sd(session), scale_filled=fills_the_scale(session),
         seed=seed,
-    )
+    )  # fmt: skip
     if doubt:
         fitted = replace(fitted, notes=(*fitted.notes, doubt))
     progress("fitted", 1.0)

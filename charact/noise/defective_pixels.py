@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
+from charact.noise.findings import fields_of
 from charact.noise.pixel_survey import PixelSurvey
-from charact.noise.provenance import provenance
 from charact.noise.thresholds import SURVEY
 from labdata.measurement import Measurement, Result, make_measurement, make_refusal
 from labdata.session import Session
@@ -108,7 +108,7 @@ def defect_pixels(
     session: Session, surveys: Sequence[PixelSurvey], found: DefectivePixels | None, *, context: Context
 ) -> Result:
     """Return the number of defective pixels in the dark of the longest exposure and in the brightest flat."""
-    fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
+    fields = fields_of(METHOD, context)
     known = [one for one in surveys if one.threshold_dn > 0]
     if found is None or not known:
         reason = "defective pixels need stacks of two frames and of 32 x 32 px at least that change from frame to frame"

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.noise.checks import QUANTISED_DN2
 from charact.noise.findings import Finding
 from charact.noise.gain.emva1288 import excess_of
 from charact.noise.gain.single_setting import SingleSetting
 from charact.noise.predictive_frames import LightNoise, electron_noise, pulse_noise
+from charact.noise.rounding import QUANTISED_DN2
 from charact.noise.stack.temporal import split_fields
 from charact.noise.thresholds import PREDICTIVE
 from labdata.lazy_stack import open_lazy_stack
@@ -137,7 +137,7 @@ def findings_of(residuals: list[PredictiveResidual]) -> list[Finding]:
     odd = [one for one in residuals if one.chance * len(residuals) < PREDICTIVE.false_alarm]
     worst = sorted(odd, key=lambda one: one.chance)[:3]
     return [
-        (
+        Finding(
             "model-misfit",
             f"{one.stack} differs from frames drawn from the posterior: {STATISTICS[one.sign].words} is "
             f"{one.measured:.3g}, expected {one.expected:.3g} ± {one.sd:.2g}",

@@ -86,13 +86,10 @@ def pulse_noise(posterior: Posterior, index: int, share: float, reading: PixelRe
     spread = float(rng.uniform(*PREDICTIVE.height_variances))
     factor = max(at["lag_factor"], 1.0)
     return LightNoise(
-        pulse_dn=share * at["power"] * factor * (1.0 - electrons) / (1.0 + spread),
-        height_variance=spread,
-        electron_gain_dn=share * at["power"] * electrons,
-        blur=np.array([at[name] for name in model.NAMES]),
-        reading=reading,
-        kept=(factor - 1.0) / (factor + 1.0),
-    )
+        pulse_dn=share * at["power"] * factor * (1.0 - electrons) / (1.0 + spread), height_variance=spread,
+        electron_gain_dn=share * at["power"] * electrons, blur=np.array([at[name] for name in model.NAMES]),
+        reading=reading, kept=(factor - 1.0) / (factor + 1.0),
+    )  # fmt: skip
 
 
 def electron_noise(gain_dn: float, excess_factor: float) -> LightNoise:

@@ -128,14 +128,9 @@ def frame_view(
     away[places] = away[struck] = True
     rng = np.random.default_rng([seed, 71])
     return FrameView(
-        unit_dn=unit_dn,
-        whole=whole,
-        places=places,
-        donors=choose_donors(places, away, size, rng),
-        struck=struck,
-        frame=frame,
-        struck_donors=choose_donors(struck, away, size, rng),
-    )
+        unit_dn=unit_dn, whole=whole, places=places, donors=choose_donors(places, away, size, rng), struck=struck,
+        frame=frame, struck_donors=choose_donors(struck, away, size, rng),
+    )  # fmt: skip
 
 
 # Files and folders that are memory-mapped.
@@ -258,12 +253,10 @@ def _in_dn(measurement: Measurement, unit_dn: float) -> Measurement:
 
     kept = measurement.posterior
     return replace(
-        measurement,
-        value=None if measurement.value is None else measurement.value * factor,
-        interval68=around(measurement.interval68),
-        interval95=around(measurement.interval95),
+        measurement, value=None if measurement.value is None else measurement.value * factor,
+        interval68=around(measurement.interval68), interval95=around(measurement.interval95),
         posterior=None if kept is None else _posterior(kept, unit_dn),
-    )
+    )  # fmt: skip
 
 
 def _posterior(kept: Posterior, unit_dn: float) -> Posterior:

@@ -61,11 +61,9 @@ def readout_of(context: Context) -> KnownReadout:
     rows = 2.0 if context.interlaced else 1.0
     pitch_um, taper = float(context.sensor.ccd.pitch_x_um), context.sensor.taper
     return KnownReadout(
-        height_px=rows * context.pitch_ratio,
-        video=VideoFilter.of(context.sensor),
-        anisotropy_sd=THRESHOLDS.round_sd,
+        height_px=rows * context.pitch_ratio, video=VideoFilter.of(context.sensor), anisotropy_sd=THRESHOLDS.round_sd,
         fibres=(float(taper.fibre_pitch_um) / pitch_um, float(taper.interface_mtf_lp_per_mm) * pitch_um * 1e-3),
-    )
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -193,7 +191,7 @@ def optimum_under_model(
     start: Callable[[SpectrumLikelihood], Array] | None = None,
 ) -> SpectrumOptimum:
     """Find the optimum under a blur model, first roughly, then with the replicas, cells and looks of that fit."""
-    whole = spectral_replicas(spectrum.column_cy_per_px, spectrum.row_cy_per_px, spectrum.row_pitch, known)
+    whole = spectral_replicas(spectrum.column_cy_per_px, spectrum.row_cy_per_px, spectrum.bins.row_pitch, known)
     problem = SpectrumLikelihood(
         spectrum=spectrum, known=known, shape=shape, replicas=whole, looks=spectrum.looks_lagged
     )
@@ -258,17 +256,15 @@ def _cell_means(problem: SpectrumLikelihood, point: Array) -> Array:
     spectrum = problem.spectrum
 
     def power_at(column: Array, row: Array) -> Array:
-        near = spectral_replicas(column, row, spectrum.row_pitch, problem.known, replicas=1)
+        near = spectral_replicas(column, row, spectrum.bins.row_pitch, problem.known, replicas=1)
         return near.power(problem.shape, problem.replica_parameters(point[None]))[0]
 
+    column, row, cell = spectrum.modes
+    smear_column, smear_row = np.sqrt(spectrum.bins.leak_cy2_per_px2)
     modes = np.mean(
-        [
-            power_at(spectrum.mode_column + across * spectrum.smear_column, spectrum.mode_row + up * spectrum.smear_row)
-            for across, up in ((-1, -1), (-1, 1), (1, -1), (1, 1))
-        ],
-        axis=0,
+        [power_at(column + x * smear_column, row + y * smear_row) for x in (-1, 1) for y in (-1, 1)], axis=0
     )
-    mean = np.bincount(spectrum.mode_cell, modes) / np.bincount(spectrum.mode_cell)
+    mean = np.bincount(cell, modes) / np.bincount(cell)
     middle = power_at(spectrum.column_cy_per_px, spectrum.row_cy_per_px)
     # Where next to nothing of the pulses is left, how it is spread over the cell does not matter.
     return np.clip(mean / np.maximum(middle, 1e-30), 0.2, 5.0)

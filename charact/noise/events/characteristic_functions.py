@@ -38,12 +38,10 @@ def observe(
     off = (off - 1j * (levels - count[:, None] * level)[..., None] * frequency) / count.sum()
     scatter = np.concatenate([off.real.reshape(len(off), -1), off.imag.reshape(len(off), -1)], axis=1)
     return CharacteristicFunctionData(
-        filters=filters,
-        frequency=frequency,
+        filters=filters, frequency=frequency,
         value=real_and_imaginary(np.log(mean * np.exp(-1j * level[:, None] * frequency))),
-        covariance=scatter.T @ scatter,
-        pixels=float(count.sum()),
-    )
+        covariance=scatter.T @ scatter, pixels=float(count.sum()),
+    )  # fmt: skip
 
 
 def _sums(change: Images, usable: NDArray[np.bool_], filters: tuple[Filter, ...], scales: list[Array]):

@@ -197,14 +197,10 @@ def optimise_pulses(
     slope = np.concatenate([root @ derivative, np.diag(precision)])
     data = at[: len(predicted)]
     return PulseOptimum(
-        pulses=problem.pulses(point),
-        point=point,
-        predicted=predicted,
-        derivative=derivative,
-        covariance=np.asarray(np.linalg.pinv(slope.T @ slope), np.float64),
-        chi2=float(data @ data),
+        pulses=problem.pulses(point), point=point, predicted=predicted, derivative=derivative,
+        covariance=np.asarray(np.linalg.pinv(slope.T @ slope), np.float64), chi2=float(data @ data),
         freedom=len(data) - len(point) + int(np.count_nonzero(precision)),
-    )
+    )  # fmt: skip
 
 
 def _step(slope: Array, at: Array, damping: float, point: Array, walls: Array) -> Array:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.noise.events.filters import MIDDLE, Filter, boxes, common_reach
-from charact.noise.stack.temporal import exposures
+from charact.noise.stack.temporal import split_fields
 from charact.noise.thresholds import EVENT_ACCURACY, EVENTS
 from labdata.frames import FrameStack
 
@@ -43,10 +43,10 @@ def dark_frames(stack: FrameStack, context: Context, most_values: int = EVENTS.m
     """Split fields, subtract each pixel's mean, and set blinking pixels to zero."""
     frames = min(len(stack), EVENTS.max_frames)
     middle = _middle(stack, frames, most_values)
-    shots = exposures(middle, 0, frames, interlaced=context.interlaced)
+    row_step = 2 if context.interlaced else 1
     changes, bad, pixels, still = [], 0, 0, []
-    for parity in np.unique(shots.parity):
-        image = shots.image[shots.parity == parity]
+    for field in split_fields(middle.data, row_step):
+        image = field.astype(np.float32)
         still.append(float(np.mean(image[1:] == image[:-1])))
         change = image - image.mean(axis=0)
         change -= np.median(change[:, ::5, ::5], axis=(1, 2), keepdims=True)
@@ -55,7 +55,7 @@ def dark_frames(stack: FrameStack, context: Context, most_values: int = EVENTS.m
         bad, pixels = bad + int(flickering.sum()), pixels + flickering.size
         changes.append(change)
     full_scale_dn = context.full_scale_dn if context.full_scale_dn is not None else stack.full_scale_dn
-    return DarkFrames(changes=tuple(changes), stride=len(changes), row_pitch=context.pitch_ratio * shots.row_step,
+    return DarkFrames(changes=tuple(changes), stride=len(changes), row_pitch=context.pitch_ratio * row_step,
                       defects=bad / pixels, still=float(np.mean(still)), full=_full(middle.data, full_scale_dn)
                       )  # fmt: skip
 
@@ -115,12 +115,9 @@ def has_pulses(frames: DarkFrames) -> bool:
             size // EVENT_ACCURACY.skewness_block_px * EVENT_ACCURACY.skewness_block_px for size in cubes.shape[1:]
         )
         blocks = cubes[:, :rows, :cols].reshape(
-            len(cubes),
-            rows // EVENT_ACCURACY.skewness_block_px,
-            EVENT_ACCURACY.skewness_block_px,
-            cols // EVENT_ACCURACY.skewness_block_px,
-            EVENT_ACCURACY.skewness_block_px,
-        )
+            len(cubes), rows // EVENT_ACCURACY.skewness_block_px, EVENT_ACCURACY.skewness_block_px,
+            cols // EVENT_ACCURACY.skewness_block_px, EVENT_ACCURACY.skewness_block_px,
+        )  # fmt: skip
         parts.append(blocks.sum(axis=(2, 4)).ravel())
     total = np.concatenate(parts)
     # Bright pulses have negative sides, and few of them give no significant skewness.

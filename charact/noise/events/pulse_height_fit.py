@@ -110,15 +110,11 @@ def fit_pulses(look: DarkFrames, frames: DarkFrames, context: Context, *, period
     pulses = fit.peak.pulses
     response, noise = _response(fit.middle, pulses), np.sqrt(fit.middle.noise(pulses.line) * pulses.noise_dn2)
     return PulseFit(
-        peak=fit.peak,
-        posterior=laplace_draws(fit.problem, fit.peak, seed=context.seed),
-        observed=fit.problem.observed,
-        usable=fit.usable,
-        frames=fit.frames,
-        signal_to_noise=float(response * pulses.height_dn / noise),
+        peak=fit.peak, posterior=laplace_draws(fit.problem, fit.peak, seed=context.seed), observed=fit.problem.observed,
+        usable=fit.usable, frames=fit.frames, signal_to_noise=float(response * pulses.height_dn / noise),
         ion_height_dn=fit.ions_dn / response,
         gain_of_pulses=noise_only_chi2(fit.problem, fit.covariance) - fit.peak.chi2,
-    )
+    )  # fmt: skip
 
 
 def _screen(seen: ImageLagCorrelation, stride: int) -> tuple[str, ...]:
@@ -157,14 +153,9 @@ def _from_scratch(frames: DarkFrames, setup: _Setup) -> _Fit:
             break
         step = _step(guess)
     return _Fit(
-        problem=problem,
-        covariance=covariance,
-        peak=optimise_pulses(problem, covariance, guess, rough=True),
-        step=step,
-        frames=frames,
-        usable=usable,
-        ions_dn=np.empty(0),
-    )
+        problem=problem, covariance=covariance, peak=optimise_pulses(problem, covariance, guess, rough=True), step=step,
+        frames=frames, usable=usable, ions_dn=np.empty(0),
+    )  # fmt: skip
 
 
 def _again(frames: DarkFrames, usable: list[NDArray[np.bool_]], ions_dn: Array, near: _Fit, setup: _Setup) -> _Fit:
@@ -220,22 +211,11 @@ def _guess(frames: DarkFrames, priors: Priors, *, open_share: float, screen: tup
     """Return start values and fixed parameters."""
     fast = priors["fast_exposures"][0] if screen else 0.0
     return PulsePopulation(
-        density=1.0,
-        height_dn=1.0,
-        relative_variance=1.0,
-        noise_dn2=1.0,
-        line_1=0.0,
-        line_2=0.0,
-        column_px=1.0,
-        row_px=1.0,
-        wings=0.0,
-        exponent=priors["exponent"][0],
-        glow=EVENTS.start_slow_fraction if "glow" in screen else 0.0,
-        glow_exposures=EVENTS.start_decay * frames.stride,
-        fast_exposures=fast,
-        row_pitch=frames.row_pitch,
-        open_share=open_share,
-    )
+        density=1.0, height_dn=1.0, relative_variance=1.0, noise_dn2=1.0, line_1=0.0, line_2=0.0, column_px=1.0,
+        row_px=1.0, wings=0.0, exponent=priors["exponent"][0],
+        glow=EVENTS.start_slow_fraction if "glow" in screen else 0.0, glow_exposures=EVENTS.start_decay * frames.stride,
+        fast_exposures=fast, row_pitch=frames.row_pitch, open_share=open_share,
+    )  # fmt: skip
 
 
 def _step(guess: PulsePopulation) -> int:

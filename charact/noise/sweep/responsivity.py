@@ -93,13 +93,9 @@ class ResponsivityLevels:
         light = np.concatenate([s.light for s in settings if s.light is not None])
         error = np.concatenate([s.signal_sd_dn for s in settings])
         return cls(
-            x=x[number],
-            log_ratio=np.log(signal / light),
-            sd=error / signal,
-            share=signal / signal.max(),
-            member=(number[:, None] == np.arange(len(settings))).astype(float),
-            brightest_dn=float(signal.max()),
-        )
+            x=x[number], log_ratio=np.log(signal / light), sd=error / signal, share=signal / signal.max(),
+            member=(number[:, None] == np.arange(len(settings))).astype(float), brightest_dn=float(signal.max()),
+        )  # fmt: skip
 
     def log_likelihood(self, points: Array) -> Array:
         """Return the log-likelihood, shape (point,), with the levels of each setting as a block."""
@@ -198,7 +194,9 @@ def bending_findings(settings: tuple[SweepSetting, ...], response: SweepResponsi
     decline = _fall_of_noise(settings, float(np.median(response.lost_per_dn)))
     if decline is None:
         return [
-            ("nonlinear", "no setting has two levels whose noise separates MCP saturation from camera nonlinearity")
+            Finding(
+                "nonlinear", "no setting has two levels whose noise separates MCP saturation from camera nonlinearity"
+            )
         ]
     fall, sd = decline
     plate, camera = (
@@ -207,12 +205,14 @@ def bending_findings(settings: tuple[SweepSetting, ...], response: SweepResponsi
     )
     seen = f"covariance over signal falls as the power {fall:.2g} +- {sd:.1g} of the relative response"
     if plate and not camera:
-        return [(None, f"{seen}: MCP saturation (power 1), no camera nonlinearity (3)")]
+        return [Finding(None, f"{seen}: MCP saturation (power 1), no camera nonlinearity (3)")]
     if plate:
         return [
-            ("nonlinear", f"{seen}: too uncertain to separate MCP saturation (power 1) from camera nonlinearity (3)")
+            Finding(
+                "nonlinear", f"{seen}: too uncertain to separate MCP saturation (power 1) from camera nonlinearity (3)"
+            )
         ]
-    return [("nonlinear", f"{seen}: expected is power 1 for MCP saturation, 3 for camera nonlinearity")]
+    return [Finding("nonlinear", f"{seen}: expected is power 1 for MCP saturation, 3 for camera nonlinearity")]
 
 
 def _fall_of_noise(settings: tuple[SweepSetting, ...], lost_per_dn: float) -> tuple[float, float] | None:

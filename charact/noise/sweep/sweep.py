@@ -8,10 +8,9 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.method.stopwatch import with_timing
-from charact.noise.checks import QUANTISED_DN2
-from charact.noise.findings import flags_of, notes_of
+from charact.noise.findings import fields_of, flags_of, notes_of
 from charact.noise.gain import emva1288
-from charact.noise.provenance import provenance
+from charact.noise.rounding import QUANTISED_DN2
 from charact.noise.stack.stack_statistics import StackStatistics
 from charact.noise.sweep.gain_law import GainLaw
 from charact.noise.sweep.joint import SweepJointFit, fit_sweep
@@ -182,7 +181,7 @@ def gain_sweep(darks: list[StackStatistics], flats: list[StackStatistics], *, co
 
 def measure_sweep(sweep: Sweep, *, context: Context) -> Result:
     """Return the quantities of a gain sweep from its statistics, see `gain_sweep`."""
-    fields: Fields = {"method": METHOD, "provenance": provenance(context, knob=sweep.knob.name)}
+    fields: Fields = {**fields_of(METHOD, context, knob=sweep.knob.name)}
     if len(sweep.settings) < 2:
         reason = "; ".join(["the gain law needs usable flats at two settings at least", *sweep.left_out])
         return Result(measurements=(make_refusal(*_quantity_of(sweep.knob), reason, **fields),))

@@ -147,7 +147,7 @@ def test_the_whole_posterior_agrees_with_the_curvature(seed):
 def peak(scene: ScintillatingFlats, seed: int) -> SpectrumOptimum:
     context = Context(seed=1, quick=True, full_scale_dn=scene.full_scale_dn)
     session = scene.session_drawn(np.random.default_rng(seed))
-    spectrum = spectrum_of(session, select_flats(session, context), context)
+    spectrum = spectrum_of(select_flats(session, context), context)
     return optimum_under_model(spectrum, readout_of(context), BlurModel(core="exponential"))
 
 
