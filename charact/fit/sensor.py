@@ -7,8 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.fit.admissible_measurements import Observation, levels_of
-from charact.fit.observations import observations
+from charact.fit.observations import Observation, levels_of, observations
 from charact.fit.predicted_quantities import Values
 from charact.fit.prior import (
     Product,
@@ -19,7 +18,7 @@ from charact.fit.prior import (
     values_of_description,
     widen_to_products,
 )
-from charact.noise.snr.stated_illumination import UNSTATED_ILLUMINANCE_SD
+from charact.noise.illumination import UNSTATED_ILLUMINANCE_SD
 from labdata.camera_description import Parameter
 from labdata.errors import BadInput
 from labdata.measurement import Posterior, Result

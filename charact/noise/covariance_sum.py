@@ -25,6 +25,7 @@ from charact.noise.gain.series import FlatSeries, gain_obstacle, has_intensifier
 from charact.noise.gain.single_setting import SingleSetting, blur_exponent, fit_single_setting
 from charact.noise.gain.undetected_correlation import allowance_of
 from charact.noise.gain.white_floor import floor_of
+from charact.noise.gain_separation import separate_gains
 from charact.noise.predictive_check import PredictiveResidual, findings_of, predictive_figure_data, predictive_residuals
 from charact.noise.quantities import (
     dark_clipping_flags,
@@ -36,8 +37,7 @@ from charact.noise.quantities import (
     without_flats,
 )
 from charact.noise.rounding import quantised_flags
-from charact.noise.snr.gain_separation import separate_gains
-from charact.noise.snr.snr_against_light import snr_against_light
+from charact.noise.snr_against_light import snr_against_light
 from charact.noise.stack.stack_statistics import StackStatistics
 from charact.noise.sweep.sweep import gain_sweep
 from charact.noise.three_dimensional import three_dimensional

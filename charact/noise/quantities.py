@@ -11,8 +11,8 @@ from charact.noise.findings import Finding, flags_of, notes_of
 from charact.noise.gain import emva1288
 from charact.noise.gain.checks import dark_findings, light_findings
 from charact.noise.gain.series import FlatSeries, gain_obstacle, without_noise
+from charact.noise.illumination import light_of_photons
 from charact.noise.rounding import QUANTISATION_DN2, QUANTISED_DN2, quantised_flags, rounding_sd
-from charact.noise.snr.stated_illumination import light_of_photons
 from charact.noise.stack.stack_statistics import StackStatistics
 from charact.noise.thresholds import CHECKS, CORRELATION
 from labdata.measurement import Measurement, make_refusal, measurement_from_draws, measurement_from_sd
@@ -143,7 +143,7 @@ def electron_quantities(
         lit = {**fields, "flags": flags_of([*why, *light]) + gain.posterior.flags}
         response = emva1288.responsivity_line(series, photons, context=context)
         efficiency = rng.permutation(response.slope) / slope
-        stated = light_of_photons(series, photons)
+        stated = light_of_photons(series.flats, photons)
         true = efficiency / stated.scale(context.seed, len(efficiency))
         words = (*notes, stated.note, *notes_of(light))
         out.append(measurement_from_draws("quantum_efficiency", "%", 100 * true, notes=words, **lit))

@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context, register
-from charact.mtf.noise_spectrum.aliasing import NonparametricBlur, PostGainBlur
 from charact.mtf.noise_spectrum.model import (
     COMMON,
     FAMILIES,
+    NonparametricBlur,
+    PostGainBlur,
     SpectrumLikelihood,
     SpectrumOptimum,
     optimum_under_model,

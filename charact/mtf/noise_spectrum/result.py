@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from charact.mtf.blur_models.transfer import glare
 from charact.mtf.curve import FINE, PINNED, REPORTED, crossing_frequency, curve_of
-from charact.mtf.noise_spectrum.aliasing import PostGainBlur
 from charact.mtf.noise_spectrum.model import (
     SCATTER_FRACTION,
     SCATTER_PX,
     SCATTER_SHARE,
+    PostGainBlur,
     SpectrumLikelihood,
     SpectrumOptimum,
 )

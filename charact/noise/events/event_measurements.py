@@ -8,12 +8,11 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.method.stopwatch import with_timing
-from charact.noise.cathode_radiometry import lognormal_draws, photoelectrons_per_lux_s
-from charact.noise.events.filters import MIDDLE
-from charact.noise.events.frames import DarkFrames, dark_frames, fits_filters, has_pulses
+from charact.noise.events.frames import MIDDLE, DarkFrames, dark_frames, fits_filters, has_pulses
 from charact.noise.events.pulse_height_fit import PulseFit, fit_pulses
 from charact.noise.findings import Finding, flags_of, notes_of, provenance
 from charact.noise.gain.series import gain_of
+from charact.noise.illumination import lognormal_draws, photoelectrons_per_lux_s
 from charact.noise.rounding import QUANTISED_DN2
 from charact.noise.stack.stack_statistics import StackStatistics
 from charact.noise.thresholds import EVENT_ACCURACY, EVENTS

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.noise.cathode_radiometry import lognormal_draws
 from charact.noise.gain.model import NAMES, PixelReadoutModel, transfer
 from charact.noise.gain.series import FlatSeries
+from charact.noise.illumination import lognormal_draws
 from charact.noise.stack.spectrum import BAND_CY_PER_PX, ROW_LIMIT_CY
 from charact.noise.stack.stack_statistics import StackStatistics, shares_of
 from charact.noise.thresholds import GAIN, STACK

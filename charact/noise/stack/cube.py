@@ -8,8 +8,16 @@ from numpy.typing import NDArray
 from charact.method import Context
 from charact.method.stopwatch import Stopwatch
 from charact.noise.findings import Finding
-from charact.noise.stack.components import ROW, TIME, Component, components, shading, subtract_means
-from charact.noise.stack.contrasts import Contrasts, contrasts
+from charact.noise.stack.components import (
+    ROW,
+    TIME,
+    Component,
+    Contrasts,
+    components,
+    contrasts,
+    shading,
+    subtract_means,
+)
 from charact.noise.thresholds import CUBE, STACK
 from labdata.lazy_stack import LazyStack
 

@@ -7,8 +7,16 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.noise.findings import Finding
-from charact.noise.sweep.gain_law import Axis, GainLaw, Gains, law_of, line_departure, line_fit
-from charact.noise.sweep.responsivity import SweepResponsivity, correct_saturation, response_of
+from charact.noise.sweep.gain_law import (
+    Axis,
+    GainLaw,
+    SweepResponsivity,
+    correct_saturation,
+    law_of,
+    line_departure,
+    line_fit,
+    response_of,
+)
 from charact.noise.sweep.settings import Sweep, SweepSetting
 from charact.noise.thresholds import GAIN, SWEEP
 
@@ -62,24 +70,18 @@ def fit_sweep(sweep: Sweep, *, context: Context) -> SweepJointFit:
         of_lit = tuple(sweep.settings[i] for i in lit)
         response = response_of(of_lit, axis.x[list(lit)], seed=context.seed + 1, quick=context.quick)
         sweep = replace(sweep, settings=correct_saturation(sweep.settings, lit, response, seed=context.seed))
-    gains = _gains(sweep.settings)
-    share = _share(sweep, float(gains.covariance.min()), context)
-    law = law_of(axis.x, gains, share=share, seed=context.seed, quick=context.quick)
+    gains, sd = np.array([s.log_gain for s in sweep.settings]).T
+    variance = None
+    if not sweep.settings[0].white:
+        variance = tuple(np.array([(s.log_variance, s.log_variance_sd) for s in sweep.settings]).T)
+    share = _share(sweep, float(gains.min()), context)
+    law = law_of(axis.x, (gains, sd), variance, share=share, seed=context.seed, quick=context.quick)
     joint = SweepJointFit(sweep=sweep, axis=axis, law=law, lit=lit, response=response)
     allowed = ALLOWED if response is None else ALLOWED + IN_THE_SCATTER
     own = [one for s in sweep.settings for one in s.findings]
     findings = [Finding(None if one.flag in allowed else one.flag, one.note) for one in own]
     findings += _law_findings(joint)
     return replace(joint, findings=(*findings, *(Finding(None, sentence) for sentence in sweep.left_out)))
-
-
-def _gains(settings: tuple[SweepSetting, ...]) -> Gains:
-    """Gain of every setting from its noise."""
-    log_gain, sd = np.array([s.log_gain for s in settings]).T
-    if settings[0].white:
-        return Gains(covariance=log_gain, covariance_sd=sd)
-    variance, variance_sd = np.array([(s.log_variance, s.log_variance_sd) for s in settings]).T
-    return Gains(covariance=log_gain, covariance_sd=sd, variance=variance, variance_sd=variance_sd)
 
 
 def _indices_with_light(settings: tuple[SweepSetting, ...]) -> tuple[int, ...]:

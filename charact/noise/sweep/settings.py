@@ -12,7 +12,7 @@ from charact.noise.gain.checks import series_findings
 from charact.noise.gain.series import GAINS, gain_obstacle, has_intensifier, longest_series, series_of_one_gain
 from charact.noise.gain.single_setting import SingleSetting, fit_single_setting, quantisation_fraction
 from charact.noise.gain.undetected_correlation import allowance_of
-from charact.noise.snr.stated_illumination import relative_sd_of
+from charact.noise.illumination import relative_sd_of
 from charact.noise.stack.stack_statistics import StackStatistics
 from charact.noise.thresholds import GAIN, SWEEP
 from labdata.conditions import Conditions

@@ -9,8 +9,13 @@ from charact import mtf
 from charact.method import Context
 from charact.mtf.blur_models.one_dimensional import BlurModel
 from charact.mtf.curve import crossing_frequency
-from charact.mtf.noise_spectrum.aliasing import KnownReadout, spectral_replicas
-from charact.mtf.noise_spectrum.model import SpectrumOptimum, optimum_under_model, readout_of
+from charact.mtf.noise_spectrum.model import (
+    KnownReadout,
+    SpectrumOptimum,
+    optimum_under_model,
+    readout_of,
+    spectral_replicas,
+)
 from charact.mtf.noise_spectrum.pooled_spectrum import select_flats, spectrum_of
 from charact.mtf.noise_spectrum.result import SURE, UndetectedComponent, scatter_limits, transfer_of
 from charact.study.flats.noise_spectrum_cases import ScintillatingFlats

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from charact.noise.gain.pooled_noise import ImageLag
 from charact.noise.gain.series import CLIPPED_SHARE, FlatSeries
+from charact.noise.illumination import signal_sd
 from charact.noise.rounding import rounding_sd
-from charact.noise.snr.stated_illumination import signal_sd
 from charact.noise.stack.frame_block import BlockSpectrum
 from charact.noise.stack.stack_statistics import StackStatistics, area_variance, shares_of
 from charact.noise.stack.temporal import n_effective_samples, same_row_lags

@@ -14,16 +14,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from charact.method import Context
-from charact.noise.cathode_radiometry import (
+from charact.noise.gain.series import FlatSeries, gain_of
+from charact.noise.gain.white_floor import floor_of
+from charact.noise.illumination import (
     ELECTRON_C,
+    light_of_series,
     lognormal_draws,
     photoelectrons_per_lux_s,
     photoelectrons_per_photon,
     pixel_area_m2,
+    response_draws,
+    signal_sd,
 )
-from charact.noise.gain.series import FlatSeries, gain_of
-from charact.noise.gain.white_floor import floor_of
-from charact.noise.snr.stated_illumination import light_of_series, response_draws, signal_sd
 from charact.noise.thresholds import GAIN, SNR
 from labdata.measurement import Measurement, Posterior, Result, make_refusal, measurement_from_draws
 from labdata.session import Session
@@ -128,7 +130,7 @@ def posterior_of(name: str, unit: str, draws: Array, seed: int) -> Posterior:
 
 def response_of(series: FlatSeries, count: int, context: Context) -> ResponsivityEstimate:
     """Return k and responsivity from the light of the flats."""
-    light = light_of_series(series)
+    light = light_of_series(series.flats)
     if isinstance(light, str):
         return ResponsivityEstimate(refusal_reason=f"{APART} would tell ({light})")
     chosen = series.fitted & (series.signal_dn > 0)

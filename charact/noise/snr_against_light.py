@@ -14,7 +14,8 @@ from charact.noise.gain.checks import exposure_findings, is_quantisation_limited
 from charact.noise.gain.pooled_noise import NO_LAG, pool_noise
 from charact.noise.gain.series import GAINS, FlatSeries, gain_obstacle, gain_of, series_of, without_noise
 from charact.noise.gain.undetected_correlation import temporally_correlated_fraction
-from charact.noise.snr.noise_law import (
+from charact.noise.illumination import StatedIllumination, gathering_s, light_of_series, response_draws
+from charact.noise.noise_law import (
     NAMES,
     UNITS,
     NoiseLaw,
@@ -24,7 +25,6 @@ from charact.noise.snr.noise_law import (
     noise_law,
     pixel_levels,
 )
-from charact.noise.snr.stated_illumination import StatedIllumination, gathering_s, light_of_series, response_draws
 from charact.noise.stack.stack_statistics import SIDE_PX, StackStatistics
 from charact.noise.thresholds import SNR
 from labdata.conditions import Conditions
@@ -176,7 +176,7 @@ def snr_against_light(
     at SNR `LEAST_SNR`; as figure data the levels with the fitted noise law.
 
     Noise is that of one exposure less the mean dark. The minimum illumination includes PRNU, and its interval the
-    common uncertainty of the light; see `charact.noise.snr.stated_illumination`.
+    common uncertainty of the light; see `charact.noise.illumination`.
     """
     groups: dict[tuple, list[StackStatistics]] = {}
     for flat in flats:
@@ -216,7 +216,7 @@ def _measure_setting(
     findings += [Finding("lag", "image lag has not decayed at the end of the lag sum")] if lag.open else []
     words = gain_in_words(series.flats[0].conditions)
     findings += [Finding(None, words)] if several else []
-    light, response = light_of_series(series), None
+    light, response = light_of_series(series.flats), None
     pixel = pixel_levels(series, lag)
     chosen = pixel.fitted & pixel.is_illuminated
     if not isinstance(light, str):
