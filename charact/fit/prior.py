@@ -100,13 +100,9 @@ def prior_of(sensor: Sensor, requested: tuple[str, ...]) -> SensorPrior:
     rows = [(path, *_row(path, known[path])) for path in requested if _has_range(known[path])]
     numbers = np.array([row[1:] for row in rows], float).reshape(-1, 6)
     return SensorPrior(
-        names=tuple(row[0] for row in rows),
-        power=numbers[:, 0].astype(int),
-        centre=numbers[:, 1],
-        sd_below=numbers[:, 2],
-        sd_above=numbers[:, 3],
-        bounds=numbers[:, 4:6],
-    )
+        names=tuple(row[0] for row in rows), power=numbers[:, 0].astype(int), centre=numbers[:, 1],
+        sd_below=numbers[:, 2], sd_above=numbers[:, 3], bounds=numbers[:, 4:6],
+    )  # fmt: skip
 
 
 def values_of_description(sensor: Sensor) -> Values:
@@ -209,12 +205,9 @@ def _whole(sensor: Sensor, product: Product) -> Parameter:
     low, high = np.quantile(own * _relative(sensor, product, partners), (0.025, 0.975))
     before = sensor.parameters()[product.carrier]
     return Parameter(
-        value=before.value,
-        low=min(float(low), before.value),
-        high=max(float(high), before.value),
-        standing=before.standing,
-        source=before.source,
-    )
+        value=before.value, low=min(float(low), before.value), high=max(float(high), before.value),
+        standing=before.standing, source=before.source,
+    )  # fmt: skip
 
 
 def _partners(

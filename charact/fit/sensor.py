@@ -7,8 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.fit.admissible_measurements import Observation, levels_of
-from charact.fit.observations import observations
+from charact.fit.observations import Observation, levels_of, observations
 from charact.fit.predicted_quantities import Values
 from charact.fit.prior import (
     Product,
@@ -19,7 +18,7 @@ from charact.fit.prior import (
     values_of_description,
     widen_to_products,
 )
-from charact.noise.snr.stated_illumination import UNSTATED_ILLUMINANCE_SD
+from charact.noise.illumination import UNSTATED_ILLUMINANCE_SD
 from labdata.camera_description import Parameter
 from labdata.errors import BadInput
 from labdata.measurement import Posterior, Result
@@ -123,15 +122,9 @@ def posterior_of(model: Model, *, seed: int) -> Posterior:
 
     point, covariance = find_maximum(model.log_probability, model.prior.centre, model.prior.bounds)
     return sample(
-        model.log_probability,
-        names=model.prior.names,
-        units=("1",) * len(model.prior.names),
-        start=point,
-        covariance=covariance,
-        seed=seed,
-        bounds=model.prior.bounds,
-        draws=KEPT_DRAWS,
-    )
+        model.log_probability, names=model.prior.names, units=("1",) * len(model.prior.names), start=point,
+        covariance=covariance, seed=seed, bounds=model.prior.bounds, draws=KEPT_DRAWS,
+    )  # fmt: skip
 
 
 FULL_WELL = "ccd.full_well_e"
@@ -218,12 +211,9 @@ def fit_sensor(
     posterior = posterior_of(model, seed=seed)
     progress("identifying parameters", 0.9)
     fitted = description_from_posterior(
-        model,
-        posterior,
-        illuminance_relative_sd=_illuminance_sd(session),
-        scale_filled=fills_the_scale(session),
+        model, posterior, illuminance_relative_sd=_illuminance_sd(session), scale_filled=fills_the_scale(session),
         seed=seed,
-    )
+    )  # fmt: skip
     if doubt:
         fitted = replace(fitted, notes=(*fitted.notes, doubt))
     progress("fitted", 1.0)

@@ -32,9 +32,8 @@ def measure(session: Session, *, method: str = "auto", within_percent: float = 2
     chosen = choose("flats", method, within_percent=within_percent)
     if not session.of_kind("dark", "flat"):
         raise BadInput(f"noise needs dark or flat stacks, got only {sorted({s.kind for s in session.stacks})}")
-    from charact.noise.defective_pixels import defect_pixels
-    from charact.noise.prepared_session import prepare
-    from charact.noise.snr.gain_separation import add_event_gains
+    from charact.noise.gain_separation import add_event_gains
+    from charact.noise.prepared_session import defect_pixels, prepare
 
     ready = prepare(session, context=context)
     session, context = ready.session, ready.context

@@ -8,10 +8,9 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.method.stopwatch import with_timing
-from charact.noise.checks import QUANTISED_DN2, drift_and_flicker
-from charact.noise.findings import Finding, flags_of, notes_of
-from charact.noise.provenance import provenance
-from charact.noise.rounding import QUANTISATION_DN2
+from charact.noise.findings import Finding, fields_of, flags_of, notes_of
+from charact.noise.gain.checks import drift_and_flicker
+from charact.noise.rounding import QUANTISATION_DN2, QUANTISED_DN2
 from charact.noise.stack.stack_statistics import StackStatistics
 from charact.noise.thresholds import CHECKS, DARK_CURRENT
 from labdata.measurement import Measurement, Result, make_refusal, measurement_from_draws
@@ -42,7 +41,7 @@ def dark_current(darks: list[StackStatistics], result: Result, *, context: Conte
     """
     if not darks:
         return Result()
-    fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
+    fields = fields_of(METHOD, context)
     rng = np.random.default_rng([context.seed, 11])
     slopes = [found for group in _groups(darks) if (found := _slope(group, rng)) is not None]
     if not slopes:
@@ -127,27 +126,29 @@ def _findings(darks: list[StackStatistics], time: Array, mean: Array, sd: Array,
     """Return the findings of an exposure series."""
     found: list[Finding] = []
     if len(np.unique(time)) == 2:
-        found.append(("too-few-frames", "from two exposures: proportionality cannot be checked"))
+        found.append(Finding("too-few-frames", "from two exposures: proportionality cannot be checked"))
     if len(np.unique(time)) > 3:
         bend, error, chi2 = _line(time, mean, sd, 2)
         error *= np.sqrt(max(1.0, chi2 / max(1, len(time) - 3)))
         if abs(bend) * time.max() > max(
             DARK_CURRENT.curvature * abs(slope), DARK_CURRENT.curvature_sd * error * time.max()
         ):
-            found.append(("nonlinear", "the level of darks is not linear in the exposure"))
+            found.append(Finding("nonlinear", "the level of darks is not linear in the exposure"))
     if any(d.variance_dn2 < QUANTISED_DN2 for d in darks):
         found.append(
-            ("quantised", "the noise of darks is smaller than the quantisation step, which biases their level")
+            Finding("quantised", "the noise of darks is smaller than the quantisation step, which biases their level")
         )
     rise = abs(slope) * float(np.ptp(time))
     for dark in darks:
         drift = abs(drift_and_flicker(dark)[0])
         if drift > 0.1 * rise:
             found.append(
-                ("drift", f"{dark.label} drifts by {drift:.3g} DN, compared with {rise:.3g} DN between exposures")
+                Finding(
+                    "drift", f"{dark.label} drifts by {drift:.3g} DN, compared with {rise:.3g} DN between exposures"
+                )
             )
     if any((d.conditions.mcp_v or 0.0) > 0 for d in darks):
-        found.append((None, "with the tube on: includes the tube's background illumination (EBI)"))
+        found.append(Finding(None, "with the tube on: includes the tube's background illumination (EBI)"))
     return found
 
 
@@ -202,8 +203,8 @@ def _doubling(slopes: list[DarkSlope], rng: np.random.Generator, **fields: Any) 
         - np.median(rise) * (warm - np.average(warm, weights=1.0 / spread**2))
     )
     if np.any(np.abs(rest) > DARK_CURRENT.curvature_sd * spread):
-        findings.append(("model-misfit", "the dark current does not double at equal temperature steps"))
+        findings.append(Finding("model-misfit", "the dark current does not double at equal temperature steps"))
     if len(known) == 2:
-        findings.append((None, "from two temperatures: exponential growth cannot be checked"))
+        findings.append(Finding(None, "from two temperatures: exponential growth cannot be checked"))
     return measurement_from_draws("dark_doubling_temperature", "K", 1.0 / rise, flags=flags_of(findings),
                       notes=tuple(dict.fromkeys(notes_of(findings))), **fields)  # fmt: skip

@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.noise.checks import QUANTISED_DN2, dark_findings
 from charact.noise.findings import Finding, flags_of, notes_of
 from charact.noise.gain import emva1288
-from charact.noise.gain.series import FlatSeries, without_noise
-from charact.noise.rounding import rounding_sd
-from charact.noise.snr.stated_illumination import light_of_photons
+from charact.noise.gain.checks import dark_findings, light_findings
+from charact.noise.gain.series import FlatSeries, gain_obstacle, without_noise
+from charact.noise.illumination import light_of_photons
+from charact.noise.rounding import QUANTISATION_DN2, QUANTISED_DN2, quantised_flags, rounding_sd
 from charact.noise.stack.stack_statistics import StackStatistics
 from charact.noise.thresholds import CHECKS, CORRELATION
 from labdata.measurement import Measurement, make_refusal, measurement_from_draws, measurement_from_sd
@@ -26,13 +26,16 @@ def dark_quantities(darks: tuple[StackStatistics, ...], *, flags: tuple[str, ...
     dark = min(darks, key=lambda level: level.conditions.exposure_s or 0.0)
     spread = float(np.hypot(dark.variance_sd_dn2, rounding_sd(dark.variance_dn2)[1]))
     noise, sd = emva1288.noise_of(dark.variance_dn2, spread)
-    small = ("quantised",) if dark.variance_dn2 < QUANTISED_DN2 else ()
     # Checked here too, for darks without flats.
     flags += dark_clipping_flags(dark)
     out = []
     if noise > 0:
         note = ("temporal noise of a dark frame: electronics, digitiser and dark scintillation",)
-        out.append(measurement_from_sd("read_noise", "DN", noise, sd, flags=flags + small, notes=note, **fields))
+        out.append(
+            measurement_from_sd(
+                "read_noise", "DN", noise, sd, flags=flags + quantised_flags(dark.variance_dn2), notes=note, **fields
+            )
+        )
     else:
         out.append(make_refusal("read_noise", "DN", f"{dark.label} does not change from frame to frame", **fields))
     scatter = float(np.std(dark.frame_mean_dn, ddof=1)) / np.sqrt(dark.frames)
@@ -89,7 +92,7 @@ def pattern_quantities(series: FlatSeries, gain: Array | None, *, flags: tuple[s
 
 def _dark_pattern(dark: StackStatistics, gain: Array | None, *, flags: tuple[str, ...], **fields: Any) -> Measurement:
     """Return the DSNU, in electrons if the gain is known."""
-    flags += image_lag_flags(dark) + (("quantised",) if dark.variance_dn2 < QUANTISED_DN2 else ())
+    flags += image_lag_flags(dark) + quantised_flags(dark.variance_dn2)
     notes = (PAIR,) if dark.frames < CORRELATION.few_frames else ()
     unit, scale, relative_sd = "DN", 1.0, 0.0
     if gain is not None:
@@ -118,26 +121,29 @@ def _spatial_deviation(quantity: str, unit: str, variance: float, sd: float, sca
     )
 
 
-def white_quantities(series: FlatSeries, gain: emva1288.GainLine, *, context: Context, findings: list[Finding],
-                     light: list[Finding], notes: tuple[str, ...] = (), factor: float = 1.0, **fields: Any
-                     ) -> list[Measurement]:  # fmt: skip
-    """Return the EMVA 1288 quantities that follow from K: efficiency, noise in electrons, range.
+def electron_quantities(
+    series: FlatSeries, gains: tuple[emva1288.GainLine, emva1288.GainLine],
+    findings: tuple[list[Finding], list[Finding]], context: Context, fields: dict[str, Any],
+) -> list[Measurement]:  # fmt: skip
+    """Return the system gain and the EMVA 1288 quantities that follow from it: efficiency, noise, range.
 
-    `series`, `gain`: the flats and the gain per electron; `findings`, `light`: findings against the gain, and against
-    quantities that need the stated light; `notes`: notes on the gain; `factor`: excess noise factor F^2 of a
-    multiplying register.
+    `gains`: slope of the standard, and gain per electron of the derived quantities. `findings`: those of each.
     """
-    slope = gain.slope
+    (plain, gain), (own, why) = gains, findings
+    excess = emva1288.excess_of(series.flats[0].conditions, context)
+    notes = () if excess.note is None else (excess.note,)
+    out = [measurement_from_draws("system_gain", "DN/e-", plain.slope, flags=flags_of(own) + plain.posterior.flags,
+                                  notes=notes_of(own) + notes, posterior=plain.posterior, **fields)]  # fmt: skip
+    slope, light = gain.slope, light_findings(series)
     rng = np.random.default_rng([context.seed, 2])
-    out: list[Measurement] = []
-    fields |= {"flags": flags_of(findings) + gain.posterior.flags}
-    lit = {**fields, "flags": flags_of([*findings, *light]) + gain.posterior.flags}
+    flagged = {**fields, "flags": flags_of(why) + gain.posterior.flags}
     photons = emva1288.photons_of(series)
     efficiency = None
     if photons is not None and (photons > 0).all():
+        lit = {**fields, "flags": flags_of([*why, *light]) + gain.posterior.flags}
         response = emva1288.responsivity_line(series, photons, context=context)
         efficiency = rng.permutation(response.slope) / slope
-        stated = light_of_photons(series, photons)
+        stated = light_of_photons(series.flats, photons)
         true = efficiency / stated.scale(context.seed, len(efficiency))
         words = (*notes, stated.note, *notes_of(light))
         out.append(measurement_from_draws("quantum_efficiency", "%", 100 * true, notes=words, **lit))
@@ -147,15 +153,25 @@ def white_quantities(series: FlatSeries, gain: emva1288.GainLine, *, context: Co
     dark, dark_sd = emva1288.dark_noise_dn(series)
     # Rounding of so little noise may raise or lower its variance.
     steps = rounding_sd(dark**2)[1] * rng.standard_normal(len(slope))
-    square = (dark + dark_sd * rng.standard_normal(len(slope))) ** 2 - emva1288.QUANTISATION_DN2 + steps
+    square = (dark + dark_sd * rng.standard_normal(len(slope))) ** 2 - QUANTISATION_DN2 + steps
     if np.quantile(square, 0.02) <= 0:
         reason = f"the noise of {dark:.3g} DN does not exceed the quantisation noise"
-        fields.pop("flags")
-        out.append(make_refusal("read_noise", "e-", reason, **fields))
-        return out
+        return [*out, make_refusal("read_noise", "e-", reason, **fields)]
     dark_e2 = np.maximum(square, 0.0) / slope**2
-    out.append(measurement_from_draws("read_noise", "e-", np.sqrt(dark_e2), notes=notes, **fields))
-    return out + _range(series, slope, None if light else efficiency, dark_e2, photons, factor, **fields)
+    out.append(measurement_from_draws("read_noise", "e-", np.sqrt(dark_e2), notes=notes, **flagged))
+    # Capacity, largest signal-to-noise ratio and dynamic range, at the level of peak variance.
+    names = (("saturation_capacity", "e-"), ("snr_max", "1"), ("dynamic_range", "1"))
+    if series.peak is None:
+        reason = f"no flat reaches saturation: the variance still rises at {series.flats[-1].mean_dn:.4g} DN"
+        return [*out, *(make_refusal(name, unit, reason, **fields) for name, unit in names)]
+    capacity = series.signal_dn[series.peak] / slope
+    if efficiency is not None and photons is not None and not light:
+        capacity = efficiency * photons[series.peak]
+    factor = excess.factor
+    least = emva1288.sensitivity_photons(np.ones_like(slope), dark_e2, slope, factor)
+    # The peak is resolved to the spacing of the levels.
+    draws = (capacity, np.sqrt(capacity / factor), capacity / least)
+    return out + [measurement_from_draws(*name, d, **flagged) for name, d in zip(names, draws, strict=True)]
 
 
 def _linearity(series: FlatSeries, response: emva1288.GainLine, photons: Array, **fields: Any) -> Measurement:
@@ -168,40 +184,6 @@ def _linearity(series: FlatSeries, response: emva1288.GainLine, photons: Array, 
     sd = np.hypot(float(np.sqrt(np.sum((error / value)[inside] ** 2))) / inside.sum(),
                   float(np.std(response.slope) / np.median(response.slope)))  # fmt: skip
     return measurement_from_sd("linearity_error", "%", 100 * float(departure.mean()), 100 * float(sd), **fields)
-
-
-def _range(series: FlatSeries, slope: Array, efficiency: Array | None, dark_e2: Array, photons: Array | None,
-           factor: float, **fields: Any) -> list[Measurement]:  # fmt: skip
-    """Return capacity, largest signal-to-noise ratio and dynamic range, at the level of peak variance."""
-    names = (("saturation_capacity", "e-"), ("snr_max", "1"), ("dynamic_range", "1"))
-    if series.peak is None:
-        reason = f"no flat reaches saturation: the variance still rises at {series.flats[-1].mean_dn:.4g} DN"
-        fields.pop("flags")
-        return [make_refusal(name, unit, reason, **fields) for name, unit in names]
-    if efficiency is not None and photons is not None:
-        capacity = efficiency * photons[series.peak]
-    else:
-        capacity = series.signal_dn[series.peak] / slope
-    least = emva1288.sensitivity_photons(np.ones_like(slope), dark_e2, slope, factor)
-    # The peak is resolved to the spacing of the levels.
-    draws = (capacity, np.sqrt(capacity / factor), capacity / least)
-    return [measurement_from_draws(name, unit, d, **fields) for (name, unit), d in zip(names, draws, strict=True)]
-
-
-def gain_obstacle(series: FlatSeries) -> str | None:
-    """Return why a series cannot give a gain, or None."""
-    if not len(series.flats):
-        return "flats need at least two frames each, and darks or a second level as reference"
-    error = np.array([np.sqrt(f.variance_dn2 / (f.pixels * f.frames)) + 1e-12 for f in series.flats])
-    brighter = series.signal_dn > 5.0 * np.sqrt(50.0) * error
-    if not brighter.any():
-        return f"no flat is brighter than its dark: the largest difference is {series.signal_dn.max():.3g} DN"
-    noisier = series.variance_dn2 > 5.0 * series.variance_sd_dn2
-    if not (brighter & noisier).any():
-        return f"no flat is noisier than its dark: the largest difference is {series.variance_dn2.max():.3g} DN2"
-    if not (series.fitted & brighter & noisier).any():
-        return "every flat is saturated: none lies within 70 % of saturation and below full scale"
-    return None
 
 
 def without_flats(
@@ -219,3 +201,22 @@ def without_flats(
     dark = dark_quantities(tuple(darks), flags=(), **fields) if darks else []
     notes = notes_of(wrong)
     return out + [one.with_(flags=flags_of(wrong), notes=(*one.notes, *notes)) for one in dark]
+
+
+def transfer_figure_data(series: FlatSeries, *, gain: float | None = None, **more: Any) -> dict[str, Any]:
+    """Return the photon transfer curve: signal, variance and fitted range."""
+    return {
+        "figure": "photon-transfer",
+        "label": [flat.label for flat in series.flats],
+        "mean_dn": [flat.mean_dn for flat in series.flats],
+        "signal_dn": series.signal_dn.tolist(),
+        "variance_dn2": [flat.variance_dn2 for flat in series.flats],
+        "variance_sd_dn2": series.variance_sd_dn2.tolist(),
+        "fitted": series.fitted.tolist(),
+        "system_gain_dn_per_e": gain,
+        "reference": series.reference,
+        "variance_above_dark_dn2": series.variance_dn2.tolist(),
+        "dark_mean_dn": [dark.mean_dn for dark in series.darks],
+        "dark_variance_dn2": [dark.variance_dn2 for dark in series.darks],
+        **more,
+    }

@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.method.stopwatch import Stopwatch
-from charact.noise.checks import QUANTISED_DN2
-from charact.noise.findings import Finding, flags_of, notes_of
-from charact.noise.provenance import provenance
+from charact.noise.findings import Finding, fields_of, flags_of, notes_of
+from charact.noise.rounding import QUANTISED_DN2
 from charact.noise.stack.components import OWN, TIME, Component
 from charact.noise.stack.cube import Cube, FrameMeans
 from charact.noise.stack.stack_statistics import StackStatistics
@@ -30,7 +29,7 @@ def three_dimensional(levels: list[StackStatistics], *, context: Context) -> Res
     Returns `noise_t` to `noise_tvh` of each stack, DN, quantisation included; as figure data the means of frames with
     their spectrum, of rows and of columns. Seven refusals if no stack is long enough.
     """
-    fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
+    fields = fields_of(METHOD, context)
     result = Result()
     for level in levels:
         if level.cube is not None:
@@ -92,14 +91,16 @@ def _common_findings(level: StackStatistics, cube: Cube, draws: Array) -> list[F
     """Return the findings common to all components of the stack."""
     out: list[Finding] = []
     if cube.fields > 1:
-        out.append((None, "even and odd rows form separate cubes; their variances are averaged"))
+        out.append(Finding(None, "even and odd rows form separate cubes; their variances are averaged"))
     variance, half = cube.components["tvh"].variance_dn2, _half(draws)
     for share, which in ((level.low_fraction, "0"), (level.high_fraction, "the highest")):
         # Clipping a fraction of a normal distribution lowers its variance by about twice that fraction.
         if share > CHECKS.max_clipped_fraction or 2.0 * share * variance > 0.5 * half:
-            out.append(("clipped", f"{100 * share:.2g} % of the values are at code {which}"))
+            out.append(Finding("clipped", f"{100 * share:.2g} % of the values are at code {which}"))
     if variance < QUANTISED_DN2:
-        out.append(("quantised", f"the random noise of {variance:.2g} DN2 is smaller than the quantisation step"))
+        out.append(
+            Finding("quantised", f"the random noise of {variance:.2g} DN2 is smaller than the quantisation step")
+        )
     return out
 
 
@@ -109,7 +110,9 @@ def _low_frequency_findings(name: str, part: Component, draws: Array) -> list[Fi
     for axis, slope in part.slopes.items():
         if slope.min_fraction > CUBE.max_slope and abs(slope.estimate_dn2) > CUBE.slope_weight * _half(draws):
             flag, along = ("lag", "frames") if axis == TIME else ("correlated-noise", "pixels")
-            out.append((flag, f"noise is correlated over so many {along} that it is hardly separable from {name}"))
+            out.append(
+                Finding(flag, f"noise is correlated over so many {along} that it is hardly separable from {name}")
+            )
     return out
 
 
@@ -122,12 +125,12 @@ def _frame_mean_findings(means: FrameMeans) -> list[Finding]:
     """Return findings of drift and flicker in the frame means."""
     out: list[Finding] = []
     if means.drift_seen:
-        out.append(("drift", f"the mean drifts by {means.drift_dn:.3g} DN from first to last frame"))
+        out.append(Finding("drift", f"the mean drifts by {means.drift_dn:.3g} DN from first to last frame"))
     if means.line is not None:
         place = f"{means.frequency_cy_per_exposure[means.line]:.3g} cycles per exposure"
         if means.line_hz is not None:
             place = f"{means.line_hz:.3g} Hz, or an alias of a higher frequency"
-        out.append(("flicker", f"the mean flickers by {means.line_rms_dn:.3g} DN rms at {place}"))
+        out.append(Finding("flicker", f"the mean flickers by {means.line_rms_dn:.3g} DN rms at {place}"))
     return out
 
 

@@ -308,7 +308,6 @@ class GainPriors:
 class SnrLimits:
     """Signal-to-noise ratio and illumination (`snr`)."""
 
-    figure_points: int = 60  # figure: points of a law
     interpolation_factor: float = 10.0  # dimmest flat over light: extrapolated beyond
     max_factor_below: float = 100.0  # dimmest flat over light: refused beyond
     max_factor_above: float = 2.0  # light over brightest flat: refused beyond
@@ -330,7 +329,6 @@ class SnrLimits:
 class SweepLimits:
     """Gain sweep (`sweep`)."""
 
-    figure_points: int = 41  # figure: points of the law
     min_loss: float = 0.01  # lower limit of a detected gain loss
     loss_sd: float = 4.0  # standard errors of a detected gain loss
     mcp_exponent: float = 1.0  # covariance over signal against response: MCP saturation

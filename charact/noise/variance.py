@@ -1,40 +1,34 @@
 """System gain from the variance of pixels, for white noise (EMVA 1288 Release 4)."""
 
-from typing import Any
-
 import numpy as np
 
 from charact.method import Context, register
-from charact.noise.checks import (
+from charact.noise.dark_current import dark_current
+from charact.noise.findings import fields_of, flags_of
+from charact.noise.gain import emva1288
+from charact.noise.gain.checks import (
     bend_allowance,
     correlation_findings,
-    exposure_flags,
-    light_findings,
+    exposure_findings,
     series_findings,
     variance_ratio_changes,
 )
-from charact.noise.covariance_sum import transfer_figure_data
-from charact.noise.dark_current import dark_current
-from charact.noise.findings import flags_of, notes_of
-from charact.noise.gain import emva1288
-from charact.noise.gain.emva1288 import excess_of
-from charact.noise.gain.series import has_intensifier, read_levels, series_of
-from charact.noise.provenance import provenance
-from charact.noise.quantities import (
-    dark_quantities,
-    gain_obstacle,
-    pattern_quantities,
-    saturation_level,
-    white_quantities,
-    without_flats,
-)
-from charact.noise.three_dimensional import three_dimensional
-from charact.noise.undetected_correlation import (
+from charact.noise.gain.series import gain_obstacle, has_intensifier, read_levels, series_of
+from charact.noise.gain.undetected_correlation import (
     allowance_of,
     spatially_correlated_fraction,
     temporally_correlated_fraction,
 )
-from labdata.measurement import Result, measurement_from_draws
+from charact.noise.quantities import (
+    dark_quantities,
+    electron_quantities,
+    pattern_quantities,
+    saturation_level,
+    transfer_figure_data,
+    without_flats,
+)
+from charact.noise.three_dimensional import three_dimensional
+from labdata.measurement import Result
 from labdata.session import Session
 
 METHOD = "variance"
@@ -59,29 +53,23 @@ def variance(session: Session, *, context: Context) -> Result:
     """
     darks, flats, single = read_levels(session, context=context, spectra=False, cubes=True)
     cubes = three_dimensional([*darks, *flats], context=context)
-    fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
+    fields = fields_of(METHOD, context)
     series = series_of(flats, darks, single) if flats else None
     if series is None or gain_obstacle(series) is not None:
         result = Result(measurements=tuple(without_flats(darks, series, single, **fields))) + cubes
         return result + dark_current(darks, result, context=context)
     neighbours, exposures = spatially_correlated_fraction(series), temporally_correlated_fraction(series)
-    findings = series_findings(series, context=context)
-    flags = flags_of(findings)
-    findings += variance_ratio_changes(series) + correlation_findings(neighbours, exposures)
+    common = series_findings(series)
+    findings = common + variance_ratio_changes(series) + correlation_findings(neighbours, exposures)
     tube = has_intensifier([level.conditions for level in (*darks, *flats)], context)
     allowance = float(np.hypot(allowance_of(neighbours, exposures, tube=tube), bend_allowance(series)))
     gain = emva1288.gain_line(series, context=context, allowance=allowance)
-    own = flags_of(findings) + gain.posterior.flags
-    excess = excess_of(series.flats[0].conditions, context)
-    notes = () if excess.note is None else (excess.note,)
-    out = [measurement_from_draws("system_gain", "DN/e-", gain.slope, flags=own, notes=notes_of(findings) + notes,
-                      posterior=gain.posterior, **fields)]  # fmt: skip
-    out += dark_quantities(series.all_darks, flags=flags, **fields) if series.all_darks else []
-    out.append(saturation_level(series, flags=flags, **fields))
-    out += white_quantities(series, gain, context=context, findings=findings, light=light_findings(series),
-                            notes=notes, factor=excess.factor, **fields)  # fmt: skip
-    out += pattern_quantities(series, gain.slope, flags=flags, gain_flags=own, pair_flags=exposure_flags(exposures),
-                              **fields)  # fmt: skip
+    flags = flags_of(common)
+    first, *out = electron_quantities(series, (gain, gain), (findings, findings), context, fields)
+    darks_alone = dark_quantities(series.all_darks, flags=flags, **fields) if series.all_darks else []
+    out = [first, *darks_alone, saturation_level(series, flags=flags, **fields), *out]
+    out += pattern_quantities(series, gain.slope, flags=flags, gain_flags=flags_of(findings) + gain.posterior.flags,
+                              pair_flags=flags_of(exposure_findings(exposures)), **fields)  # fmt: skip
     evidence = {"photon-transfer": transfer_figure_data(series, gain=float(np.median(gain.slope)))}
     result = Result(measurements=tuple(out), evidence=evidence) + cubes
     return result + dark_current(darks, result, context=context)

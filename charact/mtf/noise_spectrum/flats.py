@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context, register
-from charact.mtf.noise_spectrum.aliasing import NonparametricBlur, PostGainBlur
 from charact.mtf.noise_spectrum.model import (
     COMMON,
     FAMILIES,
+    NonparametricBlur,
+    PostGainBlur,
     SpectrumLikelihood,
     SpectrumOptimum,
     optimum_under_model,
@@ -27,8 +28,8 @@ from charact.mtf.noise_spectrum.pooled_spectrum import PooledSpectrum, SelectedF
 from charact.mtf.noise_spectrum.result import DRAWS, SpectrumDraws, curves, figure_data, quantities
 from charact.mtf.noise_spectrum.result import note as unseen_note
 from charact.mtf.noise_spectrum.thresholds import THRESHOLDS
-from charact.noise.checks import QUANTISED_DN2
-from charact.noise.provenance import provenance
+from charact.noise.findings import fields_of
+from charact.noise.rounding import QUANTISED_DN2
 from charact.posterior import laplace, predictive_check, sample_posterior
 from labdata.measurement import Posterior, Result, make_refusal
 from labdata.session import Session
@@ -202,12 +203,12 @@ def noise_spectrum_free(session: Session, *, context: Context) -> Result:
 def _measure(
     session: Session, shapes: tuple[PostGainBlur, ...], method: str, context: Context, *, with_free_curves: bool
 ) -> Result:
-    fields: dict[str, Any] = {"method": method, "provenance": provenance(context)}
+    fields = fields_of(method, context)
     chosen = select_flats(session, context)
     reason = _selection_refusal(chosen)
     if reason is not None:
         return _refusal(reason, fields)
-    spectrum = spectrum_of(session, chosen, context)
+    spectrum = spectrum_of(chosen, context)
     if not np.mean(spectrum.power_dn2) > 1.001 * np.mean(spectrum.dark_dn2):
         return _refusal("the flats are no noisier than their darks: no light scintillates in them", fields)
     context.progress("noise spectrum of the flats", 0.9)

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from charact.mtf.blur_models.transfer import glare
 from charact.mtf.curve import FINE, PINNED, REPORTED, crossing_frequency, curve_of
-from charact.mtf.noise_spectrum.aliasing import PostGainBlur
 from charact.mtf.noise_spectrum.model import (
     SCATTER_FRACTION,
     SCATTER_PX,
     SCATTER_SHARE,
+    PostGainBlur,
     SpectrumLikelihood,
     SpectrumOptimum,
 )
@@ -91,11 +91,9 @@ def _mtf50_measurement(half: Array, own: dict[str, Any]) -> Measurement:
     known = half[np.isfinite(half)]
     if len(known) < 0.975 * len(half):
         return make_refusal(
-            "post_gain_mtf50",
-            "cy/px",
-            "the transfer after the gain may not fall to one half at any frequency seen",
+            "post_gain_mtf50", "cy/px", "the transfer after the gain may not fall to one half at any frequency seen",
             **{key: value for key, value in own.items() if key not in ("flags", "posterior")},
-        )
+        )  # fmt: skip
     flags = set(own["flags"])
     low, middle, high = np.quantile(known, [0.16, 0.5, 0.84])
     if 0.5 * (high - low) > THRESHOLDS.max_relative_sd * middle:

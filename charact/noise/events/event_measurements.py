@@ -8,14 +8,12 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.method.stopwatch import with_timing
-from charact.noise.cathode_radiometry import lognormal_draws, photoelectrons_per_lux_s
-from charact.noise.checks import QUANTISED_DN2
-from charact.noise.events.filters import MIDDLE
-from charact.noise.events.frames import DarkFrames, dark_frames, fits_filters, has_pulses
+from charact.noise.events.frames import MIDDLE, DarkFrames, dark_frames, fits_filters, has_pulses
 from charact.noise.events.pulse_height_fit import PulseFit, fit_pulses
-from charact.noise.findings import Finding, flags_of, notes_of
+from charact.noise.findings import Finding, flags_of, notes_of, provenance
 from charact.noise.gain.series import gain_of
-from charact.noise.provenance import provenance
+from charact.noise.illumination import lognormal_draws, photoelectrons_per_lux_s
+from charact.noise.rounding import QUANTISED_DN2
 from charact.noise.stack.stack_statistics import StackStatistics
 from charact.noise.thresholds import EVENT_ACCURACY, EVENTS
 from labdata.conditions import Conditions
@@ -188,35 +186,39 @@ def _relative_sd(posterior: Posterior, name: str) -> float:
 def pulse_findings(found: PulseFit) -> list[Finding]:
     """Return the findings of a pulse fit."""
     best, frames, out = found.peak.pulses, found.frames, list[Finding]()
-    out.append((None, f"the detection probability p is not measurable in darks: {_HOW_P}"))
+    out.append(Finding(None, f"the detection probability p is not measurable in darks: {_HOW_P}"))
     if found.signal_to_noise < EVENTS.low_snr:
-        out.append(("low-signal", f"a mean pulse is {found.signal_to_noise:.2g} times the filtered noise"))
+        out.append(Finding("low-signal", f"a mean pulse is {found.signal_to_noise:.2g} times the filtered noise"))
     count = best.density * found.observed.pixels
     error = max(_relative_sd(found.posterior, name) for name in ("density", "height_dn"))
     if count < EVENTS.few_events or error > EVENTS.high_relative_sd:
         out.append(
-            ("too-few-frames", f"{count:.0f} events: the uncertainty of number or height is {100 * error:.0f} %")
+            Finding("too-few-frames", f"{count:.0f} events: the uncertainty of number or height is {100 * error:.0f} %")
         )
     if best.noise_dn2 < QUANTISED_DN2:
-        out.append(("quantised", f"the noise beneath the pulses is {np.sqrt(best.noise_dn2):.2g} DN"))
+        out.append(Finding("quantised", f"the noise beneath the pulses is {np.sqrt(best.noise_dn2):.2g} DN"))
     if frames.full > EVENTS.clipped_fraction:
-        out.append(("clipped", f"{100 * frames.full:.0f} % of the brightest values are at full scale"))
+        out.append(Finding("clipped", f"{100 * frames.full:.0f} % of the brightest values are at full scale"))
     if frames.defects > EVENTS.blinking_fraction:
-        out.append(("defects", f"{100 * frames.defects:.1f} % of the pixels are blinking"))
+        out.append(Finding("defects", f"{100 * frames.defects:.1f} % of the pixels are blinking"))
     if found.peak.chance < EVENTS.min_p_value:
         out.append(
-            ("model-misfit", f"residuals of the pulse fit have chi2 {found.peak.chi2:.0f} of {found.peak.freedom}")
+            Finding(
+                "model-misfit", f"residuals of the pulse fit have chi2 {found.peak.chi2:.0f} of {found.peak.freedom}"
+            )
         )
     if found.fraction_contaminated > EVENTS.contaminated_fraction:
         out.append(
-            ("model-misfit", f"{100 * found.fraction_contaminated:.0f} % of the values are near ion feedback events")
+            Finding(
+                "model-misfit", f"{100 * found.fraction_contaminated:.0f} % of the values are near ion feedback events"
+            )
         )
     if len(found.ion_height_dn):
         size = float(np.mean(found.ion_height_dn)) / best.height_dn
         rate = len(found.ion_height_dn) / sum(change.size for change in frames.changes)
         apart = f"{len(found.ion_height_dn)} ion feedback events, {rate:.2g} per pixel and exposure"
-        out.append((None, f"{apart}, of {size:.0f} mean pulses each, are excluded"))
-    return out + [(flag, "see the posterior") for flag in found.posterior.flags]
+        out.append(Finding(None, f"{apart}, of {size:.0f} mean pulses each, are excluded"))
+    return out + [Finding(flag, "see the posterior") for flag in found.posterior.flags]
 
 
 _HOW_P = "take a flat at known illuminance: it gives k, and p = k / pulse height"

@@ -241,15 +241,9 @@ def _with_gain(drawn: Posterior, summary: PooledNoise, rng: np.random.Generator)
     variance = summary.variance_dn + summary.variance_sd_dn * rng.standard_normal(count)
     derived = np.stack([power * factor, variance / power, factor], axis=1)
 
-    def first_thrice(of: Array) -> Array:
-        return np.concatenate([np.repeat(of[:1], len(DERIVED)), of])
-
-    return replace(
-        drawn,
-        names=(*DERIVED, *NAMES),
-        units=(*DERIVED_UNITS, *UNITS),
-        draws=np.concatenate([derived, drawn.draws], axis=1),
-        autocorrelation_time=first_thrice(drawn.autocorrelation_time),
-        r_hat=first_thrice(drawn.r_hat),
-        effective_sample_size=first_thrice(drawn.effective_sample_size),
-    )
+    diagnostics = {
+        name: np.concatenate([np.repeat(getattr(drawn, name)[:1], len(DERIVED)), getattr(drawn, name)])
+        for name in ("autocorrelation_time", "r_hat", "effective_sample_size")
+    }
+    return replace(drawn, names=(*DERIVED, *NAMES), units=(*DERIVED_UNITS, *UNITS),
+                   draws=np.concatenate([derived, drawn.draws], axis=1), **diagnostics)  # fmt: skip

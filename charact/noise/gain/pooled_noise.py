@@ -10,9 +10,8 @@ from scipy.special import stdtrit
 from charact.noise.gain.model import PixelReadoutModel
 from charact.noise.gain.series import FlatSeries
 from charact.noise.gain.white_floor import Beyond, beyond_of
-from charact.noise.stack.frame_block import rows_lags
 from charact.noise.stack.stack_statistics import StackStatistics
-from charact.noise.stack.temporal import error_correlation, n_effective_samples, truncation_bias
+from charact.noise.stack.temporal import error_correlation, n_effective_samples, same_row_lags, truncation_bias
 from charact.noise.thresholds import GAIN
 from labdata.sensor import Sensor
 
@@ -96,6 +95,11 @@ class ImageLag:
     open: bool  # whether image lag extends beyond the last lag, so that its sum is too small
 
 
+# Images too small for a spectrum, or too few frames for lags.
+NO_LAG = ImageLag(lag=np.empty(0, np.int64), correlation=np.empty(0), correlation_sd=np.empty(0), is_detected=False,
+                  factor=1.0, factor_sd=0.0, freedom=np.inf, tested=False, open=False)  # fmt: skip
+
+
 @dataclass(frozen=True, kw_only=True)
 class PooledNoise:
     """Noise per DN of signal."""
@@ -137,24 +141,14 @@ def pool_noise(series: FlatSeries, sensor: Sensor | None, *, floor: bool = False
     by_heights = np.array([_by_heights(flat, count) for (flat, _), count in zip(pairs, exposures, strict=True)])
     known = np.array([_independent(flat, name, lag) for flat, _ in pairs])
     return PooledNoise(
-        column_cy_per_px=bins.column_cy_per_px,
-        row_cy_per_px=bins.row_cy_per_px,
-        reading=PixelReadoutModel.of(bins.row_pitch, sensor),
-        leak_cy2_per_px2=bins.leak_cy2_per_px2,
-        modes=bins.modes * bins.efficiency * known[:, 0].sum(),
-        power_dn=power[:, 0],
-        power_sd_dn=_power_sd(pairs, weight, name, known[:, 0], lag),
-        variance_dn=float(weight @ variance),
+        column_cy_per_px=bins.column_cy_per_px, row_cy_per_px=bins.row_cy_per_px,
+        reading=PixelReadoutModel.of(bins.row_pitch, sensor), leak_cy2_per_px2=bins.leak_cy2_per_px2,
+        modes=bins.modes * bins.efficiency * known[:, 0].sum(), power_dn=power[:, 0],
+        power_sd_dn=_power_sd(pairs, weight, name, known[:, 0], lag), variance_dn=float(weight @ variance),
         variance_sd_dn=_variance_sd(pairs, weight, exposures / known[:, 1]),
-        height_sd=float(np.sqrt(weight**2 @ by_heights) / max(weight @ variance, 1e-12)),
-        lag=lag,
-        beyond=_beyond(pairs, weight, series.signal_dn[chosen], known[:, 0], name) if floor else None,
-    )
-
-
-def _beyond(pairs, weight: Array, signal: Array, known: Array, name: str) -> Beyond:
-    """Return the integrals beyond the band."""
-    return beyond_of([flat for flat, _ in pairs], [dark for _, dark in pairs], weight, signal, known, name)
+        height_sd=float(np.sqrt(weight**2 @ by_heights) / max(weight @ variance, 1e-12)), lag=lag,
+        beyond=beyond_of(pairs, weight, series.signal_dn[chosen], known[:, 0], name) if floor else None,
+    )  # fmt: skip
 
 
 def pooling(series: FlatSeries) -> tuple[NDArray[np.int64], Array]:
@@ -197,7 +191,7 @@ def _independent(level: StackStatistics, name: str, lag: ImageLag) -> tuple[floa
     lags = getattr(level, name).lags
     correlation = lag.correlation if lag.is_detected else np.empty(0)
     spectrum = n_effective_samples(level.time, level.parity, lags, correlation)
-    same = rows_lags(lags, level.parity)
+    same = same_row_lags(lags, level.parity)
     variance = n_effective_samples(level.time, level.parity, same, correlation, within_parity=True)
     return level.runs * spectrum, level.runs * variance
 
@@ -233,18 +227,7 @@ def lag_of(power: Array, lags: NDArray[np.int64], dark: Array, flats: list[Stack
     Covariances at different lags use the same frames, so their errors are correlated bin by bin.
     """
     if len(lags) < 2:
-        none = np.empty(0)
-        return ImageLag(
-            lag=lags[1:],
-            correlation=none,
-            correlation_sd=none,
-            is_detected=False,
-            factor=1.0,
-            factor_sd=0.0,
-            freedom=np.inf,
-            tested=False,
-            open=False,
-        )
+        return NO_LAG
     bins = flats[0].bins
     radius = np.hypot(bins.column_cy_per_px, bins.row_cy_per_px)
     smooth = smooth_power(power[:, 0], radius, bins.modes)

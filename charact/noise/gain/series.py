@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
+from charact.noise.stack.frame_block import Spectra
 from charact.noise.stack.stack_statistics import StackStatistics, read_levels_of
 from charact.noise.thresholds import GAIN
 from labdata.conditions import Conditions
@@ -45,7 +46,7 @@ def without_noise(single: Sequence[str]) -> str:
 
 
 def read_levels(
-    session: Session, *, context: Context, spectra: bool, cubes: bool = False
+    session: Session, *, context: Context, spectra: Spectra, cubes: bool = False
 ) -> tuple[list[StackStatistics], list[StackStatistics], list[str]]:
     """Read the statistics of every dark and flat of a session.
 
@@ -142,6 +143,22 @@ def _peak(flats: list[StackStatistics], signal: Array) -> int | None:
     beyond = variance[top + 1 :]
     rose = signal.min() < GAIN.fit_fraction * signal[top]
     return top if rose and len(beyond) and beyond.min() < 0.9 * variance[top] else None
+
+
+def gain_obstacle(series: FlatSeries) -> str | None:
+    """Return why a series cannot give a gain, or None."""
+    if not len(series.flats):
+        return "flats need at least two frames each, and darks or a second level as reference"
+    error = np.array([np.sqrt(f.variance_dn2 / (f.pixels * f.frames)) + 1e-12 for f in series.flats])
+    brighter = series.signal_dn > 5.0 * np.sqrt(50.0) * error
+    if not brighter.any():
+        return f"no flat is brighter than its dark: the largest difference is {series.signal_dn.max():.3g} DN"
+    noisier = series.variance_dn2 > 5.0 * series.variance_sd_dn2
+    if not (brighter & noisier).any():
+        return f"no flat is noisier than its dark: the largest difference is {series.variance_dn2.max():.3g} DN2"
+    if not (series.fitted & brighter & noisier).any():
+        return "every flat is saturated: none lies within 70 % of saturation and below full scale"
+    return None
 
 
 # Conditions that imply an intensifier.

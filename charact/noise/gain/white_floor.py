@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.noise.cathode_radiometry import lognormal_draws
 from charact.noise.gain.model import NAMES, PixelReadoutModel, transfer
 from charact.noise.gain.series import FlatSeries
+from charact.noise.illumination import lognormal_draws
 from charact.noise.stack.spectrum import BAND_CY_PER_PX, ROW_LIMIT_CY
 from charact.noise.stack.stack_statistics import StackStatistics, shares_of
 from charact.noise.thresholds import GAIN, STACK
@@ -47,19 +47,15 @@ class Beyond:
 
 
 def beyond_of(
-    flats: Sequence[StackStatistics],
-    darks: Sequence[StackStatistics],
-    weight: Array,
-    signal: Array,
-    known: Array,
-    name: str,
+    pairs: Sequence[tuple[StackStatistics, StackStatistics]], weight: Array, signal: Array, known: Array, name: str
 ) -> Beyond:
     """Return the integrals beyond the band from variance and neighbour covariances.
 
-    `flats`, `darks`: pooled levels, each with its dark; `weight`: weight of each flat above its dark, shape (flat,),
-    1/DN; weights times signals sum to 1; `signal`: signal of each, DN; `known`: independent exposures of each flat;
-    `name`: "few" or "many": the spectra with few or many temporal lags.
+    `pairs`: pooled levels with their darks. `weight`: of each flat above its dark, shape (flat,), 1/DN; weights times
+    signals sum to 1. `signal`: of each, DN. `known`: independent exposures of each flat. `name`: "few" or "many": the
+    spectra with few or many temporal lags.
     """
+    flats, darks = zip(*pairs, strict=True)
     bins = flats[0].bins
     shares = shares_of(bins).modes
     turned = 2.0 * np.pi * np.stack([bins.column_cy_per_px, bins.row_cy_per_px * bins.row_pitch])
@@ -70,7 +66,7 @@ def beyond_of(
         whole = spectrum.variance_dn2 * np.array([1.0, level.neighbour_correlation, level.below_correlation])
         return whole, cosines @ spectrum.power_dn2[:, 0]
 
-    above = [np.subtract(of(flat), of(dark)) for flat, dark in zip(flats, darks, strict=True)]
+    above = [np.subtract(of(flat), of(dark)) for flat, dark in pairs]
     whole, inside = np.tensordot(weight, np.array(above), 1)
     pixels = flats[0].pixels / len(np.unique(flats[0].parity))
     none, once, twice = 0.0, 0.0, 0.0
@@ -96,12 +92,7 @@ def points_beyond(row_pitch: float) -> tuple[Array, Array, Array]:
     out = (np.hypot(x, y / row_pitch) >= BAND_CY_PER_PX) | (y > ROW_LIMIT_CY)
 
     def block_sum(values: Array) -> Array:
-        return (
-            (values * out)
-            .reshape(GAIN.points, GAIN.subdivisions, GAIN.points, GAIN.subdivisions)
-            .sum(axis=(1, 3))
-            .ravel()
-        )
+        return (values * out).reshape(2 * (GAIN.points, GAIN.subdivisions)).sum(axis=(1, 3)).ravel()
 
     count = block_sum(np.ones_like(x))
     some = count > 0

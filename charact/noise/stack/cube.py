@@ -8,8 +8,16 @@ from numpy.typing import NDArray
 from charact.method import Context
 from charact.method.stopwatch import Stopwatch
 from charact.noise.findings import Finding
-from charact.noise.stack.components import ROW, TIME, Component, components, shading, subtract_means
-from charact.noise.stack.contrasts import Contrasts, contrasts
+from charact.noise.stack.components import (
+    ROW,
+    TIME,
+    Component,
+    Contrasts,
+    components,
+    contrasts,
+    shading,
+    subtract_means,
+)
 from charact.noise.thresholds import CUBE, STACK
 from labdata.lazy_stack import LazyStack
 
@@ -21,7 +29,7 @@ def shading_findings(found: Contrasts) -> list[Finding]:
     smooth = rows.T @ image @ cols
     smooth[:, 0, 0] = 0.0
     rms = float(np.sqrt(np.sum(smooth**2) / image.size))
-    return [(None, f"excludes smooth shading up to fourth order along rows and columns, {rms:.3g} DN rms")]
+    return [Finding(None, f"excludes smooth shading up to fourth order along rows and columns, {rms:.3g} DN rms")]
 
 
 def row_parity_findings(found: Contrasts, *, fixed: bool) -> list[Finding]:
@@ -37,7 +45,7 @@ def row_parity_findings(found: Contrasts, *, fixed: bool) -> list[Finding]:
         return []
     rms = float(np.sqrt(np.mean(alternating**2) / rows.shape[2] / found.size[2]))
     sentence = f"even and odd rows differ by {2.0 * rms:.3g} DN: interlaced fields, not separated?"
-    return [("interlace-motion", sentence)]
+    return [Finding("interlace-motion", sentence)]
 
 
 Array = NDArray[np.float64]
@@ -145,11 +153,8 @@ def cube_of(stack: LazyStack, *, context: Context) -> Cube | None:
         "tv": () if split else tuple(row_parity_findings(found, fixed=False)),
     }
     return Cube(
-        components=parts,
-        findings=findings,
-        means=frame_means(found.frame_mean_dn, stack.time_s),
+        components=parts, findings=findings, means=frame_means(found.frame_mean_dn, stack.time_s),
         row_mean_dn=(found.by_row[..., 0].mean(axis=1) / np.sqrt(found.size[2])).T.ravel(),
         column_mean_dn=(found.by_col[:, :, 0].mean(axis=1) / np.sqrt(found.size[1])).mean(axis=0),
-        fields=len(found.by_row),
-        seconds=watch.seconds(),
-    )
+        fields=len(found.by_row), seconds=watch.seconds(),
+    )  # fmt: skip

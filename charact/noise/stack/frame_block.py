@@ -1,7 +1,7 @@
 """Statistics of a block of frames: clipped values, means, pixel products, fixed pattern and noise spectra."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from charact.noise.stack.pixels import (
     variance_error,
 )
 from charact.noise.stack.spectrum import NO_BINS, Bins, bins_of, smooth_length
-from charact.noise.stack.temporal import Order, autocovariance, order_of, usable_lags
+from charact.noise.stack.temporal import Order, autocovariance, order_of, same_row_lags, usable_lags
 from charact.noise.thresholds import STACK
 from labdata.errors import BadInput
 from labdata.frames import FrameStack
@@ -78,19 +78,14 @@ def count_clipped(data: NDArray, full_scale_dn: float | None) -> ClippedCounts:
 
 def sum_counts(parts: list[ClippedCounts]) -> ClippedCounts:
     """Return the sum of the counts."""
-    return reduce(_sum, parts)
-
-
-def _sum(one: ClippedCounts, two: ClippedCounts) -> ClippedCounts:
-    tops = [(part.largest, part.held) for part in (one, two)]
-    tops += [(part.next_largest, part.next_held) for part in (one, two)]
     held: dict[float, int] = {}
-    for value, count in tops:
+    for value, count in [(p.largest, p.held) for p in parts] + [(p.next_largest, p.next_held) for p in parts]:
         held[value] = held.get(value, 0) + count
-    first, second = sorted(held, reverse=True)[:2] if len(held) > 1 else (one.largest, one.largest)
-    return ClippedCounts(values=one.values + two.values, frames=one.frames + two.frames, low=one.low + two.low,
-                 full=one.full + two.full, largest=first, held=held[first], next_largest=second,
-                 next_held=held[second] if second < first else 0)  # fmt: skip
+    first, *others = sorted(held, reverse=True)
+    second = others[0] if others else first
+    return ClippedCounts(values=sum(p.values for p in parts), frames=sum(p.frames for p in parts),
+                         low=sum(p.low for p in parts), full=sum(p.full for p in parts), largest=first,
+                         held=held[first], next_largest=second, next_held=held[second] if others else 0)  # fmt: skip
 
 
 def _top(flat: NDArray) -> tuple[float, int, float, int]:
@@ -233,7 +228,7 @@ NO_SPECTRUM = BlockSpectrum(lags=np.empty(0, np.int64), power_dn2=np.empty((0, 0
 
 @dataclass(frozen=True, kw_only=True)
 class FrameBlock:
-    """Statistics of a block of frames: values with their standard errors, and spectra. Names as in `Level`."""
+    """Statistics of a block of frames: values with their standard errors, and spectra."""
 
     codes: ClippedCounts
     frame_mean_dn: Array
@@ -247,8 +242,18 @@ class FrameBlock:
     few: BlockSpectrum
     many: BlockSpectrum
 
+    @property
+    def fixed_pattern(self) -> tuple[float, float]:
+        """Variance of the fixed pattern and its standard error, DN^2."""
+        return self.pattern.variance_dn2, self.pattern.sd_dn2
 
-def run_of(frames: FrameStack, *, context: Context, spectra: bool) -> FrameBlock:
+
+# Whether to compute noise spectra: in the bins of the covariance sum, or in those of a function of rows, columns and
+# row pitch.
+Spectra = bool | Callable[[int, int, float], Bins]
+
+
+def run_of(frames: FrameStack, *, context: Context, spectra: Spectra) -> FrameBlock:
     """Return the statistics of one block of frames.
 
     Raises BadInput if values are out of range, or a frame has too few rows for two fields.
@@ -262,36 +267,30 @@ def run_of(frames: FrameStack, *, context: Context, spectra: bool) -> FrameBlock
     variance = float(autocovariance(sums.products, order.time, order.parity, plain, within_parity=True)[0])
     few, many = NO_SPECTRUM, NO_SPECTRUM
     if spectra:
-        few, many = (_spectrum(sums, order, most) for most in (STACK.few_lags, STACK.max_lags))
+        few = _spectrum(sums, order, STACK.few_lags if spectra is True else 0)
+        many = _spectrum(sums, order, STACK.max_lags)
     rows, cols = line_errors(sums, order)
     lines = np.hypot(rows, cols)
     scale = max(variance, np.finfo(float).tiny)
+    (right, right_sd), (below, below_sd) = right_neighbour(sums), lower_neighbour(sums)
     return FrameBlock(
         codes=count_clipped(frames.data, full_scale_dn),
-        frame_mean_dn=sums.mean_dn.reshape(len(frames), -1).mean(axis=1),
-        time=order.time,
-        parity=order.parity,
+        frame_mean_dn=sums.mean_dn.reshape(len(frames), -1).mean(axis=1), time=order.time, parity=order.parity,
         variance=(variance, float(np.hypot(variance_error(sums, variance), lines))),
-        neighbour=_with_error(right_neighbour(sums), rows / scale),
-        below=_with_error(lower_neighbour(sums), cols / scale),
-        successor=successor_correlation(sums, order.parity),
-        pattern=measure_fixed_pattern(order, sums, STACK.decay_exposures if context.interlaced else 1),
-        few=few,
+        neighbour=(right, float(np.hypot(right_sd, rows / scale))),
+        below=(below, float(np.hypot(below_sd, cols / scale))), successor=successor_correlation(sums, order.parity),
+        pattern=measure_fixed_pattern(order, sums, STACK.decay_exposures if context.interlaced else 1), few=few,
         many=many,
-    )
+    )  # fmt: skip
 
 
-def _with_error(known: tuple[float, float], error: float) -> tuple[float, float]:
-    """Return a value with one more independent error."""
-    return known[0], float(np.hypot(known[1], error))
-
-
-def bins_of_run(shape: tuple[int, int, int], context: Context, *, spectra: bool) -> Bins:
-    """Return the spectral bins of frames of a shape, cropped to lengths with a fast transform."""
+def bins_of_run(shape: tuple[int, int, int], context: Context, *, spectra: Spectra) -> Bins:
+    """Return the spectral bins of frames of a shape; those of the covariance sum are cropped to fast transforms."""
     if not spectra:
         return NO_BINS
     step = 2 if context.interlaced else 1
-    return bins_of(smooth_length(shape[1] // step), smooth_length(shape[2]), context.pitch_ratio * step)
+    rows, cols, pitch = shape[1] // step, shape[2], context.pitch_ratio * step
+    return bins_of(smooth_length(rows), smooth_length(cols), pitch) if spectra is True else spectra(rows, cols, pitch)
 
 
 def _check(frames: FrameStack, context: Context) -> None:
@@ -308,12 +307,7 @@ def _check(frames: FrameStack, context: Context) -> None:
 def _spectrum(sums: PixelSums, order: Order, most: int) -> BlockSpectrum:
     """Return the unbiased temporal autocovariance up to a lag."""
     lags = usable_lags(order.time, order.parity, most)
-    same = rows_lags(lags, order.parity)
+    same = same_row_lags(lags, order.parity)
     variance = autocovariance(sums.products, order.time, order.parity, same, within_parity=True)[0]
     power = autocovariance(sums.spectra, order.time, order.parity, lags)
     return BlockSpectrum(lags=lags, power_dn2=power, variance_dn2=float(variance))
-
-
-def rows_lags(lags: NDArray[np.int64], parity: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the lags between exposures of the same rows."""
-    return lags[lags % 2 == 0] if len(np.unique(parity)) > 1 else lags

@@ -18,7 +18,10 @@ SUMS = ("power", "right", "below", "near", "level")
 
 @dataclass(frozen=True, kw_only=True)
 class PixelSums:
-    """Products of the temporal fluctuations of pixels, see `charact.noise.stack.temporal.fluctuations`."""
+    """Products of the temporal fluctuations of pixels, less each pixel's and each exposure's mean.
+
+    The pixel mean removes the fixed pattern, the exposure mean flicker.
+    """
 
     size: tuple[int, int]  # rows and columns of an exposure
     mean_dn: Array  # mean of each exposure, shape (exposure,), DN
@@ -40,7 +43,7 @@ class PixelSums:
     near: Array
     pairs: int
     level: Array  # mean of the pixels of a block, shape (block,), DN
-    spectra: Array  # mean product of the modes of exposures, see `charact.noise.stack.spectrum.cross_spectra`
+    spectra: Array  # mean product of the modes of exposures, see `charact.noise.stack.spectrum.products_of`
 
 
 def pixel_sums(data: NDArray, order: Order, bins: Bins) -> PixelSums:
@@ -76,17 +79,12 @@ def pixel_sums(data: NDArray, order: Order, bins: Bins) -> PixelSums:
     }
     mean["level"] += level.mean()
     return PixelSums(
-        size=(rows, cols),
-        mean_dn=level,
-        products=products,
-        with_mean=with_mean,
+        size=(rows, cols), mean_dn=level, products=products, with_mean=with_mean,
         mean_square=np.array([found.mean_square for found in passes]) / (rows * cols),
-        middle=tuple(found.middle for found in passes),
-        mean_middle=tuple(found.mean_middle for found in passes),
+        middle=tuple(found.middle for found in passes), mean_middle=tuple(found.mean_middle for found in passes),
         pairs=sum(len(found.first) for found in passes),
-        spectra=_complete_products(products_of(np.array(modes), bins), order.parity),
-        **mean,
-    )
+        spectra=_complete_products(products_of(np.array(modes), bins), order.parity), **mean,
+    )  # fmt: skip
 
 
 class _Pass:

@@ -74,14 +74,14 @@ NO_BINS = Bins(
 
 def smooth_length(length: int) -> int:
     """Return the longest length up to this one without prime factors above 7 (fast transform)."""
-    return next(n for n in range(length, 0, -1) if _smooth(n))
-
-
-def _smooth(number: int) -> bool:
-    for prime in (2, 3, 5, 7):
-        while number % prime == 0:
-            number //= prime
-    return number == 1
+    for number in range(length, 0, -1):
+        rest = number
+        for prime in (2, 3, 5, 7):
+            while rest % prime == 0:
+                rest //= prime
+        if rest == 1:
+            return number
+    raise ValueError(f"an image must have at least one pixel along each axis, got {length}")
 
 
 @lru_cache(maxsize=8)
@@ -124,22 +124,6 @@ def _fade(length: int) -> Array:
     return np.where(edge < 1, 0.5 - 0.5 * np.cos(np.pi * np.minimum(edge, 1)), 1.0)
 
 
-def cross_spectra(change: NDArray[np.float32], parity: NDArray[np.int64], bins: Bins) -> Array:
-    """Return the mean product of the modes of exposures i and j in every bin, shape (bin, exposure, exposure), DN^2.
-
-    `change`: fluctuations, shape (exposure, row, col), DN; rows and columns beyond the bins are ignored; `parity`: rows
-    of the frame in each exposure, 0 even, 1 odd, shape (exposure,); `bins`: the bins.
-
-    White noise of variance v gives v at i = j. Odd rows lie half an image row lower; the phase of their modes is
-    corrected, so that both parities can be compared.
-    """
-    rows = bins.window.shape[0]
-    modes = [
-        modes_of(along_rows(image[:rows], 0, bins), int(odd), bins) for image, odd in zip(change, parity, strict=True)
-    ]
-    return products_of(np.array(modes), bins)
-
-
 def along_rows(band: NDArray[np.float32], first: int, bins: Bins) -> NDArray[np.complex64]:
     """Return the spectra of the tapered rows from `first` on, shape (..., row, column of modes)."""
     from scipy import fft
@@ -165,7 +149,10 @@ def modes_of(along: NDArray[np.complex64], parity: int, bins: Bins) -> NDArray[n
 
 
 def products_of(modes: NDArray[np.float32], bins: Bins) -> Array:
-    """Return the mean product of modes in every bin, shape (bin, exposure, exposure), DN^2; see `cross_spectra`."""
+    """Return the mean product of modes in every bin, shape (bin, exposure, exposure), DN^2.
+
+    White noise of variance v gives v at i = j.
+    """
     return _products(modes, bins.edges) / (bins.power * np.diff(bins.edges)[:, None, None])
 
 

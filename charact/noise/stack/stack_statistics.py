@@ -1,6 +1,6 @@
 """Statistics of one stack of dark or uniformly illuminated frames: level, temporal variance, noise spectrum."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.noise.stack.cube import Cube, cube_of
-from charact.noise.stack.frame_block import BlockSpectrum, FrameBlock, bins_of_run, run_of, sum_counts
+from charact.noise.stack.frame_block import BlockSpectrum, FrameBlock, Spectra, bins_of_run, run_of, sum_counts
 from charact.noise.stack.spectrum import BAND_CY_PER_PX, ROW_LIMIT_CY, Bins
 from charact.noise.stack.temporal import runs_of
 from charact.noise.thresholds import STACK
@@ -67,55 +67,58 @@ class StackStatistics:
     cube: Cube | None = None  # 3-D noise; None if not requested or the stack is too short
 
 
-def stack_statistics(
-    entry: StackEntry, runs: list[FrameBlock], cube: Cube | None, *, shape: tuple[int, int, int], context: Context
-) -> StackStatistics:
-    """Return the statistics of a stack from those of its blocks."""
+# Largest stack that is read at once; of a larger one each block is a part, and the cube another.
+WHOLE_BYTES = 128 * 2**20
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    """Task: some of the statistics of a stack."""
+
+    entry: StackEntry
+    runs: tuple[tuple[int, int], ...]  # first and last-plus-one frame of each block
+    whole: bool  # whether to read the complete stack at once
+    cube: bool  # whether to compute 3-D noise
+    spectra: Spectra
+    context: Context
+
+
+PartStatistics = tuple[tuple[FrameBlock, ...], Cube | None]
+
+
+# Names of the pooled values of blocks and their standard errors.
+_POOLED = {
+    "variance": ("variance_dn2", "variance_sd_dn2"),
+    "neighbour": ("neighbour_correlation", "neighbour_sd"),
+    "below": ("below_correlation", "below_sd"),
+    "successor": ("successor_correlation", "successor_sd"),
+    "fixed_pattern": ("spatial_variance_dn2", "spatial_sd_dn2"),
+}
+
+
+def _join(
+    entry: StackEntry, found: list[PartStatistics], *, shape: tuple[int, int, int], bins: Bins
+) -> StackStatistics | None:
+    """Return the statistics of a stack from those of its parts; None for a single frame."""
+    runs = [run for part in found for run in part[0]]
+    if not runs:
+        return None
     weight = np.array([len(run.time) for run in runs], float)
-    frame_mean = np.concatenate([run.frame_mean_dn for run in runs])
-    variance, variance_sd = _pool([run.variance for run in runs], weight)
-    neighbour, neighbour_sd = _pool([run.neighbour for run in runs], weight)
-    below, below_sd = _pool([run.below for run in runs], weight)
-    successor, successor_sd = _pool([run.successor for run in runs], weight)
-    pattern, pattern_sd = _pool([(run.pattern.variance_dn2, run.pattern.sd_dn2) for run in runs], weight)
-    codes = sum_counts([run.codes for run in runs])
-    return StackStatistics(
-        label=entry.label,
-        kind=entry.kind,
-        conditions=entry.conditions,
-        frames=shape[0],
-        pixels=shape[1] * shape[2],
-        size=shape[1:],
-        mean_dn=float(frame_mean.mean()),
-        frame_mean_dn=frame_mean,
-        variance_dn2=variance,
-        variance_sd_dn2=variance_sd,
-        neighbour_correlation=neighbour,
-        neighbour_sd=neighbour_sd,
-        below_correlation=below,
-        below_sd=below_sd,
-        successor_correlation=successor,
-        successor_sd=successor_sd,
-        spatial_variance_dn2=pattern,
-        spatial_sd_dn2=pattern_sd,
-        settled=all(run.pattern.settled for run in runs),
-        low_fraction=codes.low_fraction,
-        high_fraction=codes.high_fraction,
-        few=_mean_spectrum([run.few for run in runs], weight),
-        many=_mean_spectrum([run.many for run in runs], weight),
-        runs=len(runs),
-        time=runs[0].time,
-        parity=runs[0].parity,
-        bins=bins_of_run(shape, context, spectra=len(runs[0].few.lags) > 0),
-        cube=cube,
-    )
-
-
-def _pool(values: list[tuple[float, float]], weight: Array) -> tuple[float, float]:
-    """Return a weighted mean and its standard error."""
     share = weight / weight.sum()
-    value, sd = np.array(values).T
-    return float(share @ value), float(np.sqrt(share**2 @ sd**2))
+    pooled: dict[str, float] = {}
+    for name, (value, error) in _POOLED.items():
+        values, errors = np.array([getattr(run, name) for run in runs]).T
+        pooled |= {value: float(share @ values), error: float(np.sqrt(share**2 @ errors**2))}
+    codes = sum_counts([run.codes for run in runs])
+    frame_mean = np.concatenate([run.frame_mean_dn for run in runs])
+    return StackStatistics(
+        label=entry.label, kind=entry.kind, conditions=entry.conditions, frames=shape[0], pixels=shape[1] * shape[2],
+        size=shape[1:], mean_dn=float(frame_mean.mean()), frame_mean_dn=frame_mean, **pooled,
+        settled=all(run.pattern.settled for run in runs), low_fraction=codes.low_fraction,
+        high_fraction=codes.high_fraction, few=_mean_spectrum([run.few for run in runs], weight),
+        many=_mean_spectrum([run.many for run in runs], weight), runs=len(runs), time=runs[0].time,
+        parity=runs[0].parity, bins=bins, cube=next((cube for _, cube in found if cube is not None), None),
+    )  # fmt: skip
 
 
 def _mean_spectrum(runs: list[BlockSpectrum], weight: Array) -> BlockSpectrum:
@@ -128,57 +131,30 @@ def _mean_spectrum(runs: list[BlockSpectrum], weight: Array) -> BlockSpectrum:
     return BlockSpectrum(lags=lags, power_dn2=power, variance_dn2=variance)
 
 
-# Largest stack that is read at once; of a larger one each block is a part, and the cube another.
-WHOLE_BYTES = 128 * 2**20
-
-
-@dataclass(frozen=True, kw_only=True)
-class Part:
-    """Task: some of the statistics of a stack."""
-
-    entry: StackEntry  # the stack
-    runs: tuple[tuple[int, int], ...]  # first and last-plus-one frame of each block
-    whole: bool  # whether to read the complete stack at once
-    cube: bool  # whether to compute 3-D noise
-    spectra: bool  # whether to compute noise spectra
-    context: Context  # settings
-
-
-@dataclass(frozen=True, kw_only=True)
-class PartStatistics:
-    """Statistics of a part."""
-
-    runs: tuple[FrameBlock, ...]
-    cube: Cube | None
-
-
 def read_levels_of(
-    entries: Sequence[StackEntry], *, context: Context, spectra: bool = True, cubes: bool = False
+    entries: Sequence[StackEntry], *, context: Context, spectra: Spectra = True, cubes: bool = False
 ) -> list[StackStatistics | None]:
     """Return the statistics of stacks; None for a stack of a single frame.
 
-    `entries`: the stacks; `spectra`, `cubes`: whether to compute noise spectra and 3-D noise.
-
-    Raises BadInput if frame numbers repeat, values are out of range, or a frame has too few rows for two fields.
+    `cubes`: whether to compute 3-D noise. `context.spread` maps over the parts of stacks. Raises BadInput if frame
+    numbers repeat, values are out of range, or a frame has too few rows for two fields.
     """
     alone = replace(context, progress=Context.progress, spread=Context.spread)
     # Workers run in other folders.
     entries = [replace(entry, folder=entry.folder.absolute()) for entry in entries]
-    parts, shapes = [], []
-    for entry in entries:
-        stack = open_lazy_stack(entry)
-        shapes.append(stack.shape)
-        parts.append(_parts(entry, stack, alone, spectra, cubes))
+    stacks = [open_lazy_stack(entry) for entry in entries]
+    parts = [_parts(entry, stack, alone, spectra, cubes) for entry, stack in zip(entries, stacks, strict=True)]
     found = iter(context.spread(part_statistics, [part for of_stack in parts for part in of_stack]))
     levels: list[StackStatistics | None] = []
-    for entry, shape, of_stack in zip(entries, shapes, parts, strict=True):
+    for entry, stack, of_stack in zip(entries, stacks, parts, strict=True):
         context.progress(f"noise of {entry.label}", len(levels) / len(entries))
-        levels.append(_join_parts(entry, shape, islice(found, len(of_stack)), context))
+        bins = bins_of_run(stack.shape, context, spectra=spectra if of_stack else False)
+        levels.append(_join(entry, list(islice(found, len(of_stack))), shape=stack.shape, bins=bins))
     return levels
 
 
 def part_statistics(part: Part) -> PartStatistics:
-    """Read the frames of a part and return its statistics."""
+    """Read the frames of a part and return its statistics: those of its blocks, and 3-D noise."""
     stack = open_lazy_stack(part.entry)
     if part.whole:
         stack = stack.in_memory()
@@ -188,10 +164,10 @@ def part_statistics(part: Part) -> PartStatistics:
         )
     except BadInput as error:
         raise BadInput(f"{error}, in stack {part.entry.label!r}") from None
-    return PartStatistics(runs=runs, cube=cube_of(stack, context=part.context) if part.cube else None)
+    return runs, cube_of(stack, context=part.context) if part.cube else None
 
 
-def _parts(entry: StackEntry, stack: LazyStack, context: Context, spectra: bool, cube: bool) -> list[Part]:
+def _parts(entry: StackEntry, stack: LazyStack, context: Context, spectra: Spectra, cube: bool) -> list[Part]:
     """Return the parts of a stack."""
     number = stack.frame_number
     if len(np.unique(number)) < len(number):
@@ -204,21 +180,6 @@ def _parts(entry: StackEntry, stack: LazyStack, context: Context, spectra: bool,
         return [every]
     parts = [replace(every, runs=(run,), cube=False, whole=False) for run in runs]
     return [*parts, replace(every, runs=(), whole=False)] if cube else parts
-
-
-def _join_parts(entry: StackEntry, shape: tuple[int, int, int], found: Iterable[PartStatistics], context: Context
-              ) -> StackStatistics | None:  # fmt: skip
-    """Return the statistics of a stack from those of its parts."""
-    parts = list(found)
-    runs = [run for part in parts for run in part.runs]
-    cube = next((part.cube for part in parts if part.cube is not None), None)
-    return stack_statistics(entry, runs, cube, shape=shape, context=context) if runs else None
-
-
-def read_stack_frames(entry: StackEntry) -> FrameStack:
-    """Read all frames of a stack."""
-    stack = open_lazy_stack(entry)
-    return _frames(stack, 0, len(stack))
 
 
 def _frames(stack: LazyStack, first: int, last: int) -> FrameStack:
@@ -262,11 +223,9 @@ def shares_of(bins: Bins, side: int = SIDE_PX) -> Shares:
     place[lost] = (outward + 0.05 * across).argmin(axis=1)
     number = len(bins.modes)
     return Shares(
-        bins=np.bincount(place[inside], weight[inside], number).astype(float),
-        beyond=float(weight[~inside].sum()),
-        modes=np.bincount(place[inside], count[inside], number).astype(float),
-        edge=radius > 0.9 * radius.max(),
-    )
+        bins=np.bincount(place[inside], weight[inside], number).astype(float), beyond=float(weight[~inside].sum()),
+        modes=np.bincount(place[inside], count[inside], number).astype(float), edge=radius > 0.9 * radius.max(),
+    )  # fmt: skip
 
 
 def _response(frequency: Array, side: int) -> Array:

@@ -1,34 +1,49 @@
-"""Unbiased temporal autocovariance from few centred exposures."""
+"""Unbiased temporal autocovariance from few centred exposures, and the time order of exposures."""
 
-from collections.abc import Sized
+from collections.abc import Callable, Sized
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, wraps
 from itertools import pairwise
+from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from charact.noise.thresholds import STACK
-from labdata.frames import FrameStack
 
 Array = NDArray[np.float64]
+Whole = NDArray[np.int64]
+Arguments = ParamSpec("Arguments")
+Found = TypeVar("Found")
 
 
-def centring(parity: NDArray[np.int64]) -> Array:
+def _cached(function: Callable[Arguments, Found]) -> Callable[Arguments, Found]:
+    """Cache a function of short arrays by their values: most stacks of a session have equal exposure times."""
+
+    @lru_cache(maxsize=64)
+    def of(arguments: tuple, named: tuple) -> Any:
+        return function(*(np.array(a) if isinstance(a, tuple) else a for a in arguments), **dict(named))  # type: ignore[call-arg]
+
+    @wraps(function)
+    def by_value(*arguments: Arguments.args, **named: Arguments.kwargs) -> Found:
+        plain = (tuple(a.tolist()) if isinstance(a, np.ndarray) else a for a in arguments)
+        return of(tuple(plain), tuple(named.items()))
+
+    return by_value
+
+
+def centring(parity: Whole) -> Array:
     """Return the projection that subtracts the mean over time of each parity, shape (exposure, exposure)."""
     same = (parity[:, None] == parity[None, :]).astype(float)
     return np.eye(len(parity)) - same / same.sum(axis=1, keepdims=True)
 
 
-def autocovariance(products: Array, time: NDArray[np.int64], parity: NDArray[np.int64], lags: NDArray[np.int64], *,
-                   within_parity: bool = False) -> Array:  # fmt: skip
-    """Return the unbiased autocovariance at the given lags from products of centred exposures.
+def autocovariance(products: Array, time: Whole, parity: Whole, lags: Whole, *, within_parity: bool = False) -> Array:
+    """Return the unbiased autocovariance at the given lags from products of centred exposures, shape (..., lag).
 
-    `products`: mean products of centred exposures i and j, shape (..., exposure, exposure); `time`, `parity`: as in
-    `Exposures`, shape (exposure,); `lags`: lags of nonzero covariance, 0 first, exposures, shape (lag,);
-    `within_parity`: whether to compare only exposures of the same rows (no odd lags of interlaced video).
-
-    Returns covariance, shape (..., lag).
+    `products`: mean products of exposures i and j, shape (..., exposure, exposure). `time`, `parity`: as in `Order`.
+    `lags`: lags of nonzero covariance, 0 first, exposures. `within_parity`: whether to compare only exposures of the
+    same rows (no odd lags of interlaced video).
 
     Centring replaces the covariance matrix C by P C P, which is linear in the covariances c(lag). The mean A c over the
     pairs of each lag is solved for c. For independent exposures this is the factor n/(n-1).
@@ -38,106 +53,64 @@ def autocovariance(products: Array, time: NDArray[np.int64], parity: NDArray[np.
     return measured @ solve.T
 
 
-def _solution(time, parity, lags, within_parity: bool):
+@_cached
+def _solution(time: Whole, parity: Whole, lags: Whole, within_parity: bool) -> tuple[list[NDArray[np.bool_]], Array]:
     """Return the pairs of every lag, and the matrix that inverts the centring."""
-    return _solution_of(tuple(time.tolist()), tuple(parity.tolist()), tuple(lags.tolist()), within_parity)
-
-
-@lru_cache(maxsize=64)
-def _solution_of(time: tuple[int, ...], parity: tuple[int, ...], lags: tuple[int, ...], within_parity: bool):
-    """Return the same from a cache: most stacks of a session have equal exposure times."""
-    when, rows = np.array(time), np.array(parity)
-    usable = (rows[:, None] == rows[None, :]) if within_parity else np.ones((len(when), len(when)), bool)
-    distance = np.abs(when[:, None] - when[None, :])
+    distance = np.abs(time[:, None] - time)
+    usable = (parity[:, None] == parity) | (not within_parity)
     pairs = [(distance == lag) & usable for lag in lags]
-    project = centring(rows)
+    project = centring(parity)
     centred = [project @ (distance == lag) @ project for lag in lags]
     return pairs, np.linalg.inv(np.array([[matrix[pair].mean() for matrix in centred] for pair in pairs]))
 
 
-def truncation_bias(time: NDArray[np.int64], parity: NDArray[np.int64], lags: NDArray[np.int64]
-           ) -> tuple[NDArray[np.int64], Array]:  # fmt: skip
+@_cached
+def truncation_bias(time: Whole, parity: Whole, lags: Whole) -> tuple[Whole, Array]:
     """Return the lags beyond the last one, and the bias of `autocovariance` by a covariance of 1 there.
 
-    Returns `distance`: lags, exposures, shape (distance,); `added`: bias of the covariance at each lag, shape (lag,
-    distance); negative, because centring removes what exposures have in common.
+    The bias has shape (lag, distance) and is negative, because centring removes what exposures have in common.
     """
-    return _truncation_bias_of(tuple(time.tolist()), tuple(parity.tolist()), tuple(lags.tolist()))
-
-
-@lru_cache(maxsize=64)
-def _truncation_bias_of(
-    time: tuple[int, ...], parity: tuple[int, ...], lags: tuple[int, ...]
-) -> tuple[NDArray[np.int64], Array]:
-    """Return the same from a cache."""
-    when = np.array(time)
-    pairs, solve = _solution_of(time, parity, lags, False)
-    apart = np.abs(when[:, None] - when[None, :])
+    pairs, solve = _solution(time, parity, lags, False)
+    apart = np.abs(time[:, None] - time)
     distance = np.unique(apart[apart > lags[-1]])
-    project = centring(np.array(parity))
+    project = centring(parity)
     centred = [project @ (apart == one) @ project for one in distance]
     return distance, solve @ np.array([[one[pair].mean() for one in centred] for pair in pairs])
 
 
+@_cached
 def n_effective_samples(
-    time: NDArray[np.int64],
-    parity: NDArray[np.int64],
-    lags: NDArray[np.int64],
-    correlation: Array,
-    *,
-    within_parity: bool = False,
+    time: Whole, parity: Whole, lags: Whole, correlation: Array, *, within_parity: bool = False
 ) -> float:
     """Return the number of independent exposures that give the covariance at lag 0 the same uncertainty.
 
-    `correlation`: correlation at the lags 1, 2, ..., shape (lag,).
-
-    The estimate is a sum of products with weights M; for normal modes its relative variance is tr(P M P R P M P R).
+    `correlation`: at the lags 1, 2, .... The estimate is a sum of products with weights M; for normal modes its
+    relative variance is tr(P M P R P M P R).
     """
-    known = tuple(np.asarray(correlation, float).tolist())
-    return _n_effective_samples_of(
-        tuple(time.tolist()), tuple(parity.tolist()), tuple(lags.tolist()), known, within_parity
-    )
-
-
-@lru_cache(maxsize=64)
-def _n_effective_samples_of(
-    time: tuple[int, ...],
-    parity: tuple[int, ...],
-    lags: tuple[int, ...],
-    correlation: tuple[float, ...],
-    within_parity: bool,
-) -> float:
-    """Return the same from a cache."""
-    pairs, solve = _solution_of(time, parity, lags, within_parity)
+    pairs, solve = _solution(time, parity, lags, within_parity)
     weight = sum(share * pair / pair.sum() for share, pair in zip(solve[0], pairs, strict=True))
-    when = np.array(time)
-    distance = np.abs(when[:, None] - when[None, :])
+    distance = np.abs(time[:, None] - time)
     known = np.concatenate([[1.0], correlation, np.zeros(max(0, distance.max() - len(correlation)))])
-    project = centring(np.array(parity))
+    project = centring(parity)
     chain = project @ weight @ project @ known[distance]
     return float(1.0 / np.trace(chain @ chain))
 
 
-def error_correlation(time: NDArray[np.int64], parity: NDArray[np.int64], lags: NDArray[np.int64]) -> Array:
+@_cached
+def error_correlation(time: Whole, parity: Whole, lags: Whole) -> Array:
     """Return the correlation of the errors of `autocovariance` at all lags, shape (lag, lag).
 
     Exposures are independent; centring correlates the errors.
     """
-    return _error_correlation_of(tuple(time.tolist()), tuple(parity.tolist()), tuple(lags.tolist()))
-
-
-@lru_cache(maxsize=64)
-def _error_correlation_of(time: tuple[int, ...], parity: tuple[int, ...], lags: tuple[int, ...]) -> Array:
-    """Return the same from a cache."""
-    pairs, solve = _solution_of(time, parity, lags, False)
-    project = centring(np.array(parity))
+    pairs, solve = _solution(time, parity, lags, False)
+    project = centring(parity)
     each = np.array([pair / pair.sum() for pair in pairs])
     weights = (project @ np.tensordot(solve, each, 1) @ project).reshape(len(lags), -1)
     covariance = weights @ weights.T
     return covariance / np.sqrt(np.outer(np.diag(covariance), np.diag(covariance)))
 
 
-def usable_lags(time: NDArray[np.int64], parity: NDArray[np.int64], most: int) -> NDArray[np.int64]:
+def usable_lags(time: Whole, parity: Whole, most: int) -> Whole:
     """Return the lags 0..most that can be estimated from centred exposures."""
     frames = int(np.bincount(parity).min())
     fields = len(np.unique(parity))
@@ -146,16 +119,9 @@ def usable_lags(time: NDArray[np.int64], parity: NDArray[np.int64], most: int) -
     return np.array([lag for lag in range(longest + 1) if lag in gaps], np.int64)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Exposures:
-    """Successive exposures."""
-
-    image: NDArray[np.float32]  # pixel values, shape (exposure, row, col), DN
-    # time of each exposure in units of one exposure's period (a field of interlaced video), shape (exposure,)
-    time: NDArray[np.int64]
-    # rows of the frame it contains: 0 even, 1 odd; 0 for progressive frames. Shape (exposure,).
-    parity: NDArray[np.int64]
-    row_step: int  # frame rows per image row
+def same_row_lags(lags: Whole, parity: Whole) -> Whole:
+    """Return the lags between exposures of the same rows."""
+    return lags[lags % 2 == 0] if len(np.unique(parity)) > 1 else lags
 
 
 def runs_of(stack: Sized) -> list[tuple[int, int]]:
@@ -168,14 +134,14 @@ def runs_of(stack: Sized) -> list[tuple[int, int]]:
 
 @dataclass(frozen=True, kw_only=True)
 class Order:
-    """Times and parities of exposures: `time`, `parity` and `row_step` as in `Exposures`."""
+    """Times and parities of exposures."""
 
-    time: NDArray[np.int64]
-    parity: NDArray[np.int64]
-    row_step: int
+    time: Whole  # in units of one exposure's period (a field of interlaced video), shape (exposure,)
+    parity: Whole  # rows of the frame in each exposure: 0 even, 1 odd; 0 for progressive frames, shape (exposure,)
+    row_step: int  # frame rows per image row
 
 
-def order_of(frame_number: NDArray[np.int64], *, interlaced: bool) -> Order:
+def order_of(frame_number: Whole, *, interlaced: bool) -> Order:
     """Return the time order of the exposures of frames; lost frames leave a gap."""
     number = np.asarray(frame_number, np.int64) - int(frame_number[0])
     if not interlaced:
@@ -188,27 +154,3 @@ def split_fields(data: NDArray, row_step: int) -> list[NDArray]:
     """Return the fields of frames as views, each of shape (frame, row, col), without an unpaired last row."""
     rows = row_step * (data.shape[1] // row_step)
     return [data[:, parity:rows:row_step] for parity in range(row_step)]
-
-
-def exposures(stack: FrameStack, first: int, last: int, *, interlaced: bool) -> Exposures:
-    """Return the exposures of the frames first..last-1; lost frames leave a gap in time."""
-    data = stack.data[first:last]
-    stamped = len(stack.frame_number) == len(stack)
-    order = order_of(stack.frame_number[first:last] if stamped else np.arange(first, last), interlaced=interlaced)
-    image = np.stack(split_fields(data, order.row_step), axis=1).astype(np.float32)
-    return Exposures(image=image.reshape(-1, *image.shape[2:]), time=order.time, parity=order.parity,
-                     row_step=order.row_step)  # fmt: skip
-
-
-def fluctuations(shots: Exposures) -> NDArray[np.float32]:
-    """Return the temporal fluctuations: exposures less each pixel's mean and each exposure's mean.
-
-    The pixel mean removes the fixed pattern, the exposure mean flicker. The fraction 1/N of white noise lost with the
-    mean of N pixels is restored.
-    """
-    pixels = shots.image[0].size
-    change = shots.image - shots.image.mean(axis=(1, 2), keepdims=True, dtype=np.float64).astype(np.float32)
-    for parity in np.unique(shots.parity):
-        same = shots.parity == parity
-        change[same] -= change[same].mean(axis=0, keepdims=True)
-    return change * np.float32(np.sqrt(pixels / max(pixels - 1, 1)))

@@ -6,9 +6,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.noise.findings import Finding, flag_of, note_of
-from charact.noise.sweep.gain_law import Axis, GainLaw, Gains, law_of, line_departure, line_fit
-from charact.noise.sweep.responsivity import SweepResponsivity, correct_saturation, response_of
+from charact.noise.findings import Finding
+from charact.noise.sweep.gain_law import (
+    Axis,
+    GainLaw,
+    SweepResponsivity,
+    correct_saturation,
+    law_of,
+    line_departure,
+    line_fit,
+    response_of,
+)
 from charact.noise.sweep.settings import Sweep, SweepSetting
 from charact.noise.thresholds import GAIN, SWEEP
 
@@ -62,24 +70,18 @@ def fit_sweep(sweep: Sweep, *, context: Context) -> SweepJointFit:
         of_lit = tuple(sweep.settings[i] for i in lit)
         response = response_of(of_lit, axis.x[list(lit)], seed=context.seed + 1, quick=context.quick)
         sweep = replace(sweep, settings=correct_saturation(sweep.settings, lit, response, seed=context.seed))
-    gains = _gains(sweep.settings)
-    share = _share(sweep, float(gains.covariance.min()), context)
-    law = law_of(axis.x, gains, share=share, seed=context.seed, quick=context.quick)
+    gains, sd = np.array([s.log_gain for s in sweep.settings]).T
+    variance = None
+    if not sweep.settings[0].white:
+        variance = tuple(np.array([(s.log_variance, s.log_variance_sd) for s in sweep.settings]).T)
+    share = _share(sweep, float(gains.min()), context)
+    law = law_of(axis.x, (gains, sd), variance, share=share, seed=context.seed, quick=context.quick)
     joint = SweepJointFit(sweep=sweep, axis=axis, law=law, lit=lit, response=response)
     allowed = ALLOWED if response is None else ALLOWED + IN_THE_SCATTER
-    own = [(flag_of(one), note_of(one)) for s in sweep.settings for one in s.findings]
-    findings: list[Finding] = [(None if flag in allowed else flag, note) for flag, note in own]
+    own = [one for s in sweep.settings for one in s.findings]
+    findings = [Finding(None if one.flag in allowed else one.flag, one.note) for one in own]
     findings += _law_findings(joint)
-    return replace(joint, findings=(*findings, *((None, sentence) for sentence in sweep.left_out)))
-
-
-def _gains(settings: tuple[SweepSetting, ...]) -> Gains:
-    """Gain of every setting from its noise."""
-    log_gain, sd = np.array([s.log_gain for s in settings]).T
-    if settings[0].white:
-        return Gains(covariance=log_gain, covariance_sd=sd)
-    variance, variance_sd = np.array([(s.log_variance, s.log_variance_sd) for s in settings]).T
-    return Gains(covariance=log_gain, covariance_sd=sd, variance=variance, variance_sd=variance_sd)
+    return replace(joint, findings=(*findings, *(Finding(None, sentence) for sentence in sweep.left_out)))
 
 
 def _indices_with_light(settings: tuple[SweepSetting, ...]) -> tuple[int, ...]:
@@ -106,11 +108,11 @@ def _law_findings(joint: SweepJointFit) -> list[Finding]:
     knob = joint.sweep.knob
     found: list[Finding] = []
     if len(joint.sweep.settings) < 3:
-        found.append(("too-few-frames", "only 2 settings: the law between them cannot be checked"))
-    found += [(flag, "see the posterior") for flag in joint.law.posterior.flags + joint.source.posterior.flags]
+        found.append(Finding("too-few-frames", "only 2 settings: the law between them cannot be checked"))
+    found += [Finding(flag, "see the posterior") for flag in joint.law.posterior.flags + joint.source.posterior.flags]
     found += _curvature_findings(joint) + _outlier_findings(joint) + _blur_findings(joint)
     if np.quantile(joint.rise, 0.975) < FOLLOWS[knob.unit]:
-        found.append(("agc", f"the gain does not follow the {knob.words}: possible automatic control"))
+        found.append(Finding("agc", f"the gain does not follow the {knob.words}: possible automatic control"))
     return found
 
 
@@ -124,7 +126,7 @@ def _curvature_findings(joint: SweepJointFit) -> list[Finding]:
     ends = [slope + side * 8.0 * leaves / joint.axis.span for side in (-1.0, 1.0)]
     words = f"from {ends[0]:.3g} at the lowest setting to {ends[1]:.3g} at the highest"
     flag = "nonlinear" if abs(leaves) > SWEEP.curvature else None
-    return [(flag, f"the gain law is curved by {100 * abs(leaves):.1f} %: its slope changes {words}")]
+    return [Finding(flag, f"the gain law is curved by {100 * abs(leaves):.1f} %: its slope changes {words}")]
 
 
 def _own_gains(joint: SweepJointFit) -> tuple[Array, Array, Array]:
@@ -145,7 +147,7 @@ def _outlier_findings(joint: SweepJointFit) -> list[Finding]:
     for value, off, error in zip(_places(joint), own - law, sd, strict=True):
         if abs(off) > SWEEP.outlier_sd * np.hypot(error, STRAY):
             text = f"the gain at {joint.sweep.knob.text(value)} is {np.exp(off):.2f} times that of the law"
-            found.append(("model-misfit", text))
+            found.append(Finding("model-misfit", text))
     return found
 
 
@@ -170,7 +172,10 @@ def _blur_findings(joint: SweepJointFit) -> list[Finding]:
     expected = np.log1p(electrons * (1.0 - left) / left)
     expected = expected + np.average(own - expected, weights=1.0 / sd**2)
     return [
-        ("model-misfit", f"at {joint.sweep.knob.text(s.value)} the blur factor is {np.exp(o):.3g}, not {np.exp(e):.3g}")
+        Finding(
+            "model-misfit",
+            f"at {joint.sweep.knob.text(s.value)} the blur factor is {np.exp(o):.3g}, not {np.exp(e):.3g}",
+        )
         for s, o, e, error in zip(settings, own, expected, sd, strict=True)
         if abs(o - e) > SWEEP.outlier_sd * error
     ]

@@ -6,16 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.method import Context
-from charact.noise.checks import series_findings
-from charact.noise.findings import Finding, flag_of, note_of
+from charact.noise.findings import Finding
 from charact.noise.gain import emva1288
-from charact.noise.gain.series import GAINS, has_intensifier, longest_series, series_of_one_gain
+from charact.noise.gain.checks import series_findings
+from charact.noise.gain.series import GAINS, gain_obstacle, has_intensifier, longest_series, series_of_one_gain
 from charact.noise.gain.single_setting import SingleSetting, fit_single_setting, quantisation_fraction
-from charact.noise.quantities import gain_obstacle
-from charact.noise.snr.stated_illumination import relative_sd_of
+from charact.noise.gain.undetected_correlation import allowance_of
+from charact.noise.illumination import relative_sd_of
 from charact.noise.stack.stack_statistics import StackStatistics
 from charact.noise.thresholds import GAIN, SWEEP
-from charact.noise.undetected_correlation import allowance_of
 from labdata.conditions import Conditions
 
 Array = NDArray[np.float64]
@@ -239,13 +238,11 @@ def _setting(value: float, one: SingleSetting, white: bool, knob: GainControl, c
 def _with_quantisation(s: SweepSetting, share: float, least_dn2: float, knob: GainControl) -> SweepSetting:
     """Return a setting with the uncertainty and finding of quantisation noise."""
     note = f"noise of {np.sqrt(least_dn2):.2g} DN is smaller than the quantisation step, which adds {100 * share:.2g} %"
-    found = (("quantised", f"at {knob.text(s.value)}: {note}"),) if share > SWEEP.max_quantisation else ()
+    found = (Finding("quantised", f"at {knob.text(s.value)}: {note}"),) if share > SWEEP.max_quantisation else ()
     return replace(
-        s,
-        unsure_dn=share * float(np.exp(s.log_variance)),
-        log_variance_sd=float(np.hypot(s.log_variance_sd, share)),
+        s, unsure_dn=share * float(np.exp(s.log_variance)), log_variance_sd=float(np.hypot(s.log_variance_sd, share)),
         findings=(*s.findings, *found),
-    )
+    )  # fmt: skip
 
 
 def _is_dark_of(dark: StackStatistics, flat: StackStatistics, knob: GainControl) -> bool:
@@ -263,9 +260,9 @@ def _white_gain(one: SingleSetting, context: Context) -> Array:
 
 def _findings(one: SingleSetting, value: float, knob: GainControl, context: Context) -> list[Finding]:
     """Return the flagged findings of a setting, with the setting named."""
-    found = [entry for entry in series_findings(one.series, context=context) if flag_of(entry) not in OF_ONE_SERIES]
+    found = [entry for entry in series_findings(one.series) if entry.flag not in OF_ONE_SERIES]
     found += one.findings()
-    return [(flag, f"at {knob.text(value)}: {note_of(one)}") for one in found if (flag := flag_of(one)) is not None]
+    return [Finding(flag, f"at {knob.text(value)}: {one.note}") for one in found if (flag := one.flag) is not None]
 
 
 def _light(flats: list[StackStatistics]) -> tuple[Array | None, str]:

@@ -8,14 +8,18 @@ from numpy.typing import NDArray
 
 from charact.method import Context
 from charact.method.stopwatch import with_timing
-from charact.noise.checks import QUANTISED_DN2
-from charact.noise.findings import flags_of, notes_of
+from charact.noise.findings import fields_of, flags_of, notes_of
 from charact.noise.gain import emva1288
-from charact.noise.provenance import provenance
+from charact.noise.rounding import quantised_flags
 from charact.noise.stack.stack_statistics import StackStatistics
-from charact.noise.sweep.gain_law import GainLaw
+from charact.noise.sweep.gain_law import (
+    GainLaw,
+    bending_findings,
+    reaches_saturation,
+    relative_excess,
+    saturation_limit,
+)
 from charact.noise.sweep.joint import SweepJointFit, fit_sweep
-from charact.noise.sweep.responsivity import bending_findings, reaches_saturation, relative_excess, saturation_limit
 from charact.noise.sweep.settings import GainControl, Sweep, SweepSetting, sweep_of
 from charact.noise.thresholds import SWEEP
 from labdata.measurement import Measurement, Result, make_refusal, measurement_from_draws, measurement_from_sd
@@ -95,14 +99,14 @@ def _flags(dark: list[SweepSetting]) -> tuple[str, ...]:
     """Return the flags: one dark cannot separate scintillation; small noise is quantised."""
     flags = ("unlike-conditions",) if len(dark) < 2 else ()
     least = min(s.dark_variance_dn2 or 0.0 for s in dark)
-    return flags + (("quantised",) if least < QUANTISED_DN2 else ())
+    return flags + quantised_flags(least)
 
 
 def sweep_figure_data(joint: SweepJointFit, knee: Knee | None) -> dict[str, Any]:
     """Return gains and read noise against the control, the gain law with its interval, and the knee."""
     sweep, axis, law = joint.sweep, joint.axis, joint.law
     log_gains = np.array([s.log_gain for s in sweep.settings])
-    x = np.linspace(-0.5, 0.5, SWEEP.figure_points)
+    x = np.linspace(-0.5, 0.5, 41)
     pulses = np.exp(law.posterior["log_gain"][:, None] + law.posterior["rise"][:, None] * x)
     low, middle, high = np.quantile(pulses + law.electron_gain_dn[:, None], [0.025, 0.5, 0.975], axis=0)
     left = np.exp(law.posterior["log_blur"]) if "log_blur" in law.posterior.names else np.ones(len(pulses))
@@ -182,7 +186,7 @@ def gain_sweep(darks: list[StackStatistics], flats: list[StackStatistics], *, co
 
 def measure_sweep(sweep: Sweep, *, context: Context) -> Result:
     """Return the quantities of a gain sweep from its statistics, see `gain_sweep`."""
-    fields: Fields = {"method": METHOD, "provenance": provenance(context, knob=sweep.knob.name)}
+    fields: Fields = {**fields_of(METHOD, context, knob=sweep.knob.name)}
     if len(sweep.settings) < 2:
         reason = "; ".join(["the gain law needs usable flats at two settings at least", *sweep.left_out])
         return Result(measurements=(make_refusal(*_quantity_of(sweep.knob), reason, **fields),))
@@ -308,7 +312,6 @@ def _of_setting(
         out.append(measurement_from_draws("blur_factor", "1", s.blur_factor, stack=s.stack, **own))
     if s.dark_variance_dn2 is not None and s.dark_variance_dn2 > 0:
         noise = emva1288.noise_of(s.dark_variance_dn2, s.dark_variance_sd_dn2)
-        small = ("quantised",) if s.dark_variance_dn2 < QUANTISED_DN2 else ()
-        own = {**own, "flags": flags_of(s.findings) + small}
+        own = {**own, "flags": flags_of(s.findings) + quantised_flags(s.dark_variance_dn2)}
         out.append(measurement_from_sd("read_noise", "DN", *noise, stack=s.dark, **own))
     return out

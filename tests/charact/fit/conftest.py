@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from charact.fit import predicted_quantities
-from charact.fit.admissible_measurements import LEVEL, SHAPE, StackMean
-from charact.fit.observations import observations
+from charact.fit.observations import LEVEL, SHAPE, StackMean, observations
 from charact.fit.predicted_quantities import Values
 from charact.fit.prior import prior_of, values_of_description
 from charact.fit.sensor import Model, model_of

@@ -9,10 +9,9 @@ import pytest
 
 from benchmarks.studies.dark_events_coverage import DarkScene
 from charact.method import Context
-from charact.noise.events.characteristic_functions import blend_covariances
-from charact.noise.events.event_distribution import PulseDecay, PulsePopulation, height_transform
+from charact.noise.events.event_distribution import PulseDecay, PulsePopulation, blend_covariances, height_transform
 from charact.noise.events.event_measurements import measure_events, pulses_of_darks
-from charact.noise.events.filters import Filter, boxes
+from charact.noise.events.frames import Filter, boxes
 from charact.noise.gain.series import read_levels
 from labdata.conditions import Conditions
 

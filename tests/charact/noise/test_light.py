@@ -10,10 +10,10 @@ from scipy.special import ndtr
 from charact import noise
 from charact.method import Context
 from charact.noise.gain.series import read_levels
+from charact.noise.illumination import StatedIllumination, response_draws
+from charact.noise.noise_law import SignalNoiseSeries, noise_law
 from charact.noise.rounding import rounding_sd, variance_range_before_rounding
-from charact.noise.snr.noise_law import SignalNoiseSeries, noise_law
-from charact.noise.snr.snr_against_light import Scope, minimum_illumination, snr_against_light
-from charact.noise.snr.stated_illumination import StatedIllumination, response_draws
+from charact.noise.snr_against_light import Scope, minimum_illumination, snr_against_light
 from charact.noise.stack.stack_statistics import SIDE_PX
 from labdata.conditions import Conditions
 from labdata.measurement import Measurement

@@ -13,7 +13,7 @@ from charact.noise import predictive_check
 from charact.noise.gain import emva1288
 from charact.noise.gain.series import read_levels, series_of
 from charact.noise.gain.single_setting import fit_single_setting
-from charact.noise.predictive_frames import LightNoise
+from charact.noise.predictive_check import LightNoise
 from labdata.frames import FrameStack
 
 CONTEXT = Context(seed=1, quick=True)

@@ -7,10 +7,10 @@ import pytest
 
 from charact import noise
 from charact.method import Context
-from charact.noise.cathode_radiometry import luminous_sensitivity_ua_per_lm, photoelectrons_per_photon
 from charact.noise.gain.series import read_levels, series_of
 from charact.noise.gain.single_setting import fit_single_setting
-from charact.noise.snr.gain_separation import add_event_gains, posterior_of, separate_gains, snr_from_specification
+from charact.noise.gain_separation import add_event_gains, posterior_of, separate_gains, snr_from_specification
+from charact.noise.illumination import luminous_sensitivity_ua_per_lm, photoelectrons_per_photon
 from labdata.conditions import Conditions
 from labdata.measurement import Result, measurement_from_draws
 from labdata.sensors import load_sensor

@@ -5,9 +5,14 @@ import pytest
 
 from charact.noise.gain.model import PixelReadoutModel, leakage_ratio, spectrum_at
 from charact.noise.stack.pixels import pixel_sums
-from charact.noise.stack.spectrum import bins_of, cross_spectra
-from charact.noise.stack.temporal import exposures, fluctuations, order_of
-from labdata.frames import FrameStack
+from charact.noise.stack.spectrum import along_rows, bins_of, modes_of, products_of
+from charact.noise.stack.temporal import order_of, split_fields
+
+
+def cross_spectra(change, parity, bins):
+    """Mean products of the modes of fluctuations in every bin."""
+    modes = [modes_of(along_rows(image, 0, bins), int(odd), bins) for image, odd in zip(change, parity, strict=True)]
+    return products_of(np.array(modes), bins)
 
 
 def test_white_noise_has_its_variance_in_every_bin(seed):
@@ -67,9 +72,15 @@ def test_faded_sides_mix_frequencies_as_much_as_their_variance_says(seed):
 def test_one_pass_over_bands_of_rows_gives_the_spectra_of_the_whole_fluctuations(seed, interlaced):
     """The modes of the last exposure of each parity are found from the others' and are its own."""
     rng = np.random.default_rng(seed)
-    frames = FrameStack(data=rng.poisson(300.0, (5, 144, 200)).astype(np.uint16) + rng.poisson(50.0, (144, 200)))
-    shots = exposures(frames, 0, 5, interlaced=interlaced)
-    bins = bins_of(*shots.image.shape[1:], 1.0 + interlaced)
-    whole = cross_spectra(fluctuations(shots), shots.parity, bins)
-    parts = pixel_sums(frames.data, order_of(np.arange(5), interlaced=interlaced), bins).spectra
+    data = rng.poisson(300.0, (5, 144, 200)).astype(np.uint16) + rng.poisson(50.0, (144, 200)).astype(np.uint16)
+    order = order_of(np.arange(5), interlaced=interlaced)
+    fields = split_fields(data, order.row_step)
+    rows, cols = fields[0].shape[1:]
+    bins = bins_of(rows, cols, 1.0 + interlaced)
+    change = np.stack(fields, axis=1).reshape(-1, rows, cols).astype(np.float32)
+    change -= change.mean(axis=(1, 2), keepdims=True)
+    for parity in set(order.parity):
+        change[order.parity == parity] -= change[order.parity == parity].mean(axis=0)
+    whole = cross_spectra(change * np.sqrt(rows * cols / (rows * cols - 1.0)), order.parity, bins)
+    parts = pixel_sums(data, order, bins).spectra
     assert parts == pytest.approx(whole, abs=1e-3 * np.abs(whole).max())

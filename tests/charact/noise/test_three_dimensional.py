@@ -8,8 +8,7 @@ from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
 from charact import noise
 from charact.method import Context
-from charact.noise.stack.components import components
-from charact.noise.stack.contrasts import contrasts, waves
+from charact.noise.stack.components import components, contrasts, waves
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
 

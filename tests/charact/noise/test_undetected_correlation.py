@@ -5,10 +5,10 @@ import pytest
 
 from charact import noise
 from charact.method import Context
+from charact.noise.gain.undetected_correlation import UndetectedEffect, allowance_of
 from charact.noise.stack.pixels import lower_neighbour, pixel_sums, right_neighbour, successor_correlation
 from charact.noise.stack.spectrum import NO_BINS
 from charact.noise.stack.temporal import order_of
-from charact.noise.undetected_correlation import UndetectedEffect, allowance_of
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack
 

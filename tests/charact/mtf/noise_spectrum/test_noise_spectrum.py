@@ -9,8 +9,13 @@ from charact import mtf
 from charact.method import Context
 from charact.mtf.blur_models.one_dimensional import BlurModel
 from charact.mtf.curve import crossing_frequency
-from charact.mtf.noise_spectrum.aliasing import KnownReadout, spectral_replicas
-from charact.mtf.noise_spectrum.model import SpectrumOptimum, optimum_under_model, readout_of
+from charact.mtf.noise_spectrum.model import (
+    KnownReadout,
+    SpectrumOptimum,
+    optimum_under_model,
+    readout_of,
+    spectral_replicas,
+)
 from charact.mtf.noise_spectrum.pooled_spectrum import select_flats, spectrum_of
 from charact.mtf.noise_spectrum.result import SURE, UndetectedComponent, scatter_limits, transfer_of
 from charact.study.flats.noise_spectrum_cases import ScintillatingFlats
@@ -147,7 +152,7 @@ def test_the_whole_posterior_agrees_with_the_curvature(seed):
 def peak(scene: ScintillatingFlats, seed: int) -> SpectrumOptimum:
     context = Context(seed=1, quick=True, full_scale_dn=scene.full_scale_dn)
     session = scene.session_drawn(np.random.default_rng(seed))
-    spectrum = spectrum_of(session, select_flats(session, context), context)
+    spectrum = spectrum_of(select_flats(session, context), context)
     return optimum_under_model(spectrum, readout_of(context), BlurModel(core="exponential"))
 
 

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from charact.noise.gain.pooled_noise import ImageLag
 from charact.noise.gain.series import CLIPPED_SHARE, FlatSeries
+from charact.noise.illumination import signal_sd
 from charact.noise.rounding import rounding_sd
-from charact.noise.snr.stated_illumination import signal_sd
-from charact.noise.stack.frame_block import BlockSpectrum, rows_lags
+from charact.noise.stack.frame_block import BlockSpectrum
 from charact.noise.stack.stack_statistics import StackStatistics, area_variance, shares_of
-from charact.noise.stack.temporal import n_effective_samples
+from charact.noise.stack.temporal import n_effective_samples, same_row_lags
 from charact.noise.thresholds import SNR
 from labdata.measurement import Posterior
 
@@ -154,20 +154,6 @@ def _above_zero(rng: np.random.Generator, mean: float, sd: float) -> Array:
     return np.maximum(mean + sd * ndtri(low + (1.0 - low) * rng.uniform(1e-9, 1.0 - 1e-9, SNR.draws)), 0.0)
 
 
-# Images too small for a spectrum, in which image lag is measured.
-NO_LAG = ImageLag(
-    lag=np.empty(0, np.int64),
-    correlation=np.empty(0),
-    correlation_sd=np.empty(0),
-    is_detected=False,
-    factor=1.0,
-    factor_sd=0.0,
-    freedom=np.inf,
-    tested=False,
-    open=False,
-)
-
-
 def pixel_levels(series: FlatSeries, lag: ImageLag) -> SignalNoiseSeries:
     """Return the levels of a pixel, corrected for the correlation of few frames by image lag."""
     pattern, pattern_sd = pattern_of(series)
@@ -220,14 +206,10 @@ def _levels(series: FlatSeries, known: list[tuple[float, float]], **fields) -> S
     return SignalNoiseSeries(
         signal_dn=series.signal_dn,
         signal_sd_dn=np.array([signal_sd(f, d) for f, d in zip(series.flats, series.darks, strict=True)]),
-        variance_dn2=variance[darks:],
-        variance_sd_dn2=sd[darks:],
-        dark=np.array([labels.index(dark.label) for dark in series.darks]),
-        dark_variance_dn2=variance[:darks],
-        dark_variance_sd_dn2=sd[:darks],
-        fitted=series.fitted,
-        **fields,
-    )
+        variance_dn2=variance[darks:], variance_sd_dn2=sd[darks:],
+        dark=np.array([labels.index(dark.label) for dark in series.darks]), dark_variance_dn2=variance[:darks],
+        dark_variance_sd_dn2=sd[:darks], fitted=series.fitted, **fields,
+    )  # fmt: skip
 
 
 def _pixel(level: StackStatistics, lag: ImageLag) -> tuple[float, float]:
@@ -236,7 +218,7 @@ def _pixel(level: StackStatistics, lag: ImageLag) -> tuple[float, float]:
     if not lag.is_detected:
         return level.variance_dn2, float(np.hypot(level.variance_sd_dn2, steps))
     correlation = lag.correlation
-    same = rows_lags(level.many.lags, level.parity)
+    same = same_row_lags(level.many.lags, level.parity)
     known, plain = (
         n_effective_samples(level.time, level.parity, lags, correlation, within_parity=True)
         for lags in (same, same[:1])

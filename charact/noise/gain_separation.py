@@ -14,32 +14,32 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from charact.method import Context
-from charact.noise.cathode_radiometry import (
+from charact.noise.gain.series import FlatSeries, gain_of
+from charact.noise.gain.white_floor import floor_of
+from charact.noise.illumination import (
     ELECTRON_C,
+    light_of_series,
     lognormal_draws,
     photoelectrons_per_lux_s,
     photoelectrons_per_photon,
     pixel_area_m2,
+    response_draws,
+    signal_sd,
 )
-from charact.noise.gain.series import FlatSeries, gain_of
-from charact.noise.gain.white_floor import Floor, floor_of
-from charact.noise.snr.stated_illumination import StatedIllumination, light_of_series, response_draws, signal_sd
 from charact.noise.thresholds import GAIN, SNR
 from labdata.measurement import Measurement, Posterior, Result, make_refusal, measurement_from_draws
 from labdata.session import Session
 
 Array = NDArray[np.float64]
-ILLUMINANCE_LUX = 108e-6
-SPOT_MM = 0.2
-BANDWIDTH_HZ = 10.0
-SPOT_M2 = np.pi / 4.0 * (SPOT_MM * 1e-3) ** 2
+# Illuminance, diameter of the spot and bandwidth of the specified signal-to-noise ratio of tubes.
+ILLUMINANCE_LUX, SPOT_MM, BANDWIDTH_HZ = 108e-6, 0.2, 10.0
 
 
 def snr_from_specification(sensitivity_ua_per_lm: ArrayLike, excess_noise_factor: ArrayLike) -> Array:
     """Return the signal-to-noise ratio of a specified tube.
 
-    `sensitivity_ua_per_lm`: luminous sensitivity S of the photocathode at 2856 K, uA/lm; `excess_noise_factor`: F^2
-    including undetected photoelectrons; the square of the noise factor NF.
+    `sensitivity_ua_per_lm`: luminous sensitivity of the photocathode at 2856 K. `excess_noise_factor`: F^2 including
+    undetected photoelectrons; the square of the noise factor.
     """
     photoelectrons = np.asarray(sensitivity_ua_per_lm) * 1e-6 / ELECTRON_C
     return _snr(photoelectrons / np.asarray(excess_noise_factor))
@@ -48,16 +48,16 @@ def snr_from_specification(sensitivity_ua_per_lm: ArrayLike, excess_noise_factor
 def snr_from_measurement(response_dn_per_lux_s: ArrayLike, pulse_gain_dn: ArrayLike, pixel_area_m2: ArrayLike) -> Array:
     """Return the signal-to-noise ratio of a measured tube and camera.
 
-    `response_dn_per_lux_s`: signal of a pixel per lux and second at the photocathode, DN; `pulse_gain_dn`: k F^2:
-    covariance sum of the scintillation noise over the signal, DN; `pixel_area_m2`: area of a pixel at the photocathode,
-    m2.
+    `response_dn_per_lux_s`: signal of a pixel per lux and second at the photocathode. `pulse_gain_dn`: k F^2.
+    `pixel_area_m2`: area of a pixel at the photocathode.
     """
     return _snr(np.asarray(response_dn_per_lux_s) / (np.asarray(pulse_gain_dn) * np.asarray(pixel_area_m2)))
 
 
 def _snr(effective_per_lux_s_m2: Array) -> Array:
     """Return the signal-to-noise ratio from the photoelectrons per lux, second and m2 over F^2."""
-    return np.sqrt(effective_per_lux_s_m2 * ILLUMINANCE_LUX * SPOT_M2 / (2.0 * BANDWIDTH_HZ))
+    spot_m2 = np.pi / 4.0 * (SPOT_MM * 1e-3) ** 2
+    return np.sqrt(effective_per_lux_s_m2 * ILLUMINANCE_LUX * spot_m2 / (2.0 * BANDWIDTH_HZ))
 
 
 APART = "a known light (illuminance_lux with gate or exposure, or photons_per_px at a wavelength_nm, and the sensor)"
@@ -74,64 +74,53 @@ class ResponsivityEstimate:
     refusal_reason: str = ""  # reason for the absence of k
 
 
-def separate_gains(series: FlatSeries, posterior: Posterior, *, context: Context, flags: tuple[str, ...],
-              covariance_flags: tuple[str, ...], **fields: Any) -> list[Measurement]:  # fmt: skip
+def separate_gains(
+    series: FlatSeries, posterior: Posterior, *, context: Context, flags: tuple[str, ...],
+    covariance_flags: tuple[str, ...], **fields: Any,
+) -> list[Measurement]:  # fmt: skip
     """Return K, k F^2, k, F^2 and the tube's signal-to-noise ratio, measured or refused.
 
-    `series`, `posterior`: the flats of one gain, and draws of covariance gain and blur; `flags`, `covariance_flags`:
-    flags of the signal, and of the covariance gain.
+    `posterior`: draws of covariance gain and blur of the flats. `flags`, `covariance_flags`: flags of the signal, and
+    of the covariance gain.
     """
+    seed, noisy = context.seed, {"flags": covariance_flags, **fields}
     floor = floor_of(series, posterior, context=context)
     response = response_of(series, len(posterior.draws), context)
-    pulses = posterior["covariance_gain"] - floor.draws * posterior["lag_factor"]
-    separable = spread_of(floor, posterior) <= GAIN.max_floor_range
-    noisy = {"flags": covariance_flags, **fields}
-    out = [_electrons(floor, **noisy), _pulses(pulses, floor, separable, context.seed, **noisy)]
-    if response.gain is None:
-        reason = f"k and F2 are not separable: {response.refusal_reason}; {PULSES} would also separate them"
-        out += [make_refusal(name, unit, reason, **fields) for name, unit in _GAINS]
+    if floor.is_detected:
+        out = [measurement_from_draws("conversion_gain", "DN/e-", floor.draws, **noisy)]
     else:
-        out += _gains_from_light(
-            response, response.gain, pulses if separable else None, context.seed, signal_flags=flags, **noisy
-        )
-    return [*out, _tube(response, pulses if separable else None, context, **noisy)]
-
-
-_GAINS = (("photoelectron_gain", "DN/pe"), ("excess_noise_factor", "1"))
-
-
-def _pulses(pulses: Array, floor: Floor, separable: bool, seed: int, **fields: Any) -> Measurement:
-    """Return k F^2, if K is known or negligible."""
-    if separable:
-        kept = posterior_of("pulse_gain", "DN", pulses, seed)
+        out = [make_refusal("conversion_gain", "DN/e-", floor.refusal_reason, **fields)]
+    electrons = floor.draws * posterior["lag_factor"]
+    pulses: Array | None = posterior["covariance_gain"] - electrons
+    # K must be known, or negligible, relative to the covariance gain.
+    low, high = np.quantile(electrons, [0.025, 0.975])
+    if (high - low) / np.median(posterior["covariance_gain"]) <= GAIN.max_floor_range:
         note = (f"covariance_gain less K, which is {floor.source}",)
-        return measurement_from_draws("pulse_gain", "DN", pulses, notes=note, posterior=kept, **fields)
-    fields.pop("flags")
-    reason = (
-        f"k F2 lies between {np.quantile(pulses, 0.025):.3g} and {np.quantile(pulses, 0.975):.3g} DN, because no "
-        "white-noise floor is detected: flats at low tube gain, or the sensor's conversion gain, would give K"
-    )
-    return make_refusal("pulse_gain", "DN", reason, **fields)
-
-
-def _gains_from_light(
-    response: ResponsivityEstimate,
-    gain: Array,
-    pulses: Array | None,
-    seed: int,
-    *,
-    signal_flags: tuple[str, ...],
-    **fields: Any,
-) -> list[Measurement]:
-    """Return k and F^2 from a known light; k does not take the flags of the covariance gain."""
+        kept = posterior_of("pulse_gain", "DN", pulses, seed)
+        out.append(measurement_from_draws("pulse_gain", "DN", pulses, notes=note, posterior=kept, **noisy))
+    else:
+        reason = (
+            f"k F2 lies between {np.quantile(pulses, 0.025):.3g} and {np.quantile(pulses, 0.975):.3g} DN, because no "
+            "white-noise floor is detected: flats at low tube gain, or the sensor's conversion gain, would give K"
+        )
+        out.append(make_refusal("pulse_gain", "DN", reason, **fields))
+        pulses = None
+    gain = response.gain
+    if gain is None:
+        reason = f"k and F2 are not separable: {response.refusal_reason}; {PULSES} would also separate them"
+        names = (("photoelectron_gain", "DN/pe"), ("excess_noise_factor", "1"))
+        out += [make_refusal(*name, reason, **fields) for name in names]
+        return [*out, _tube(response, pulses, context, fields, noisy)]
     notes = (response.note, "the interval includes the uncertainty of the photocathode's sensitivity")
     kept = posterior_of("photoelectron_gain", "DN/pe", gain, seed)
-    own = {**fields, "flags": signal_flags}
-    out = [measurement_from_draws("photoelectron_gain", "DN/pe", gain, notes=notes, posterior=kept, **own)]
-    if pulses is not None:
-        return [*out, measurement_from_draws("excess_noise_factor", "1", pulses / gain, notes=notes, **fields)]
-    fields.pop("flags")
-    return [*out, make_refusal("excess_noise_factor", "1", "k F2 is not known; see pulse_gain", **fields)]
+    # k does not take the flags of the covariance gain.
+    own = {**fields, "flags": flags, "notes": notes}
+    out.append(measurement_from_draws("photoelectron_gain", "DN/pe", gain, posterior=kept, **own))
+    if pulses is None:
+        out.append(make_refusal("excess_noise_factor", "1", "k F2 is not known; see pulse_gain", **fields))
+    else:
+        out.append(measurement_from_draws("excess_noise_factor", "1", pulses / gain, notes=notes, **noisy))
+    return [*out, _tube(response, pulses, context, fields, noisy)]
 
 
 def posterior_of(name: str, unit: str, draws: Array, seed: int) -> Posterior:
@@ -139,23 +128,9 @@ def posterior_of(name: str, unit: str, draws: Array, seed: int) -> Posterior:
     return Posterior(names=(name,), units=(unit,), draws=draws[:, None], sampler="laplace", seed=seed)
 
 
-def spread_of(floor: Floor, posterior: Posterior) -> float:
-    """Return the 95 % range of K over the covariance gain."""
-    low, high = np.quantile(floor.draws * posterior["lag_factor"], [0.025, 0.975])
-    return float((high - low) / np.median(posterior["covariance_gain"]))
-
-
-def _electrons(floor: Floor, **fields: Any) -> Measurement:
-    """Return K, if the white-noise floor is detected."""
-    if floor.is_detected:
-        return measurement_from_draws("conversion_gain", "DN/e-", floor.draws, **fields)
-    fields.pop("flags")
-    return make_refusal("conversion_gain", "DN/e-", floor.refusal_reason, **fields)
-
-
 def response_of(series: FlatSeries, count: int, context: Context) -> ResponsivityEstimate:
     """Return k and responsivity from the light of the flats."""
-    light = light_of_series(series)
+    light = light_of_series(series.flats)
     if isinstance(light, str):
         return ResponsivityEstimate(refusal_reason=f"{APART} would tell ({light})")
     chosen = series.fitted & (series.signal_dn > 0)
@@ -164,61 +139,47 @@ def response_of(series: FlatSeries, count: int, context: Context) -> Responsivit
     recorded = response_draws(light.amount[chosen], series.signal_dn[chosen], sd[chosen], rng, count)
     true = recorded / light.scale(context.seed, count)
     if light.unit == "lux":
-        return _of_lux(true, light, context, rng)
-    return _of_photons(true, light, series, context, rng)
-
-
-def _of_lux(
-    per_lux: Array, light: StatedIllumination, context: Context, rng: np.random.Generator
-) -> ResponsivityEstimate:
-    """Return k from illuminance, time and luminous sensitivity."""
-    if light.seconds is None:
-        return ResponsivityEstimate(refusal_reason="the exposure time is unknown (gate_ns, exposure_s)")
-    per_lux_s = per_lux / light.seconds
-    if context.sensor is None:
-        return ResponsivityEstimate(
-            per_lux_s=per_lux_s, note=light.note, refusal_reason="the photocathode is unknown (name the sensor)"
-        )
-    gain = per_lux_s / photoelectrons_per_lux_s(context, rng, len(per_lux))
-    return ResponsivityEstimate(gain=gain, per_lux_s=per_lux_s, note=light.note)
-
-
-def _of_photons(
-    per_photon: Array, light: StatedIllumination, series: FlatSeries, context: Context, rng: np.random.Generator
-) -> ResponsivityEstimate:
-    """Return k from photons of one wavelength and the quantum efficiency."""
+        if light.seconds is None:
+            return ResponsivityEstimate(refusal_reason="the exposure time is unknown (gate_ns, exposure_s)")
+        per_lux_s = true / light.seconds
+        if context.sensor is None:
+            reason = "the photocathode is unknown (name the sensor)"
+            return ResponsivityEstimate(per_lux_s=per_lux_s, note=light.note, refusal_reason=reason)
+        gain = per_lux_s / photoelectrons_per_lux_s(context, rng, count)
+        return ResponsivityEstimate(gain=gain, per_lux_s=per_lux_s, note=light.note)
     wavelengths = {flat.conditions.wavelength_nm for flat in series.flats}
     known = next(iter(wavelengths)) if len(wavelengths) == 1 else None
     if context.sensor is None or known is None:
-        return ResponsivityEstimate(
-            refusal_reason="photons need a single wavelength_nm and the photocathode of a sensor"
-        )
-    efficiency = photoelectrons_per_photon(context, known, rng, len(per_photon))
+        reason = "photons need a single wavelength_nm and the photocathode of a sensor"
+        return ResponsivityEstimate(refusal_reason=reason)
+    efficiency = photoelectrons_per_photon(context, known, rng, count)
     if np.median(efficiency) <= 0:
         return ResponsivityEstimate(refusal_reason=f"the photocathode has no efficiency at {known:g} nm")
-    return ResponsivityEstimate(gain=per_photon / efficiency, note=light.note)
+    return ResponsivityEstimate(gain=true / efficiency, note=light.note)
 
 
-def _tube(response: ResponsivityEstimate, pulses: Array | None, context: Context, **fields: Any) -> Measurement:
+def _tube(
+    response: ResponsivityEstimate, pulses: Array | None, context: Context, fields: dict[str, Any],
+    noisy: dict[str, Any],
+) -> Measurement:  # fmt: skip
     """Return the tube's signal-to-noise ratio from responsivity and k F^2."""
-    name = "tube_snr"
-    plain = {key: value for key, value in fields.items() if key != "flags"}
+    reason = None
     if response.per_lux_s is None:
         reason = f"it needs the signal per lux and second: {response.refusal_reason}"
-        return make_refusal(name, "1", reason, **plain)
-    if context.sensor is None:
-        return make_refusal(name, "1", "it needs the pixel size at the photocathode: name the sensor", **plain)
-    if pulses is None:
-        return make_refusal(name, "1", "k F2 is not known; see pulse_gain", **plain)
-    rng = np.random.default_rng([context.seed, 33])
-    area = pixel_area_m2(context, rng, len(pulses))
+    elif context.sensor is None:
+        reason = "it needs the pixel size at the photocathode: name the sensor"
+    elif pulses is None:
+        reason = "k F2 is not known; see pulse_gain"
+    if response.per_lux_s is None or pulses is None or reason is not None:
+        return make_refusal("tube_snr", "1", str(reason), **fields)
+    area = pixel_area_m2(context, np.random.default_rng([context.seed, 33]), len(pulses))
     notes = (
         "spot of 0.2 mm at 108 microlux, bandwidth 10 Hz, 2856 K; noise of dark frames excluded; luminous sensitivity "
         "and noise factor cancel",
         response.note,
     )
     draws = snr_from_measurement(response.per_lux_s, np.maximum(pulses, 1e-12), area)
-    return measurement_from_draws(name, "1", draws, notes=notes, **fields)
+    return measurement_from_draws("tube_snr", "1", draws, notes=notes, **noisy)
 
 
 def add_event_gains(result: Result, session: Session, *, context: Context) -> Result:
@@ -256,27 +217,20 @@ def _event_gains(result: Result, flats: Measurement, darks: Measurement, context
     share, note = detection(context, rng, SNR.separation_draws)
     gain, agreement = _gain(result, flats.method, height, share, rng)
     flags = tuple(dict.fromkeys((*flats.flags, *darks.flags)))
-    fields = {"method": f"{flats.method} + {darks.method}", "provenance": flats.provenance}
-    out = [measurement_from_draws("pulse_height_factor", "1", pulses / height, flags=flags, **fields)]
-    flags += ("model-misfit",) if agreement < SNR.min_agreement else ()
+    own: dict[str, Any] = {"method": f"{flats.method} + {darks.method}", "provenance": flats.provenance, "flags": flags}
+    out = [measurement_from_draws("pulse_height_factor", "1", pulses / height, **own)]
+    own["flags"] += ("model-misfit",) if agreement < SNR.min_agreement else ()
     notes = (note, "from the light and single photoelectrons" if agreement < 1.0 else
              "from single photoelectrons of the dark frames")  # fmt: skip
     kept = posterior_of("photoelectron_gain", "DN/pe", gain, context.seed)
-    out.append(
-        measurement_from_draws("photoelectron_gain", "DN/pe", gain, flags=flags, notes=notes, posterior=kept, **fields)
-    )
+    out.append(measurement_from_draws("photoelectron_gain", "DN/pe", gain, notes=notes, posterior=kept, **own))
     factor = pulses / gain
-    out.append(measurement_from_draws("excess_noise_factor", "1", factor, flags=flags, notes=notes, **fields))
+    out.append(measurement_from_draws("excess_noise_factor", "1", factor, notes=notes, **own))
     if context.sensor is not None:
-        sensitivity = lognormal_draws(
-            context.sensor.photocathode.luminous_sensitivity_ua_per_lm, rng, SNR.separation_draws
-        )
-        all_notes = (*notes, "luminous sensitivity from the sensor description")
-        out.append(
-            measurement_from_draws(
-                "tube_snr", "1", snr_from_specification(sensitivity, factor), flags=flags, notes=all_notes, **fields
-            )
-        )
+        sensitivity = context.sensor.photocathode.luminous_sensitivity_ua_per_lm
+        draws = snr_from_specification(lognormal_draws(sensitivity, rng, SNR.separation_draws), factor)
+        notes = (*notes, "luminous sensitivity from the sensor description")
+        out.append(measurement_from_draws("tube_snr", "1", draws, notes=notes, **own))
     return out
 
 

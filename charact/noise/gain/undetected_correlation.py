@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from charact.noise.findings import Finding
 from charact.noise.gain.series import FlatSeries
+from charact.noise.linear_fit import linear_fit, weighted_mean
 from charact.noise.stack.stack_statistics import StackStatistics
 from charact.noise.thresholds import CORRELATION
 
@@ -72,8 +73,8 @@ def spatially_correlated_fraction(series: FlatSeries) -> UndetectedEffect:
     Row and column noise of the dark cancels. Blur is assumed separable: a diagonal correlation is the product of both.
     """
     chosen = np.flatnonzero(series.fitted & (series.variance_dn2 > 0))
-    right, right_sd = inverse_variance_mean([light_correlation(series, int(i), "neighbour") for i in chosen])
-    below, below_sd = inverse_variance_mean([light_correlation(series, int(i), "below") for i in chosen])
+    right, right_sd = weighted_mean([light_correlation(series, int(i), "neighbour") for i in chosen])
+    below, below_sd = weighted_mean([light_correlation(series, int(i), "below") for i in chosen])
     return UndetectedEffect(
         share=2.0 * (right + below + 2.0 * right * below), sd=2.0 * float(np.hypot(right_sd, below_sd))
     )
@@ -98,7 +99,7 @@ def temporally_correlated_fraction(series: FlatSeries) -> UndetectedEffect:
     """
     levels = [flat for flat, fitted in zip(series.flats, series.fitted, strict=True) if fitted]
     known = [(level.successor_correlation, level.successor_sd) for level in levels]
-    value, sd = inverse_variance_mean(known)
+    value, sd = weighted_mean(known)
     most = max(level.frames for level in levels)
     # Image lag lowers the variance by two correlations, earlier and later; subtracting the mean of few frames by more.
     taken = 2.0 + 2.0 / most
@@ -109,15 +110,6 @@ def temporally_correlated_fraction(series: FlatSeries) -> UndetectedEffect:
     return common if near.is_untestable or (common.is_detected and not near.is_detected) else near
 
 
-def inverse_variance_mean(pairs: list[tuple[float, float]]) -> tuple[float, float]:
-    """Return the weighted mean of values of finite standard error, and its standard error; infinite without values."""
-    known = np.array([pair for pair in pairs if np.isfinite(pair[1])])
-    if not len(known):
-        return 0.0, np.inf
-    weight = 1.0 / np.maximum(known[:, 1], 1e-9) ** 2
-    return float(weight @ known[:, 0] / weight.sum()), float(1.0 / np.sqrt(weight.sum()))
-
-
 def _common_variance_fraction(series: FlatSeries, taken: float) -> UndetectedEffect:
     """Return the linear part of the covariance of different frames over that of the temporal variance."""
     chosen = np.flatnonzero(series.fitted)
@@ -126,19 +118,14 @@ def _common_variance_fraction(series: FlatSeries, taken: float) -> UndetectedEff
         return UndetectedEffect(share=0.0, sd=np.inf)
     common = np.array([series.flats[i].spatial_variance_dn2 - series.darks[i].spatial_variance_dn2 for i in chosen])
     sd = np.array([np.hypot(series.flats[i].spatial_sd_dn2, series.darks[i].spatial_sd_dn2) for i in chosen])
-    weight = 1.0 / np.maximum(sd, 1e-12) ** 2
-    design = np.stack([signal, signal**2 / signal.max()])
-    curvature = design * weight @ design.T
-    if np.linalg.cond(curvature) > CORRELATION.max_condition:
+    columns = [signal, signal**2 / signal.max()]
+    if np.linalg.cond(np.stack(columns) / np.maximum(sd, 1e-12)) ** 2 > CORRELATION.max_condition:
         return UndetectedEffect(share=0.0, sd=np.inf)
-    covariance = np.linalg.inv(curvature)
-    linear, square = covariance @ (design * weight @ common)
-    rest = common - linear * design[0] - square * design[1]
-    excess = float(weight @ rest**2) / max(1, len(chosen) - 2)
+    fit = linear_fit(columns, common, sd)
     slope = float(series.variance_dn2[chosen] @ signal / (signal @ signal))
     # Dark and illuminated patterns may be correlated, which adds a linear part that is no image lag.
-    error = np.sqrt(max(1.0, excess) * covariance[0, 0])
-    return UndetectedEffect(share=taken * linear / slope, sd=taken * float(error) / abs(slope))
+    error = fit.stretch(len(chosen)) * float(np.sqrt(fit.covariance[0, 0]))
+    return UndetectedEffect(share=taken * float(fit.best[0]) / slope, sd=taken * error / abs(slope))
 
 
 def processing_findings(series: FlatSeries) -> list[Finding]:
@@ -157,14 +144,14 @@ def _sharpening_findings(levels: list[StackStatistics]) -> list[Finding]:
         ("in a row", [(level.neighbour_correlation, level.neighbour_sd) for level in levels]),
         ("in a column", [(level.below_correlation, level.below_sd) for level in levels]),
     ):
-        value, sd = inverse_variance_mean(correlations)
+        value, sd = weighted_mean(correlations)
         if value < -CORRELATION.min_correlation - CORRELATION.processing_sd * sd:
             word = f"the noise of neighbours {place} is anticorrelated ({100 * value:.2g} %)"
-            return [("processed", f"{word}: the camera sharpens its images, which raises the variance")]
-    value, sd = inverse_variance_mean([_rise(level) for level in levels])
+            return [Finding("processed", f"{word}: the camera sharpens its images, which raises the variance")]
+    value, sd = weighted_mean([_rise(level) for level in levels])
     if value > CORRELATION.min_rise + CORRELATION.processing_sd * sd:
         word = f"the noise power is {100 * value:.2g} % larger at high than at low frequency"
-        return [("processed", f"{word}: the camera sharpens its images")]
+        return [Finding("processed", f"{word}: the camera sharpens its images")]
     return []
 
 
@@ -188,16 +175,16 @@ def _rise(level: StackStatistics) -> tuple[float, float]:
 def _temporal_filter_findings(darks: tuple[StackStatistics, ...]) -> list[Finding]:
     """Return findings of temporal noise reduction: darks correlated in time and not in space."""
     known = [dark for dark in darks if dark.frames > CORRELATION.few_frames]
-    value, sd = inverse_variance_mean([(dark.successor_correlation, dark.successor_sd) for dark in known])
-    around = [inverse_variance_mean([(d.neighbour_correlation, d.neighbour_sd) for d in known]),
-              inverse_variance_mean([(d.below_correlation, d.below_sd) for d in known])]  # fmt: skip
+    value, sd = weighted_mean([(dark.successor_correlation, dark.successor_sd) for dark in known])
+    around = [weighted_mean([(d.neighbour_correlation, d.neighbour_sd) for d in known]),
+              weighted_mean([(d.below_correlation, d.below_sd) for d in known])]  # fmt: skip
     if (
         value < CORRELATION.min_correlation + CORRELATION.processing_sd * sd
         or max(part for part, _ in around) > CORRELATION.max_spatial_ratio * value
     ):
         return []
     word = f"noise of successive dark frames is correlated ({100 * value:.2g} %), that of neighbouring pixels is not"
-    return [("processed", f"{word}: the camera reduces noise in time")]
+    return [Finding("processed", f"{word}: the camera reduces noise in time")]
 
 
 def _level_smoothing_findings(series: FlatSeries) -> list[Finding]:
@@ -211,16 +198,17 @@ def _level_smoothing_findings(series: FlatSeries) -> list[Finding]:
         return []
     span = np.log(series.signal_dn[chosen])
     span = (span - span.min()) / max(float(np.ptp(span)), 1e-12)
-    design = np.stack([1.0 - span, span])
     for place, name in (("in a row", "neighbour"), ("in a column", "below")):
         share, sd = np.array([light_correlation(series, int(i), name) for i in chosen]).T
-        weight = 1.0 / np.maximum(sd, 1e-9) ** 2
-        covariance = np.linalg.pinv(design * weight @ design.T)
-        low, high = covariance @ (design * weight @ share)
+        (low, high), covariance, _ = linear_fit([1.0 - span, span], share, np.maximum(sd, 1e-9))
         error = float(np.sqrt(covariance[0, 0] + covariance[1, 1] - 2.0 * covariance[0, 1]))
         if abs(high - low) > CORRELATION.min_change + CORRELATION.processing_sd * error:
             word = f"noise of neighbours {place} is correlated by {100 * low:.2g} % in the dimmest flat"
-            return [("processed", f"{word} and by {100 * high:.2g} % in the brightest: the camera smooths nonlinearly")]
+            return [
+                Finding(
+                    "processed", f"{word} and by {100 * high:.2g} % in the brightest: the camera smooths nonlinearly"
+                )
+            ]
     return []
 
 
@@ -237,7 +225,7 @@ def gamma_of_light(light: Array, signal: Array) -> list[Finding]:
     ):
         return []
     word = f"the signal is proportional to the power {power:.2f} of the light within {100 * off:.2g} %"
-    return [("gamma", f"{word}: a gamma curve, or a gain that follows the light")]
+    return [Finding("gamma", f"{word}: a gamma curve, or a gain that follows the light")]
 
 
 def gamma_of_noise(signal: Array, gain: Array, sd: Array) -> list[Finding]:
@@ -259,7 +247,7 @@ def gamma_of_noise(signal: Array, gain: Array, sd: Array) -> list[Finding]:
     if CORRELATION.linear_exponents[0] < gamma < CORRELATION.linear_exponents[1]:
         return []
     word = f"variance over signal is proportional to the power {power:.2f} of the signal within {100 * off:.2g} %"
-    return [("gamma", f"{word}, as behind a gamma of {gamma:.2f}")]
+    return [Finding("gamma", f"{word}, as behind a gamma of {gamma:.2f}")]
 
 
 def _power(x: Array, y: Array) -> tuple[float, float]:

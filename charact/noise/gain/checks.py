@@ -1,24 +1,26 @@
 """Checks of a flat series: linearity, stationarity, clipping, quantisation, conditions."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.method import Context
-from charact.noise.findings import Finding, flags_of
+from charact.noise.findings import Finding, with_remedy
 from charact.noise.gain.emva1288 import errors_of
 from charact.noise.gain.series import CLIPPED_SHARE, GAINS, FlatSeries, without_noise
+from charact.noise.gain.undetected_correlation import (
+    UndetectedEffect,
+    gamma_of_light,
+    gamma_of_noise,
+    processing_findings,
+)
+from charact.noise.linear_fit import linear_fit
 from charact.noise.stack.stack_statistics import StackStatistics
 from charact.noise.thresholds import CHECKS
-from charact.noise.undetected_correlation import UndetectedEffect, gamma_of_light, gamma_of_noise, processing_findings
-from labdata import flags
 from labdata.conditions import Conditions
 
 Array = NDArray[np.float64]
-# Below this variance rounding is not independent noise: at the 0.24 DN^2 of EMVA 1288, 6.6, the noise is wrong by up to
-# 7 %, here by 1.5 %.
-QUANTISED_DN2 = 0.32
+
 ALLOWED = "the interval includes what cannot be excluded"
 # Conditions that must agree between flat and dark: largest relative and absolute difference.
 ALIKE = {
@@ -30,55 +32,43 @@ ALIKE = {
 }
 
 
-def series_findings(series: FlatSeries, *, context: Context) -> list[Finding]:
+def series_findings(series: FlatSeries) -> list[Finding]:
     """Return the findings that concern every quantity of the series."""
     found: list[Finding] = []
     if series.reference != "dark":
-        found.append(("no-darks", f"no darks of two frames or more: signals are measured from the {series.reference}"))
+        words = f"no darks of two frames or more: signals are measured from the {series.reference}"
+        found.append(Finding("no-darks", words))
     if series.left_out:
-        found.append((None, f"excluded (different gain): {', '.join(series.left_out)}"))
-        found += _gain_findings(series)
+        found.append(Finding(None, f"excluded (different gain): {', '.join(series.left_out)}"))
+        here = series.flats[0].conditions
+        known = [f"{name} {getattr(here, name):.4g}" for name in GAINS if getattr(here, name) is not None]
+        words = "the gain with most flats, or the brightest of equally many"
+        found += [Finding(None, f"measured at {', '.join(known)}: {words}")] if known else []
     if series.single:
-        found.append((None, without_noise(series.single)))
-    found += _stationarity_findings(series)
-    found += _proportionality_findings(series)
-    found += _clipping_findings(series)
-    found += _condition_findings(series)
-    found += processing_findings(series)
-    found += dark_findings(series)
+        found.append(Finding(None, without_noise(series.single)))
+    found += _stationarity_findings(series) + _proportionality_findings(series) + _clipping_findings(series)
+    found += _condition_findings(series) + processing_findings(series) + dark_findings(series)
     left = int(series.fitted.sum())
     if left < CHECKS.min_levels:
         word = "level" if left == 1 else "levels"
-        found.append((None, f"only {left} {word} inside the linear range: linearity not testable; {ALLOWED}"))
+        found.append(Finding(None, f"only {left} {word} inside the linear range: linearity not testable; {ALLOWED}"))
     return found
 
 
 def dark_findings(series: FlatSeries) -> list[Finding]:
     """Return the finding of a dark brighter than flats by more than the noise of a pixel."""
-    if series.reference != "dark":
-        return []
-    below = [i for i, dark in enumerate(series.darks) if series.signal_dn[i] < -(max(dark.variance_dn2, 0.0) ** 0.5)]
+    noise = [max(dark.variance_dn2, 0.0) ** 0.5 for dark in series.darks]
+    below = [i for i, sd in enumerate(noise) if series.reference == "dark" and series.signal_dn[i] < -sd]
     if not below:
         return []
     lowest = min(below, key=lambda i: series.signal_dn[i])
     flat, dark = series.flats[lowest], series.darks[lowest]
-    high = max(dark.variance_dn2, 0.0) ** 0.5 - max(flat.variance_dn2, 0.0) ** 0.5
+    high = noise[lowest] - max(flat.variance_dn2, 0.0) ** 0.5
     effect = (
         f"{flat.label} lies {-series.signal_dn[lowest]:.4g} DN below {dark.label}, whose noise may be {high:.3g} DN"
     )
-    return [flags.Finding(flag="dark-mismatch", effect=f"{effect} too high",
-                          remedy="kind in session.toml: dark and flat may be exchanged")]  # fmt: skip
-
-
-def _gain_findings(series: FlatSeries) -> list[Finding]:
-    """Return the note on which of several gains was measured."""
-    here = series.flats[0].conditions
-    known = [f"{name} {getattr(here, name):.4g}" for name in GAINS if getattr(here, name) is not None]
-    return (
-        [(None, f"measured at {', '.join(known)}: the gain with most flats, or the brightest of equally many")]
-        if known
-        else []
-    )
+    remedy = "kind in session.toml: dark and flat may be exchanged"
+    return [with_remedy("dark-mismatch", f"{effect} too high", remedy)]
 
 
 def _condition_findings(series: FlatSeries) -> list[Finding]:
@@ -96,7 +86,7 @@ def _condition_findings(series: FlatSeries) -> list[Finding]:
                 f"{flat.label} and its dark {dark.label} differ in {word[0]}: {here:.4g} and {there:.4g} {word[1]}, so "
                 "that level and noise of the dark may be others"
             )
-            found.append(flags.Finding(flag="unlike-conditions", effect=effect, remedy=f"darks of the flats' {name}"))
+            found.append(with_remedy("unlike-conditions", effect, f"darks of the flats' {name}"))
     return found
 
 
@@ -110,35 +100,40 @@ def light_findings(series: FlatSeries) -> list[Finding]:
 
 def _dark_current_findings(series: FlatSeries) -> list[Finding]:
     """Return the finding of flats exposed for longer than their darks."""
-    times = [
-        (f.conditions.exposure_s, d.conditions.exposure_s) for f, d in zip(series.flats, series.darks, strict=True)
-    ]
-    longer = [here - there for here, there in times if here is not None and there is not None]
-    apart = [
-        gap for gap, (here, _) in zip(longer, times, strict=False) if here and gap > CHECKS.exposure_tolerance * here
-    ]
+    times = [(f.conditions.exposure_s, d.conditions.exposure_s)
+             for f, d in zip(series.flats, series.darks, strict=True)]  # fmt: skip
+    gaps = [(here - there, here) for here, there in times if here is not None and there is not None]
+    apart = [gap for gap, here in gaps if here and gap > CHECKS.exposure_tolerance * here]
     if not apart or series.reference != "dark":
         return []
     effect = f"signals include the dark current of up to {max(apart):.3g} s"
-    return [flags.Finding(flag="unlike-conditions", effect=effect, remedy="darks of the flats' exposure_s")]
+    return [with_remedy("unlike-conditions", effect, "darks of the flats' exposure_s")]
+
+
+def _stated_light(series: FlatSeries) -> tuple[Array, Array] | None:
+    """Return stated light and signal of the fitted flats; None if one is unknown, or there is one flat only."""
+    chosen = np.flatnonzero(series.fitted)
+    light = [light_of(series.flats[i].conditions) for i in chosen]
+    if len(chosen) < 2 or any(value is None or value <= 0 for value in light):
+        return None
+    return np.array(light, float), series.signal_dn[chosen]
 
 
 def _light_statement_findings(series: FlatSeries) -> list[Finding]:
     """Return the finding of different levels under the same stated light."""
-    chosen = np.flatnonzero(series.fitted)
-    light = [light_of(series.flats[i].conditions) for i in chosen]
-    if len(chosen) < 2 or any(value is None or value <= 0 for value in light):
+    stated = _stated_light(series)
+    if stated is None:
         return []
-    exposure, signal = np.array(light, float), series.signal_dn[chosen]
+    exposure, signal = stated
     ratio = signal / exposure
-    if exposure.max() / exposure.min() >= CHECKS.min_light_ratio or ratio.max() / ratio.min() < CHECKS.min_light_ratio:
+    levels, light = (values.max() / values.min() for values in (ratio, exposure))
+    if light >= CHECKS.min_light_ratio or levels < CHECKS.min_light_ratio:
         return []
     effect = (
-        f"levels differ {ratio.max() / ratio.min():.3g}-fold under light stated to differ "
-        f"{exposure.max() / exposure.min():.3g}-fold, so that numbers per photon or lux may be off as much"
+        f"levels differ {levels:.3g}-fold under light stated to differ {light:.3g}-fold, so that numbers per photon or "
+        "lux may be off as much"
     )
-    remedy = "illuminance_lux, photons_per_px or exposure_s of each flat as it was"
-    return [flags.Finding(flag="agc", effect=effect, remedy=remedy)]
+    return [with_remedy("agc", effect, "illuminance_lux, photons_per_px or exposure_s of each flat as it was")]
 
 
 def is_quantisation_limited(dark: StackStatistics, signal_dn: float) -> bool:
@@ -153,25 +148,20 @@ def quantisation_findings(series: FlatSeries) -> list[Finding]:
         return []
     brightest = float(series.signal_dn[fitted].max())
     sentence = f"at {brightest:.2g} DN of signal rounding removes the faint parts of pulses; take brighter flats"
-    return [("quantised", sentence)]
+    return [Finding("quantised", sentence)]
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Trend:
-    """Straight line through variance over signal against signal, DN.
-
-    `first` is at zero signal, `rise` the change up to the brightest level, `middle` the mean over the levels. `signal`,
-    `gain` and `sd` are the data, `shared` their common error.
-    """
+class _Trend(NamedTuple):
+    """Straight line through variance over signal against signal, DN; `shared` is the common error of the data."""
 
     signal: Array
     gain: Array
     sd: Array
     shared: Array
-    first: float
-    rise: float
+    first: float  # at zero signal
+    rise: float  # change up to the brightest level
     rise_sd: float
-    middle: float
+    middle: float  # mean over the levels
 
 
 def _trend(series: FlatSeries) -> _Trend | None:
@@ -182,13 +172,10 @@ def _trend(series: FlatSeries) -> _Trend | None:
         return None
     sd, common = errors_of(series)
     sd, shared, gain = sd[chosen] / signal, common / signal, series.variance_dn2[chosen] / signal
-    weight = np.linalg.pinv(np.diag(np.maximum(sd, 1e-12) ** 2) + np.outer(shared, shared))
-    design = np.stack([np.ones_like(signal), signal / signal.max()])
-    covariance = np.linalg.pinv(design @ weight @ design.T)
-    first, rise = covariance @ (design @ weight @ gain)
-    middle = float(weight.sum(axis=0) @ gain / weight.sum())
-    return _Trend(signal=signal, gain=gain, sd=sd, shared=shared, first=float(first), rise=float(rise),
-                  rise_sd=float(np.sqrt(covariance[1, 1])), middle=middle)  # fmt: skip
+    one = np.ones_like(signal)
+    line, mean = (linear_fit(columns, gain, sd, shared=shared) for columns in ([one, signal / signal.max()], [one]))
+    return _Trend(signal=signal, gain=gain, sd=sd, shared=shared, first=line.best[0], rise=line.best[1],
+                  rise_sd=float(np.sqrt(line.covariance[1, 1])), middle=mean.best[0])  # fmt: skip
 
 
 def bend_allowance(series: FlatSeries) -> float:
@@ -212,18 +199,18 @@ def variance_ratio_changes(series: FlatSeries) -> list[Finding]:
     trend = _trend(series)
     if trend is None:
         return []
-    gain, middle, slope, error = trend.gain, trend.middle, trend.rise, trend.rise_sd
+    middle, slope, error = trend.middle, trend.rise, trend.rise_sd
     # Behind a gamma curve variance over signal rises and falls again, which no straight line shows.
-    own_sd = np.hypot(trend.sd, trend.shared)
-    deviates = bool(np.any(np.abs(gain - middle) > 2.0 * CHECKS.curvature * middle + CHECKS.significant_sd * own_sd))
+    limit = 2.0 * CHECKS.curvature * middle + CHECKS.significant_sd * np.hypot(trend.sd, trend.shared)
+    deviates = bool(np.any(np.abs(trend.gain - middle) > limit))
     if abs(slope) <= CHECKS.curvature_sd * error and not deviates:
         return []
-    flag = "nonlinear" if abs(slope) > CHECKS.curvature * middle + CHECKS.curvature_sd * error or deviates else None
     sentence = f"variance over signal changes from {trend.first:.4g} to {trend.first + slope:.4g} DN along the levels"
-    if flag is None:
-        return [(None, f"{sentence}; the gain is the slope over all levels, and its interval includes the change")]
-    found: list[Finding] = [flags.Finding(flag=flag, effect=sentence, remedy="flats of the linear range only")]
-    own = np.array([series.flats[i].variance_dn2 for i in np.flatnonzero(series.fitted)]) / trend.signal
+    if not deviates and abs(slope) <= CHECKS.curvature * middle + CHECKS.curvature_sd * error:
+        more = "the gain is the slope over all levels, and its interval includes the change"
+        return [Finding(None, f"{sentence}; {more}")]
+    found = [with_remedy("nonlinear", sentence, "flats of the linear range only")]
+    own = np.array([flat.variance_dn2 for flat in series.flats])[series.fitted] / trend.signal
     return found + gamma_of_noise(trend.signal, own, trend.sd)
 
 
@@ -231,15 +218,10 @@ def exposure_findings(exposures: UndetectedEffect) -> list[Finding]:
     """Return findings of correlation between successive exposures, detected or untestable."""
     if exposures.is_detected:
         share = 100 * exposures.share
-        return [("lag", f"noise of successive exposures is correlated ({share:.3g} %)")]
+        return [Finding("lag", f"noise of successive exposures is correlated ({share:.3g} %)")]
     if exposures.is_untestable:
-        return [(None, f"too few frames to test temporal correlation; {ALLOWED}")]
+        return [Finding(None, f"too few frames to test temporal correlation; {ALLOWED}")]
     return []
-
-
-def exposure_flags(exposures: UndetectedEffect) -> tuple[str, ...]:
-    """Return the flags of correlation between successive exposures."""
-    return flags_of(exposure_findings(exposures))
 
 
 def correlation_findings(neighbours: UndetectedEffect, exposures: UndetectedEffect) -> list[Finding]:
@@ -248,9 +230,9 @@ def correlation_findings(neighbours: UndetectedEffect, exposures: UndetectedEffe
     if neighbours.is_detected:
         low = 100.0 * (1.0 - 1.0 / (1.0 + max(neighbours.share, 0.0)))
         effect = f"noise of neighbouring pixels is correlated, so that the slope of EMVA 1288 is {low:.2g} % low"
-        found.append(flags.Finding(flag="correlated-noise", effect=effect, remedy="--method covariance-sum"))
+        found.append(with_remedy("correlated-noise", effect, "--method covariance-sum"))
     elif neighbours.is_untestable:
-        found.append((None, f"too few pixels and frames to test the correlation of neighbours; {ALLOWED}"))
+        found.append(Finding(None, f"too few pixels and frames to test the correlation of neighbours; {ALLOWED}"))
     return found
 
 
@@ -259,9 +241,9 @@ def _stationarity_findings(series: FlatSeries) -> list[Finding]:
     for flat, signal in zip(series.flats, series.signal_dn, strict=True):
         drift, flicker = drift_and_flicker(flat)
         if abs(drift) > CHECKS.drift_fraction * abs(signal):
-            found.append(("drift", f"{flat.label} drifts by {drift:.3g} DN from first to last frame"))
+            found.append(Finding("drift", f"{flat.label} drifts by {drift:.3g} DN from first to last frame"))
         if flicker > CHECKS.flicker_fraction * abs(signal):
-            found.append(("flicker", f"{flat.label} flickers by {flicker:.3g} DN rms"))
+            found.append(Finding("flicker", f"{flat.label} flickers by {flicker:.3g} DN rms"))
     return found
 
 
@@ -307,12 +289,11 @@ def _proportionality_findings(series: FlatSeries) -> list[Finding]:
     """Return findings of a signal that is not proportional to the stated light."""
     # A gain change common to all levels does not show in flats; the session must state it.
     if any(flat.conditions.automatic_gain or flat.conditions.brightness_control for flat in series.flats):
-        return [("agc", "an automatic gain or brightness control was on")]
-    chosen = np.flatnonzero(series.fitted)
-    light = [light_of(series.flats[i].conditions) for i in chosen]
-    if len(chosen) < 2 or any(value is None or value <= 0 for value in light):
+        return [Finding("agc", "an automatic gain or brightness control was on")]
+    stated = _stated_light(series)
+    if stated is None:
         return []
-    exposure, signal = np.array(light, float), series.signal_dn[chosen]
+    exposure, signal = stated
     span = exposure.max() / exposure.min()
     if span < CHECKS.min_light_ratio:
         return []
@@ -320,23 +301,22 @@ def _proportionality_findings(series: FlatSeries) -> list[Finding]:
         return gamma
     slope = float(np.polyfit(np.log(exposure), np.log(np.maximum(signal, 1e-3 * signal.max())), 1)[0])
     if slope < CHECKS.min_light_exponent:
-        return [("agc", f"the light changed {span:.3g}-fold and the mean as its power {slope:.2f} only")]
+        return [Finding("agc", f"the light changed {span:.3g}-fold and the mean as its power {slope:.2f} only")]
     ratio = signal / exposure
     reference = float(exposure @ signal / (exposure @ exposure))
     off = float(np.abs(ratio / reference - 1.0)[signal > 0.05 * signal.max()].max())
     if off > CHECKS.nonlinear_fraction:
-        return [("nonlinear", f"signal over light deviates by {100 * off:.1f} % from its mean")]
+        return [Finding("nonlinear", f"signal over light deviates by {100 * off:.1f} % from its mean")]
     return []
 
 
 def _clipping_findings(series: FlatSeries) -> list[Finding]:
-    found: list[Finding] = []
-    found += [
-        ("clipped", f"{100 * level.low_fraction:.1f} % of the pixels of {level.label} are at 0 DN")
+    found = [
+        Finding("clipped", f"{100 * level.low_fraction:.1f} % of the pixels of {level.label} are at 0 DN")
         for level in (*series.all_darks, *series.flats)
         if level.low_fraction > 0.01
     ]
     over = [flat.label for flat in series.flats if flat.high_fraction > CLIPPED_SHARE]
     if over and not series.fitted.any():
-        found.append(("saturated", f"pixels of {', '.join(over)} are at full scale"))
+        found.append(Finding("saturated", f"pixels of {', '.join(over)} are at full scale"))
     return found

@@ -1,1 +1,0 @@
-"""Signal-to-noise ratio, minimum illumination, and gains that need the illumination."""
