@@ -105,7 +105,7 @@ def _combine_targets(session: Session, result: Result, context: Context) -> Resu
     from charact.mtf.bars.group_curve import session_curves
     from charact.mtf.session.consistency import mtf_consistency, mtf_uniformity
     from charact.mtf.session.joint import fit_joint_mtf
-    from charact.mtf.session.session_budget import add_mtf_budget
+    from charact.mtf.session.mtf_budget import add_mtf_budget
 
     targets = session.of_kind("edge", "bars", "point")
     kinds = {entry.label: entry.kind for entry in targets}

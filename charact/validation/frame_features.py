@@ -25,14 +25,9 @@ TITLES = {
 class FrameFeatures:
     """Features of one set of frames.
 
-    Parameters
-    ----------
-    noise, correlation, mtf
-        Features of the flats above the dark, of the brightest flat's neighbours, of the edge.
-    mean_dn, variance_dn2, covariance_dn2
-        Signal, temporal variance and covariance sum of each flat above the dark, shape (flat,).
-    grey_dn
-        Independent pixels of the brightest flat about their mean, shape (n,), DN.
+    `noise`: of the flats above the dark; `correlation`: of neighbours in the brightest flat; `mtf`: of the edge.
+    Signal, temporal variance and covariance sum of each flat above the dark have the shape (flat,); `grey_dn`:
+    independent pixels of the brightest flat about their mean, DN.
     """
 
     noise: Features
@@ -64,17 +59,7 @@ def portrait_of(
 def statistics(
     one: FrameFeatures, many: list[FrameFeatures], chosen: MatchedStacks, *, rng: np.random.Generator
 ) -> tuple[Statistic, ...]:
-    """Compare one set of features with simulated ones, each statistic at its part of the family-wise level.
-
-    Parameters
-    ----------
-    one, many
-        Features in question and those of the posterior draws.
-    chosen
-        Stacks, for their labels.
-    rng
-        Draws of the null distributions.
-    """
+    """Compare one set of features with simulated ones, each statistic at its part of the family-wise level."""
     curves = [other.mtf for other in many if other.mtf is not None]
     sharp = one.mtf if len(curves) > len(many) // 2 else None
     level = 0.005 / (3 if sharp is None else 4)
@@ -88,11 +73,11 @@ def statistics(
     if sharp is not None:
         points = tuple(f"{frequency:.2f} cy/px" for frequency in FREQUENCY_CY_PER_PX)
         vectors["mtf"] = (points, sharp, curves)
-    found = [_of_vector(name, *vector, level, rng) for name, vector in vectors.items()]
-    return (*found[:2], _histogram(one, many, level), *found[2:])
+    found = [_vector_statistic(name, *vector, level, rng) for name, vector in vectors.items()]
+    return (*found[:2], _histogram_statistic(one, many, level), *found[2:])
 
 
-def _of_vector(
+def _vector_statistic(
     name: str, labels: tuple[str, ...], one: Features, many: list[Features], level: float, rng: np.random.Generator
 ) -> Statistic:
     found = compare(one, many, rng=rng)
@@ -110,7 +95,7 @@ def _of_vector(
     )
 
 
-def _histogram(one: FrameFeatures, many: list[FrameFeatures], level: float) -> Statistic:
+def _histogram_statistic(one: FrameFeatures, many: list[FrameFeatures], level: float) -> Statistic:
     found = distance(one.grey_dn, np.concatenate([other.grey_dn for other in many]))
     return Statistic(
         name="histogram",
@@ -134,14 +119,9 @@ LAG_NAMES = ("h1", "h2", "h3", "v1", "v2", "v3", "v4")
 
 @dataclass(frozen=True, kw_only=True)
 class TileStatistics:
-    """Sums over tiles of a stack's frame-to-frame changes.
+    """Mean level of each tile of a stack, DN, and autocovariance of its frame-to-frame changes, DN^2.
 
-    Parameters
-    ----------
-    mean
-        Mean level of each tile, shape (tile,), DN.
-    autocovariance
-        Autocovariance of the changes in each tile, DN^2, lag zero at the centre; shape (tile, lag, lag).
+    Shapes (tile,) and (tile, lag, lag) with lag zero at the centre.
     """
 
     mean: Array
@@ -187,9 +167,12 @@ def noise_features(lit: list[TileStatistics], dark: TileStatistics) -> Features:
     """Return ln(variance/signal) and ln(covariance sum/signal) of every flat."""
 
     def numbers(lit: list[TileStatistics], dark: TileStatistics) -> list[float]:
-        signal = [float(one.mean.mean() - dark.mean.mean()) for one in lit]
-        pairs = zip(lit, signal, strict=True)
-        return [np.log(max(part, 1e-9) / s) for one, s in pairs for part in _above(one, dark)]
+        parts = [
+            (part, float(one.mean.mean() - dark.mean.mean()))
+            for one in lit
+            for part in (one.variance - dark.variance, one.covariance_sum - dark.covariance_sum)
+        ]
+        return [np.log(max(part, 1e-9) / signal) for part, signal in parts]
 
     out = [numbers([one.without(tile) for one in lit], dark.without(tile)) for tile in range(TILES**2)]
     return _jackknife(np.array(numbers(lit, dark)), np.array(out))
@@ -199,10 +182,6 @@ def correlation_features(flat: TileStatistics) -> Features:
     """Return the correlations of a flat at LAGS."""
     out = [[flat.without(tile).correlation(lag) for lag in LAGS] for tile in range(TILES**2)]
     return _jackknife(np.array([flat.correlation(lag) for lag in LAGS]), np.array(out))
-
-
-def _above(lit: TileStatistics, dark: TileStatistics) -> tuple[float, float]:
-    return lit.variance - dark.variance, lit.covariance_sum - dark.covariance_sum
 
 
 def _jackknife(value: Array, left_out: Array) -> Features:
@@ -232,14 +211,8 @@ STRIDE = 8
 class Distance:
     """Distance of two samples of grey values.
 
-    Parameters
-    ----------
-    kolmogorov
-        Largest difference of the distribution functions, dimensionless.
-    wasserstein_sd
-        Mean shift that converts one sample into the other, in standard deviations of the measured one.
-    p_value
-        Probability of a Kolmogorov distance at least as large, dimensionless.
+    `kolmogorov`: largest difference of the distribution functions; `wasserstein_sd`: mean shift that converts one
+    sample into the other, in standard deviations of the measured one; `p_value`: of the Kolmogorov distance.
     """
 
     kolmogorov: float
@@ -276,7 +249,6 @@ def distance(measured: Array, simulated: Array) -> Distance:
     )
 
 
-METHOD = "edge-slanted"
 # Frequencies up to 0.8 of the sampling limit.
 FREQUENCY_CY_PER_PX = np.arange(0.05, 0.4001, 0.05)
 
@@ -285,7 +257,7 @@ def mtf_features(frames: NDArray, context: Context) -> Features | None:
     """Return the MTF at FREQUENCY_CY_PER_PX with the method's own errors, or None where the method refuses."""
     from charact import mtf
 
-    found = mtf.measure("edge", FrameStack(data=frames), method=METHOD, context=context)
+    found = mtf.measure("edge", FrameStack(data=frames), method="edge-slanted", context=context)
     line = next(iter(found.curves.values()), None)
     if line is None or line.interval68 is None:
         return None

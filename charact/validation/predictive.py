@@ -12,17 +12,7 @@ REPLICATES = 4000
 
 @dataclass(frozen=True, kw_only=True)
 class Features:
-    """Numbers from one set of frames, with their sampling covariance.
-
-    Parameters
-    ----------
-    value
-        Shape (k,).
-    covariance
-        Sampling covariance estimated within the set, shape (k, k).
-    freedom
-        Degrees of freedom of that estimate.
-    """
+    """Numbers from one set of frames, shape (k,), their sampling covariance (k, k) and its degrees of freedom."""
 
     value: Array
     covariance: Array
@@ -33,14 +23,8 @@ class Features:
 class Comparison:
     """Distance of a measured vector from an ensemble of simulated ones.
 
-    Parameters
-    ----------
-    distance
-        Root of chi-squared over its number of terms: 1 is usual.
-    p_value
-        Probability of at least this distance, dimensionless.
-    centre, sd
-        Predicted mean and standard deviation of a measured vector, shape (k,).
+    `distance`: root of chi-squared over its number of terms, 1 is usual; `p_value`: probability of at least this
+    distance; `centre`, `sd`: predicted mean and standard deviation of a measured vector, shape (k,).
     """
 
     distance: float
@@ -52,18 +36,7 @@ class Comparison:
 def compare(
     measured: Features, simulated: list[Features], *, rng: np.random.Generator, replicates: int = REPLICATES
 ) -> Comparison:
-    """Compare one measured vector with simulated ones, each from its own posterior draw.
-
-    Parameters
-    ----------
-    measured
-        Measured vector.
-    simulated
-        Vectors of frames simulated from different posterior draws, at least two.
-    rng
-        Draws of the null distribution.
-    replicates
-        Number of those draws: no p-value is below 1/(replicates + 1).
+    """Compare one measured vector with at least two simulated ones, each from its own posterior draw.
 
     Notes
     -----

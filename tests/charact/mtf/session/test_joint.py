@@ -65,18 +65,18 @@ def evidence(result: Result, kinds=KINDS, context: Context = QUICK) -> dict:
 
 
 def test_probabilities_of_one_camera_are_uniform_and_its_interval_holds_the_truth(seed: int) -> None:
-    """Kolmogorov-Smirnov of 30 chances once in ten thousand; 95 % intervals hold within 4 standard errors."""
+    """Kolmogorov-Smirnov of 12 chances once in ten thousand; 95 % intervals hold within 4 standard errors."""
     rng = np.random.default_rng(seed)
     chances, held = [], 0
     frequency = np.linspace(0.01, 0.6, 20000)
     truth = float(frequency[np.argmax(mtf(frequency) < 0.5)])
-    for _ in range(30):
+    for _ in range(12):
         found = fit_joint_mtf(session(rng), KINDS, context=QUICK)
         chances.append(found.evidence["joint MTF"]["probability"])
         low, high = found.find("mtf50")[0].interval95
         held += low <= truth <= high
     assert kstest(chances, "uniform").pvalue > 1e-4
-    assert held >= 30 * 0.95 - 4 * np.sqrt(30 * 0.95 * 0.05)
+    assert held >= 12 * 0.95 - 4 * np.sqrt(12 * 0.95 * 0.05)
 
 
 def test_all_targets_together_know_the_mtf_better_than_the_best_of_them(seed: int) -> None:

@@ -8,7 +8,7 @@ from test_mtf_budget import cascade
 
 from charact.method import Context
 from charact.mtf.curve import REPORTED, curve_of
-from charact.mtf.session.session_budget import EVIDENCE, add_mtf_budget
+from charact.mtf.session.mtf_budget import EVIDENCE, add_mtf_budget
 from labdata.measurement import Curve, Result, measurement_from_sd
 from labdata.sensors import load_sensor
 
