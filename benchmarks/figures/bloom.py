@@ -14,8 +14,9 @@ from charact.method import Context
 from charact.report.bloom_images import add_extent_data
 from charact.report.figure_registry import FIGURES
 from charact.report.style import white_style
-from charact.study.bloom.scene import BloomScene, bloom_session, truth
-from charact.study.bloom.source import GLARE_SIDE_PX, radial_light
+from charact.study.bloom.scene import bloom_session
+from charact.study.bloom.source import GLARE_SIDE_PX, BloomScene, radial_light
+from charact.study.bloom.truth import truth
 from charact.study.flats.flat_cases import InMemoryStack
 from labdata.conditions import Conditions
 from labdata.frames import FrameStack

@@ -94,11 +94,8 @@ class CaseResult:
 
     def as_json(self) -> dict[str, Any]:
         """The row as plain numbers and words; a bound that is not finite becomes null."""
-        return {key: None if _endless(value) else value for key, value in asdict(self).items()}
-
-
-def _endless(value: Any) -> bool:
-    return isinstance(value, float) and not np.isfinite(value)
+        endless = {key for key, value in asdict(self).items() if isinstance(value, float) and not np.isfinite(value)}
+        return {key: None if key in endless else value for key, value in asdict(self).items()}
 
 
 def judge_measurement(measurement: Measurement, truth: float | None) -> dict[str, Any]:
@@ -133,50 +130,29 @@ class CaseTimer:
 
 
 def attempt(method: Method, case: Case, context: Context, *, material: Any = None) -> CaseResult:
-    """Give one case to one method and judge what comes back.
+    """Give one case to one method and judge what comes back; `material` is what the case draws, if it is drawn already.
 
-    `material`: what the case draws, where it is drawn already. A `BadInput` is a refusal. Any other exception, and any
-    warning, is a crash: a user would see it.
+    A `BadInput` is a refusal. Any other exception, and any warning, is a crash: a user would see it.
     """
     base = {key: getattr(case, key) for key in ("kind", "axis", "position", "unit", "in_scope", "seed", "truth")}
     material = case.drawn() if material is None else material
     context = replace(context, **{"seed": case.seed, **case.context})
-    clock = CaseTimer()
+    clock, result = CaseTimer(), None
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             result = method.function(material, **case.arguments, context=context)
+        given: dict[str, Any] = {"status": "refused", "reason": f"the result holds no {case.quantity}"}
     except BadInput as error:
-        seconds = clock.seconds()
-        return CaseResult(
-            method=method.name, case=case.name, **base, status="refused", reason=str(error), seconds=seconds
-        )
+        given = {"status": "refused", "reason": str(error)}
     except Exception as error:  # the study must outlive the method it breaks
-        seconds, reason = clock.seconds(), f"{type(error).__name__}: {error}"
-        return CaseResult(method=method.name, case=case.name, **base, status="crashed", reason=reason, seconds=seconds)
-    seconds = clock.seconds()
-    found = result.find(case.quantity)
-    if not found:
-        reason = f"the result holds no {case.quantity}"
-        return CaseResult(method=method.name, case=case.name, **base, status="refused", reason=reason, seconds=seconds)
-    return _row(method, case, base, found[0], seconds)
-
-
-def _row(method: Method, case: Case, base: dict[str, Any], found: Measurement, seconds: float) -> CaseResult:
-    low, high = found.interval95 or (None, None)
-    return CaseResult(
-        method=method.name,
-        case=case.name,
-        **base,
-        value=found.value,
-        low95=low,
-        high95=high,
-        status=found.status,
-        flags=found.flags,
-        reason=found.reason,
-        seconds=seconds,
-        **judge_measurement(found, case.truth),
-    )
+        given = {"status": "crashed", "reason": f"{type(error).__name__}: {error}"}
+    given["seconds"] = clock.seconds()
+    for found in result.find(case.quantity)[:1] if result else ():
+        low, high = found.interval95 or (None, None)
+        given |= {"value": found.value, "low95": low, "high95": high, "status": found.status, "flags": found.flags,
+                  "reason": found.reason, **judge_measurement(found, case.truth)}  # fmt: skip
+    return CaseResult(method=method.name, case=case.name, **base, **given)
 
 
 def run(

@@ -9,8 +9,7 @@ from charact import bloom
 from charact.bloom.lit_edge_halo import measure_lit_edge
 from charact.bloom.lit_edge_profile import edge_line
 from charact.method import Context
-from charact.study.bloom.scene import BloomScene
-from charact.study.bloom.source import radial_light
+from charact.study.bloom.source import BloomScene, radial_light
 from charact.study.flats.flat_cases import InMemoryStack
 from labdata.conditions import Conditions
 from labdata.errors import BadInput
