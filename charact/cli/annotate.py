@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from charact.cli.output import Frequency, in_cycles_per_pixel
+from charact.cli.output import Frequency, in_cycles_per_pixel, in_unit
 from labdata.errors import BadInput
 from labdata.file_io import write_atomically
 from labdata.flags import FLAGS
@@ -185,14 +185,12 @@ def _caption(m: Measurement, frequency: Frequency, *, alone: bool) -> list[str]:
     name = f"{m.quantity} " if alone else ""
     if m.value is None:
         return [f"{name}refused", *([str(m.reason)[:90]] if alone else [])]
-    convert = (lambda value: frequency(value, m)) if m.unit == "cy/px" else (lambda value: (value, m.unit))
-    value, unit = convert(m.value)
+    value, unit, ends = in_unit(m, frequency)
     of = f" {unit}" if alone and unit != "1" else ""
     at = "" if m.frequency_cy_per_px is None else " at {:.3g} {}".format(*frequency(m.frequency_cy_per_px, m))
     lines = [f"{name}{value:#.4g}{of}{at}"]
-    if m.interval95:
-        low, high = (convert(end)[0] for end in m.interval95)
-        lines.append(f"{low:#.4g} to {high:#.4g}" + (" (95 %)" if alone else ""))
+    if ends:
+        lines.append(f"{ends[0]:#.4g} to {ends[1]:#.4g}" + (" (95 %)" if alone else ""))
     return [*lines, *(m.flags if alone else m.flags[:1])]
 
 

@@ -24,19 +24,7 @@ from labdata.store import SessionWriter
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """Result of one check.
-
-    Parameters
-    ----------
-    area
-        Subject, such as "disk".
-    says
-        The finding, in a sentence.
-    fix
-        The remedy; None if ok.
-    core
-        Whether measuring needs it.
-    """
+    """Result of one check: subject, sentence, remedy (None if ok), and whether measuring needs it."""
 
     area: str
     says: str
@@ -74,15 +62,7 @@ def python_finding(version: tuple[int, ...]) -> Finding:
 
 
 def package_findings(requires: Iterable[str], installed: Callable[[str], str | None]) -> Iterator[Finding]:
-    """Yield one finding for the required packages, and one for each extra.
-
-    Parameters
-    ----------
-    requires
-        Requirements in the format of package metadata.
-    installed
-        Returns the version of a package, None if it is not installed.
-    """
+    """Yield one finding for the required packages and one for each extra; `installed` returns a version or None."""
     wanting: dict[str | None, list[str]] = {}
     for requirement in requires:
         if (parsed := _REQUIREMENT.match(requirement.strip())) is None:
@@ -102,17 +82,17 @@ def package_findings(requires: Iterable[str], installed: Callable[[str], str | N
 
 
 def _lack(name: str, least: str | None, version: str | None) -> str | None:
+    """Return what is wrong with a package; release numbers are compared, so that 1.10 is later than 1.9."""
+
+    def numbers(text: str) -> tuple[int, ...]:
+        parts = re.match(r"[0-9]+(?:\.[0-9]+)*", text)
+        return tuple(int(part) for part in parts.group().split(".")) if parts else ()
+
     if version is None:
         return f"{name} is not installed"
-    if least is not None and _numbers(version) < _numbers(least):
+    if least is not None and numbers(version) < numbers(least):
         return f"{name} must be {least} or later, got {version}"
     return None
-
-
-def _numbers(version: str) -> tuple[int, ...]:
-    """Return the release numbers of a version, so that 1.10 is later than 1.9."""
-    parts = re.match(r"[0-9]+(?:\.[0-9]+)*", version)
-    return tuple(int(part) for part in parts.group().split(".")) if parts else ()
 
 
 def _version_of(name: str) -> str | None:
@@ -195,13 +175,15 @@ def group_of(path: Path) -> str | None:
         return None
 
 
-def is_member(group: str) -> bool | None:
-    """Whether this user is in a group, or is root; None if there is no such group."""
+def group_findings(area: str, group: str) -> Iterator[Finding]:
+    """Yield a finding if this user is neither root nor in an existing group."""
     try:
-        known = grp.getgrnam(group)
+        number = grp.getgrnam(group).gr_gid
     except KeyError:
-        return None
-    return os.geteuid() == 0 or known.gr_gid in {os.getegid(), *os.getgroups()}
+        return
+    if os.geteuid() != 0 and number not in {os.getegid(), *os.getgroups()}:
+        fix = f"sudo usermod -a -G {group} $USER, then log in again"
+        yield Finding(area=area, says=f"this user is not in the group {group}", fix=fix)
 
 
 def camera_findings() -> Iterator[Finding]:
@@ -235,27 +217,14 @@ def video_devices(
     kernel: Path = Path("/sys/class/video4linux"),
     offered: Mapping[str, str] = MappingProxyType({}),
 ) -> Iterator[Finding]:
-    """Yield the V4L2 devices with their names.
-
-    Parameters
-    ----------
-    devices, kernel
-        Folders of the device files and of their kernel attributes.
-    offered
-        Inputs and formats of capture devices, by device file.
-    """
+    """Yield the V4L2 devices with their names and, by device file, what they offer; folders for tests."""
     paths = sorted(devices.glob("video[0-9]*"), key=lambda path: int(path.name.removeprefix("video")))
     for path in paths:
         formats = offered.get(str(path), "no readable capture format")
-        yield device_finding("video", path, f"{_name(kernel / path.name / 'name')}, {formats}")
+        yield device_finding("video", path, f"{_read(kernel / path.name / 'name') or 'nameless'}, {formats}")
     if not paths:
         yield Finding(area="video", says="no video device", fix="connect a capture card, for analog video")
-    if is_member("video") is False:
-        yield Finding(
-            area="video",
-            says="this user is not in the group video",
-            fix="sudo usermod -a -G video $USER, then log in again",
-        )
+    yield from group_findings("video", "video")
 
 
 def _capture_formats() -> dict[str, str]:
@@ -268,13 +237,6 @@ def _capture_formats() -> dict[str, str]:
         inputs = ", ".join(f"#{entry.number} {entry.name}" for entry in one.inputs)
         offers[one.path] = f"inputs {inputs or 'none'}; {formats}"
     return offers
-
-
-def _name(path: Path) -> str:
-    try:
-        return path.read_text(errors="replace").strip() or "nameless"
-    except OSError:
-        return "nameless"
 
 
 def port_findings() -> Iterator[Finding]:
@@ -291,12 +253,7 @@ def serial_ports(ports: Iterable[tuple[Path, str]]) -> Iterator[Finding]:
         yield device_finding("serial", path, "serial port" if title == "n/a" else title)
     if not found:
         yield Finding(area="serial", says="no serial port", fix="connect an adapter, for instruments")
-    if is_member("dialout") is False:
-        yield Finding(
-            area="serial",
-            says="this user is not in the group dialout",
-            fix="sudo usermod -a -G dialout $USER, then log in again",
-        )
+    yield from group_findings("serial", "dialout")
 
 
 def network_findings() -> Iterator[Finding]:
@@ -337,22 +294,13 @@ def packet_sizes(interfaces: Path) -> Iterator[Finding]:
 
 def _read(path: Path) -> str:
     try:
-        return path.read_text().strip()
+        return path.read_text(errors="replace").strip()
     except OSError:
         return ""
 
 
-__all__ = ["Finding", "can_work", "examine"]
-
-
 def examine(folder: Path) -> Iterator[Finding]:
-    """Yield the findings one by one; nothing is changed and no instrument is contacted.
-
-    Parameters
-    ----------
-    folder
-        Folder for sessions; test frames are written there and removed.
-    """
+    """Yield the findings one by one; test frames are written to `folder` and removed, no instrument is contacted."""
     yield from software_findings()
     yield from disk_findings(folder)
     yield from camera_findings()

@@ -27,21 +27,7 @@ ENDLESS = 2**40  # frames; at a thousand a second, 35 years
 
 @dataclass(frozen=True, kw_only=True)
 class SourceFrame:
-    """A frame with its metadata.
-
-    Parameters
-    ----------
-    frame
-        The frame.
-    of
-        Origin: the camera, or the stack of a session.
-    full_scale_dn
-        Full scale, DN.
-    lost_frames
-        Frames lost since the start of the capture or stack.
-    conditions
-        Conditions as read back.
-    """
+    """A frame, its camera or stack, full scale, frames lost since the start, and conditions as read back."""
 
     frame: Frame
     of: str
@@ -78,18 +64,8 @@ class FrameSource(Protocol):
 class CameraSource:
     """Endless capture of a camera with its present settings.
 
-    Parameters
-    ----------
-    camera
-        The camera, not opened.
-    name
-        Display name.
-    context
-        Context of the camera; its full scale overrides that of the pixel format.
-    most_hz
-        Frame rate limit of a camera without clock, Hz; None: no limit.
-    frames_each
-        Frames of one capture.
+    The full scale of the context overrides that of the pixel format; `most_hz`: frame rate limit of a camera without
+    clock, Hz; `frames_each`: frames of one capture.
     """
 
     def __init__(
@@ -134,17 +110,7 @@ FIRST_SHOWN = 4  # sufficient for noise and focus of an existing stack
 class SessionSource:
     """Newest frames of a session during its acquisition, read from disk; intermediate frames are skipped.
 
-    Parameters
-    ----------
-    folder
-        Folder of the session.
-    look_s
-        Interval between two reads of the journal, s.
-
-    Raises
-    ------
-    BadInput
-        If there is no session.
+    `look_s`: interval between two reads of the journal, s. Raises BadInput if there is no session.
     """
 
     def __init__(self, folder: str | Path, *, look_s: float = 0.04) -> None:

@@ -16,22 +16,8 @@ BINS = 256
 class FrameStatistics:
     """Statistics of one frame and of its difference to the previous one.
 
-    Parameters
-    ----------
-    mean_dn
-        Mean over the region, DN.
-    highest_dn
-        Highest pixel of the whole frame, DN.
-    pixels
-        Pixels of the whole frame.
-    saturated_px
-        Pixels of the whole frame at or above full scale.
-    noise_dn, noise_se_dn
-        Temporal noise over the region and its standard error, DN; None without a previous frame.
-    histogram
-        Pixels of the whole frame by grey value, shape (bin,); values above full scale are in the last bin.
-    bin_dn
-        Width of a bin, DN.
+    Mean and temporal noise (with its standard error; None without a previous frame) are over the region, DN; highest
+    pixel, saturated pixels and histogram over the whole frame. The last bin holds all values above full scale.
     """
 
     mean_dn: float
@@ -50,23 +36,10 @@ class FrameStatistics:
 def measure_frame(
     frame: NDArray, before: NDArray | None = None, *, full_scale_dn: float, region: Region | None = None
 ) -> FrameStatistics:
-    """Measure the statistics of a frame.
+    """Measure the statistics of a frame (row, col) of unsigned integers, DN, and its difference to the previous one.
 
-    Parameters
-    ----------
-    frame
-        Pixels, shape (row, col), DN, unsigned integers.
-    before
-        The previous frame, of the same shape, or None.
-    full_scale_dn
-        Full scale, DN.
-    region
-        Region ROW, COL, HEIGHT, WIDTH of mean and noise; None: the whole frame.
-
-    Raises
-    ------
-    BadInput
-        If the pixels are not unsigned integers, the frames differ in shape, or the region exceeds them.
+    `region`: ROW, COL, HEIGHT, WIDTH of mean and noise; None: the whole frame. Raises BadInput if the pixels are not
+    unsigned integers, the frames differ in shape, or the region exceeds them.
     """
     if frame.ndim != 2 or frame.dtype.kind != "u":
         raise BadInput(

@@ -16,17 +16,7 @@ SATURATED_BGR = (255, 200, 0)
 
 @dataclass(frozen=True, kw_only=True)
 class PreviewImage:
-    """Preview of a frame as JPEG.
-
-    Parameters
-    ----------
-    jpeg
-        JPEG file content.
-    step
-        Subsampling step (px); every step-th pixel is shown.
-    black_dn, white_dn
-        Grey values shown as black and white, DN.
-    """
+    """Preview of a frame as JPEG: every step-th pixel, and the grey values shown as black and white, DN."""
 
     jpeg: bytes
     step: int
@@ -35,16 +25,9 @@ class PreviewImage:
 
 
 def render_preview(frame: NDArray, meters: FrameStatistics, *, full_scale_dn: float) -> PreviewImage:
-    """Return the preview of a frame: subsampled, stretched, every saturated pixel marked.
+    """Return the preview of a frame (row, col), DN: subsampled, stretched, every saturated pixel marked.
 
-    Parameters
-    ----------
-    frame
-        Pixels, shape (row, col), DN.
-    meters
-        Statistics of the frame; the histogram sets black and white.
-    full_scale_dn
-        Pixels at or above it are marked, including those skipped by the subsampling.
+    The histogram sets black and white; a skipped pixel at or above full scale is marked too.
     """
     import cv2
 
@@ -83,23 +66,7 @@ def _any_in_blocks(mask: NDArray[np.bool_], step: int) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True, kw_only=True)
 class LiveView:
-    """One frame as shown.
-
-    Parameters
-    ----------
-    number
-        Number of the view.
-    source_frame
-        The frame.
-    statistics, preview
-        Its statistics and its preview.
-    frame_rate_hz
-        Frame rate from the camera's frame numbers and time stamps, Hz; None before two frames.
-    focus, best
-        Newest focus reading and the best one; None without focus reader.
-    region
-        Region ROW, COL, HEIGHT, WIDTH of mean, noise and focus; None: the whole frame.
-    """
+    """One frame as shown: statistics, preview, frame rate (Hz, None before two frames), focus and region."""
 
     number: int
     source_frame: SourceFrame

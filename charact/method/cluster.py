@@ -9,23 +9,14 @@ from labdata.errors import BadInput
 
 Spread = Callable[[Callable[..., Any], Sequence[Any]], Iterable[Any]]
 
-CONNECT_S = 10.0
-
 
 @contextmanager
 def parallel_map(scheduler: str | None) -> Iterator[Spread]:
     """Yield a function that maps another function over parts of the work, results in order.
 
-    Parameters
-    ----------
-    scheduler
-        Address of a Dask scheduler, such as "tcp://host:8786", whose workers see the session's files under the same
-        paths; None: `map` in this process.
-
-    Raises
-    ------
-    BadInput
-        If Dask is not installed, no scheduler answers, or a worker dies.
+    `scheduler`: address of a Dask scheduler, such as "tcp://host:8786", whose workers see the session's files under the
+    same paths; None: `map` in this process. Raises BadInput if Dask is not installed, no scheduler answers, or a worker
+    dies.
     """
     if scheduler is None:
         yield map
@@ -37,8 +28,8 @@ def parallel_map(scheduler: str | None) -> Iterator[Spread]:
         raise BadInput("--scheduler needs Dask (pip install 'charact[dask]'), which is not installed") from None
     try:
         # A client without a scheduler prints a traceback when it is garbage-collected, so the port is tried first.
-        create_connection(get_address_host_port(scheduler), timeout=CONNECT_S).close()
-        client = Client(scheduler, timeout=CONNECT_S, set_as_default=False)
+        create_connection(get_address_host_port(scheduler), timeout=10.0).close()
+        client = Client(scheduler, timeout=10.0, set_as_default=False)
     except (OSError, OverflowError, ValueError, TimeoutError):
         raise BadInput(f"--scheduler must be the address of a running Dask scheduler, got {scheduler!r}") from None
     with client:

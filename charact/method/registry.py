@@ -85,8 +85,6 @@ Found = TypeVar("Found")
 def with_single_blas_thread(function: Callable[Arguments, Found]) -> Callable[Arguments, Found]:
     """Return a function that runs with one BLAS thread and restores the previous number afterwards.
 
-    Notes
-    -----
     On two cores an edge takes twice as long on two threads as on one, and forty times as long when other work runs.
     """
 
@@ -129,6 +127,9 @@ def beyond_note(measurement: Measurement, within_percent: float) -> str | None:
     return f"95 % interval extends {reach:.2g} % from the value, beyond the tolerance --within {within_percent:g} %."
 
 
+Progress = Callable[[str, float], None]
+
+
 def ignore_progress(sentence: str, share: float) -> None:
     """Discard a progress message."""
 
@@ -163,7 +164,7 @@ class Context:
     register: Register | None = None
     interlaced: bool = False
     full_scale_dn: float | None = None
-    progress: Callable[[str, float], None] = ignore_progress
+    progress: Progress = ignore_progress
     spread: Spread = map
 
     @property

@@ -234,7 +234,7 @@ def provenance(measurements: Iterable[Measurement]) -> dict[str, Any]:
             ("charact", __version__),
             ("Python", platform.python_version()),
             *((name, _installed(name)) for name in LIBRARIES),
-        ],  # fmt: skip
+        ],
         "measured_by": sorted({record.version for _, record in kept}),
         "seeds": ", ".join(str(seed) for seed in seeds) or "none recorded",
         "settings": settings,

@@ -222,8 +222,8 @@ def test_a_series_of_stacks_has_one_table_that_names_them():
     )
     groups = quantity_groups(Result(measurements=series))
     assert len(groups) == 1
-    assert groups[0].title == "6 stacks · threshold"
-    assert [row.where for row in groups[0].rows] == [f"point-{n}" for n in range(6)]
+    assert groups[0]["title"] == "6 stacks · threshold"
+    assert [row["where"] for row in groups[0]["rows"]] == [f"point-{n}" for n in range(6)]
 
 
 def test_what_is_noted_of_some_stacks_of_a_series_names_them():
@@ -236,10 +236,10 @@ def test_what_is_noted_of_some_stacks_of_a_series_names_them():
         measurement_from_sd("noise_v", "DN", 9.0, 1.0, stack=f"flat-{n}", notes=("shading",), **own) for n in range(6)
     ]
     (group,) = quantity_groups(Result(measurements=(*quiet, *shaded)))
-    assert dict(group.notes)["at most 3 DN"] == "noise_t of flat-3"
-    assert dict(group.notes)["shading"] == "noise_v"
+    assert dict(group["notes"])["at most 3 DN"] == "noise_t of flat-3"
+    assert dict(group["notes"])["shading"] == "noise_v"
     (group,) = quantity_groups(Result(measurements=(*quiet, *shaded[:5])))
-    assert dict(group.notes)["shading"] == "noise_v of flat-0, flat-1, flat-2, flat-3 and 1 more"
+    assert dict(group["notes"])["shading"] == "noise_v of flat-0, flat-1, flat-2, flat-3 and 1 more"
 
 
 def test_the_picture_of_a_kind_is_of_its_most_exposed_stack():
