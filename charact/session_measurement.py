@@ -6,8 +6,7 @@ from functools import partial
 from pathlib import Path
 
 from charact.method import Context
-from charact.method.cluster import Spread
-from charact.method.registry import Progress, ignore_progress
+from charact.method.registry import Progress, Spread, ignore_progress
 from labdata.camera_description import Parameter
 from labdata.errors import BadInput
 from labdata.measurement import Result

@@ -363,21 +363,10 @@ _OF_A_TUBE = {
 
 
 def conditions_of(camera: Description, *, gain: float | None = None, **options: Any) -> Conditions:
-    """Return the conditions of the options; others have their nominal values.
+    """Return the conditions of the options that are not None; others have their nominal values.
 
-    Parameters
-    ----------
-    camera
-        The description.
-    gain
-        Luminous gain of the tube, lm/lm, or multiplication of an electron-multiplying register.
-    options
-        Conditions by name; None: option not given.
-
-    Raises
-    ------
-    BadInput
-        If an option does not apply to the camera or conflicts with another one.
+    `gain`: luminous gain of the tube, lm/lm, or multiplication of an electron-multiplying register. Raises BadInput if
+    an option does not apply to the camera or conflicts with another one.
     """
     given = {name: value for name, value in options.items() if value is not None}
     if gain is not None and not (math.isfinite(gain) and gain > 0.0):
@@ -424,26 +413,11 @@ def voltage_limit_warnings(camera: Description, conditions: Conditions) -> tuple
 def read_image(
     path: Path, *, photoelectrons_per_dn: float | None, black_dn: float, shape: tuple[int, int]
 ) -> tuple[NDArray[np.float32], tuple[str, ...]]:
-    """Read the first frame of an image as mean photoelectrons on a frame of a camera.
+    """Read the first frame of an image as mean photoelectrons on a frame of a camera, with notes for the session.
 
-    Parameters
-    ----------
-    path
-        Any file that `labdata.importers` reads.
-    photoelectrons_per_dn, black_dn
-        As in `SimulationRequest`.
-    shape
-        Rows and columns of the camera's frame; the image is centred, cropped or padded with darkness.
-
-    Returns
-    -------
-    image, notes
-        Photoelectrons, shape `shape`, and notes on the conversion for the session.
-
-    Raises
-    ------
-    BadInput
-        If the file cannot be read, a pixel is negative or not finite, or the scale is missing or not positive.
+    The image is centred on rows and columns `shape`, cropped or padded with darkness; the scale is as in
+    `SimulationRequest`. Raises BadInput if the file cannot be read, a pixel is negative or not finite, or the scale is
+    missing or not positive.
     """
     from labdata.importers import read_frames
 

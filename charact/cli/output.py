@@ -247,25 +247,11 @@ def progress_bar(*, events: bool = False) -> Iterator[Progress]:
 
 @dataclass(frozen=True, kw_only=True)
 class FrequencyUnit:
-    """Display unit of spatial frequency with the lengths it needs.
+    """Display unit of spatial frequency (one of `FREQUENCY_UNITS`) with the lengths it needs.
 
-    Parameters
-    ----------
-    unit
-        One of `labdata.quantity.FREQUENCY_UNITS`.
-    pitch_x_um, pitch_y_um
-        Pitch of columns and of rows, µm; None for rows: that of the columns.
-    rows
-        Rows of a frame.
-    focal_length_mm
-        Focal length of the lens, mm.
-    demagnification
-        Length at the photocathode over length at the detector, dimensionless.
-
-    Raises
-    ------
-    BadInput
-        If the unit is unknown, or a length is not positive or missing.
+    Pitch of columns and rows (None: that of the columns), µm; rows of a frame; focal length, mm; length at the
+    photocathode over length at the detector. Raises BadInput if the unit is unknown, or a length is not positive or
+    missing.
     """
 
     unit: str = "cy/px"

@@ -124,7 +124,7 @@ def _analyse(
     with exit_on_bad_input(str(folder), as_json=as_json, events=events), progress_bar(events=events) as progress:
         from importlib import import_module
 
-        from charact.method.cluster import parallel_map
+        from charact.method.registry import parallel_map
         from charact.session_measurement import method_context
 
         given = open_session_only(folder)
@@ -196,7 +196,7 @@ def measure_folder(
     scheduler: str | None = None, save: bool = False,
 ) -> "Result":  # fmt: skip
     """Measure a session; `save`: store the result in it."""
-    from charact.method.cluster import parallel_map
+    from charact.method.registry import parallel_map
     from charact.session_measurement import measure as measure_session
     from charact.session_measurement import with_inputs
     from labdata import result_io

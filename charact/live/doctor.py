@@ -306,8 +306,3 @@ def examine(folder: Path) -> Iterator[Finding]:
     yield from camera_findings()
     yield from port_findings()
     yield from network_findings()
-
-
-def can_work(found: tuple[Finding, ...]) -> bool:
-    """Whether all core findings are ok."""
-    return all(one.ok for one in found if one.core)

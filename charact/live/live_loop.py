@@ -8,8 +8,7 @@ from typing import Self
 
 from charact.live.focus import BestFocus, FocusReader
 from charact.live.frame_source import FrameSource, SourceFrame
-from charact.live.frame_statistics import measure_frame
-from charact.live.live_view import LiveView, render_preview
+from charact.live.live_view import LiveView, measure_frame, render_preview
 from charact.mtf.mean_frame import Region
 from drivers.errors import BenchError
 from labdata.capture import Frame

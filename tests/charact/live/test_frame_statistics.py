@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from charact.live.frame_statistics import measure_frame
-from charact.live.live_view import SATURATED_BGR, render_preview
+from charact.live.live_view import SATURATED_BGR, measure_frame, render_preview
 from labdata.errors import BadInput
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from charact.validation.predictive import Features, compare
+from charact.validation.frame_features import Features, compare
 
 SIZE, DRAWS, REPEATED = 5, 12, 499
 
