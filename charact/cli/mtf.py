@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     from labdata.session import Session
 
 app = typer.Typer(
-    no_args_is_help=True,
-    help="Measure the MTF from a slanted edge, bar target, point source or flat-field noise.",
+    no_args_is_help=True, help="Measure the MTF from a slanted edge, bar target, point source or flat-field noise."
 )
 
 File = Annotated[Path, typer.Argument(help="Image or stack: .tif .npy .fits .png .jpg .dng .h5 ... (docs/formats.md)")]
@@ -40,8 +39,7 @@ def edge(file: File, **settings: Any) -> None:
 def bars(
     file: File,
     frequency: Annotated[
-        float | None,
-        typer.Option(help="Bar frequency, cy/px (default: groups along rows and columns are found)."),
+        float | None, typer.Option(help="Bar frequency, cy/px (default: groups along rows and columns are found).")
     ] = None,
     bars: Annotated[int | None, typer.Option(help="Number of bars (default: counted in the image).", min=2)] = None,
     **settings: Any,

@@ -38,8 +38,7 @@ BlackDn = Annotated[
     ),
 ]
 Scheduler = Annotated[
-    str | None,
-    typer.Option(help="Address of a Dask scheduler; its workers must see the same file paths."),
+    str | None, typer.Option(help="Address of a Dask scheduler; its workers must see the same file paths.")
 ]
 SensorName = Annotated[
     str | None, typer.Option("--sensor", help="Name of a shipped sensor description, or path to a TOML file.")

@@ -102,8 +102,7 @@ def stability(
 
 
 def doctor(
-    folder: Annotated[Path, typer.Argument(help="Folder for sessions.")] = Path(),
-    as_json: options.Json = False,
+    folder: Annotated[Path, typer.Argument(help="Folder for sessions.")] = Path(), as_json: options.Json = False
 ) -> None:
     """Check versions, disk, cameras, ports, permissions and network; report ok or how to fix it.
 

@@ -79,13 +79,8 @@ MODULES: dict[str, dict[str, str]] = {
         "noise-spectrum": "charact.mtf.noise_spectrum.flats",
         "noise-spectrum-free": "charact.mtf.noise_spectrum.flats",
     },
-    "flats": {
-        "covariance-sum": "charact.noise.covariance_sum",
-        "variance": "charact.noise.variance",
-    },
-    "bloom": {
-        "series-forward": "charact.bloom.series_forward",
-    },
+    "flats": {"covariance-sum": "charact.noise.covariance_sum", "variance": "charact.noise.variance"},
+    "bloom": {"series-forward": "charact.bloom.series_forward"},
     "lit-edge": {"lit-edge": "charact.bloom.lit_edge_halo"},
 }
 

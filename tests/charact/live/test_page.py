@@ -142,11 +142,6 @@ def test_no_address_but_the_loopback_is_served_without_a_token(running) -> None:
     assert all(is_loopback(host) for host in ("127.0.0.1", "127.8.8.8", "::1", "[::1]", "localhost"))
 
 
-def test_tokens_are_long_and_never_the_same() -> None:
-    tokens = {new_token() for _ in range(100)}
-    assert len(tokens) == 100 and min(map(len, tokens)) >= 43
-
-
 def test_a_web_socket_is_never_accepted(running) -> None:
     sent = []
 
@@ -174,14 +169,6 @@ def test_the_page_asks_the_network_for_nothing_and_names_a_unit_with_every_meter
     assert not any("http:" in text or "https:" in text or "//" in text.replace("// ", "") for text in files.values())
     for unit in ("DN", "px", "Hz", "cy/px", "ms", "%"):
         assert any(unit in text for text in files.values())
-
-
-def test_the_picture_is_the_newest_frame_as_a_jpeg(running) -> None:
-    import cv2
-
-    picture = client(running).get("/picture.jpg?number=1")
-    assert picture.headers["content-type"] == "image/jpeg"
-    assert cv2.imdecode(np.frombuffer(picture.content, np.uint8), cv2.IMREAD_COLOR).shape == (128, 160, 3)
 
 
 def test_a_slow_onlooker_gets_the_newest_view_and_holds_up_nobody(seed) -> None:
