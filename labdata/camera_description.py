@@ -14,25 +14,13 @@ Standing = Literal["sheet", "default", "derived", "fitted", "prior"]
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter:
-    """One number of a sensor description; its unit is in the name of the field that holds it.
+    """One number of a sensor description; its unit is in the name of the field that holds it."""
 
-    Parameters
-    ----------
-    value
-        Best value.
-    low, high
-        95 % bounds; both None where the number is exact by construction.
-    standing
-        Basis of the value, see `Standing`.
-    source
-        Source, as text.
-    """
-
-    value: float
-    low: float | None = None
-    high: float | None = None
-    standing: Standing = "default"
-    source: str = ""
+    value: float  # Best value
+    low: float | None = None  # 95 % bounds; both None where the number is exact by construction
+    high: float | None = None  # 95 % bounds; both None where the number is exact by construction
+    standing: Standing = "default"  # Basis of the value, see `Standing`
+    source: str = ""  # Source, as text
 
     def __post_init__(self) -> None:
         for name in ("value", "low", "high"):

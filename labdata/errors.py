@@ -2,8 +2,4 @@
 
 
 class BadInput(ValueError):
-    """Invalid input.
-
-    The message is one sentence with the rule and the offending value; the command line prints it
-    and exits with 1. Use it for files, settings and parameters that come from outside.
-    """
+    """Invalid files, settings or parameters from outside; one sentence with rule and value, exit code 1."""

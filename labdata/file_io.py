@@ -9,15 +9,7 @@ from labdata.errors import BadInput
 
 
 def write_atomically(path: str | Path, data: bytes | bytearray | memoryview) -> None:
-    """Write a file atomically: after a crash or power cut it has its old or its new content.
-
-    Parameters
-    ----------
-    path
-        The file; its folder must exist.
-    data
-        All of its bytes.
-    """
+    """Write a file in an existing folder; after a crash or power cut it has its old or its new content."""
     path = Path(path)
     partial = path.with_name(f".{path.name}.{uuid.uuid4().hex}.partial")
     try:
@@ -68,20 +60,7 @@ _KINDS = {
 
 
 def require_regular(path: str | Path, what: str = "a file") -> None:
-    """Require a path to be a regular file, or a link to one, before it is opened.
-
-    Parameters
-    ----------
-    path
-        The file.
-    what
-        Name of the file in the message, such as "a file of frames".
-
-    Raises
-    ------
-    BadInput
-        If the path does not exist or is not a regular file.
-    """
+    """Require a path to be a regular file, or a link to one, before it is opened; `what` names it in the message."""
     try:
         mode = os.stat(path).st_mode
     except (OSError, ValueError):  # ValueError: a name that no file system accepts

@@ -7,18 +7,10 @@ from labdata.errors import BadInput
 
 @dataclass(frozen=True, kw_only=True)
 class Quantity:
-    """A measurable quantity of the command-line contract.
+    """A measurable quantity of the command-line contract."""
 
-    Parameters
-    ----------
-    units
-        Allowed units; the first is the default.
-    title
-        Title in reports.
-    """
-
-    units: tuple[str, ...]
-    title: str
+    units: tuple[str, ...]  # Allowed units; the first is the default
+    title: str  # Title in reports
 
 
 def _entry(title: str, *units: str) -> Quantity:
@@ -109,28 +101,19 @@ def convert_frequency(
     focal_length_mm: float | None = None,
     demagnification: float | None = None,
 ) -> float:
-    """Convert a spatial frequency from cycles per pixel to another unit.
+    """Convert a spatial frequency from cycles per pixel to one of `FREQUENCY_UNITS`.
 
     Parameters
     ----------
-    frequency_cy_per_px
-        Frequency at the detector, cycles per pixel.
-    unit
-        One of `FREQUENCY_UNITS`.
     pitch_um
-        Pixel pitch along the frequency's direction, um; needed for lp/mm at detector and cathode and for cy/mrad.
+        Pixel pitch along the frequency's direction, um; for lp/mm at detector and cathode and for cy/mrad.
     picture_height_px
-        Picture height in the same pitches, px; needed for television lines per picture height (two lines per cycle).
+        Picture height in the same pitches, px; for television lines per picture height (two lines per cycle).
     focal_length_mm
-        Focal length, mm; needed for cy/mrad.
+        Focal length, mm; for cy/mrad.
     demagnification
-        Length at the photocathode over its image's at the detector, dimensionless; needed for lp/mm at the cathode,
+        Length at the photocathode over its image's at the detector, dimensionless; for lp/mm at the cathode,
         and for cy/mrad of a camera that has one. None: the lens forms its image on the detector.
-
-    Raises
-    ------
-    BadInput
-        If the unit is unknown or a length that it needs is missing.
     """
     if unit == "cy/px":
         return frequency_cy_per_px

@@ -25,17 +25,7 @@ ALWAYS = ("quantity", "unit", "value", "interval68", "interval95", "status", "fl
 
 
 def to_json(result: Result, *, given: str, version: str) -> dict[str, Any]:
-    """Return a result as the JSON object of a measuring verb.
-
-    Parameters
-    ----------
-    result
-        The result.
-    given
-        Input as named on the command line.
-    version
-        Version of charact.
-    """
+    """Return a result as the JSON object of a measuring verb; `given` is the input as named on the command line."""
     return {
         "charact": version,
         "input": given,
@@ -45,20 +35,7 @@ def to_json(result: Result, *, given: str, version: str) -> dict[str, Any]:
 
 
 def save(result: Result, folder: str | Path) -> Path:
-    """Save a full result, with posterior draws and figure data, in a session folder.
-
-    Parameters
-    ----------
-    result
-        The result.
-    folder
-        The session folder. An existing result is replaced atomically.
-
-    Returns
-    -------
-    Path
-        The document.
-    """
+    """Save a full result, with posterior draws and figure data, in a session folder, and return its document."""
     folder = Path(folder)
     arrays: dict[str, NDArray] = {}
     document = {
@@ -81,13 +58,7 @@ def save(result: Result, folder: str | Path) -> Path:
 
 
 def load(folder: str | Path) -> Result | None:
-    """Load the result saved in a session folder; None if there is none.
-
-    Raises
-    ------
-    BadInput
-        If the saved result cannot be read.
-    """
+    """Load the result saved in a session folder; None if there is none, BadInput if it cannot be read."""
     path = Path(folder) / RESULTS
     if not path.exists():
         return None

@@ -290,18 +290,10 @@ def _present(video: Video, *names: str) -> tuple[str, ...]:
 
 @dataclass(frozen=True, kw_only=True)
 class Draws:
-    """Joint posterior draws of the fitted parameters, by path such as "tube.post_gain_share".
+    """Joint posterior draws of the fitted parameters, by path such as "tube.post_gain_share"."""
 
-    Parameters
-    ----------
-    names
-        Paths of the parameters.
-    values
-        Draws, one tuple per draw in the order of the names.
-    """
-
-    names: tuple[str, ...] = ()
-    values: tuple[tuple[float, ...], ...] = ()
+    names: tuple[str, ...] = ()  # Paths of the parameters
+    values: tuple[tuple[float, ...], ...] = ()  # Draws, one tuple per draw in the order of the names
 
     def __post_init__(self) -> None:
         if any(len(row) != len(self.names) for row in self.values):
@@ -339,21 +331,15 @@ class Sensor(Description):
     notes: tuple[str, ...] = ()
 
     def with_phosphor(self, phosphor: Phosphor) -> "Sensor":
-        """Return the same tube with another screen.
-
-        Parameters
-        ----------
-        phosphor
-            The screen; see `labdata.phosphors.load_phosphor`.
+        """Return the same tube with another screen, see `labdata.phosphors.load_phosphor`.
 
         Notes
         -----
         A luminous gain holds for the tube's own screen. What stays is the number of screen photons per photoelectron,
         G/(K_lm E_ph) / (S/e), so that G goes as K_lm E_ph of the screen: the plate makes up for a dimmer phosphor, its
-        electron gain goes as one over the photons per electron, and its strip current limits it sooner. Only where
-        the new screen's photons per electron were measured ("sheet" or "fitted") does the plate keep its electron gain
-        and G goes with them too. Blur, as part of the whole tube's, and the CCD's efficiency stay as described. A
-        calibration of its gain was of the old screen and is left out.
+        electron gain goes as one over the photons per electron, and its strip current limits it sooner. Only where the
+        new screen's photons per electron were measured ("sheet" or "fitted") does the plate keep its electron gain and
+        G goes with them too. Blur and the CCD's efficiency stay; a calibration of the old screen's gain is left out.
         """
         lumens = _lumens_per_photon(phosphor) / _lumens_per_photon(self.phosphor)
         brighter = float(phosphor.photons_per_electron) / float(self.phosphor.photons_per_electron)

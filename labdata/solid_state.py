@@ -50,17 +50,8 @@ class Register:
 
 
 def excess_noise_factor(em_gain: float, stages: float = np.inf) -> float:
-    r"""Return the excess noise factor F^2 of an electron-multiplying register.
+    """Return the excess noise factor F^2 of an electron-multiplying register of mean gain g and N stages.
 
-    Parameters
-    ----------
-    em_gain
-        Mean gain g of the register, at least 1.
-    stages
-        Number N of its stages.
-
-    Notes
-    -----
     .. math:: F^2 = 2 (g - 1) g^{-(N + 1) / N} + 1 / g
 
     1 at unit gain and 2 at high gain (Robbins & Hadwen, IEEE Trans. Electron Devices 50, 1227 (2003), eq. 20).

@@ -278,7 +278,7 @@ def main() -> None:
     plot_economy(read(asked.table), FIGURE)
 
 
-FIGURE = Path(__file__).resolve().parents[3] / "docs" / "night-scenes" / "economy.png"
+FIGURE = Path(__file__).resolve().parents[3] / "docs" / "pictures" / "night-scenes" / "economy.png"
 # Differences of no size, as of frames that are full everywhere, are drawn here.
 LOWEST = 2e-3
 MARKS = dict(zip(CAMERAS, "osD", strict=True))

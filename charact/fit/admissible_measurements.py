@@ -12,7 +12,6 @@ from labdata.measurement import Measurement, Result
 from labdata.session import Session, StackEntry
 
 Array = NDArray[np.float64]
-
 SPREAD = (
     "optics.aberration_blur_um",
     "photocathode.gap_mm",
@@ -40,8 +39,6 @@ LEVEL = (
     "video.black_level_dn",
     "taper.demagnification",
 )
-
-
 # Flags that add no bias; any other flag excludes a measurement from the fit.
 MILD = {"defects", "drift", "flicker", "gradient", "low-signal", "not-converged", "prior-bound", "too-few-frames"}
 
@@ -68,27 +65,13 @@ Predict = Callable[[Values], Array]
 
 @dataclass(frozen=True, kw_only=True)
 class Observation:
-    """Measured numbers with Gaussian errors and their predicted values.
+    """Measured numbers with Gaussian errors and their predicted values."""
 
-    Parameters
-    ----------
-    name
-        Name of the quantity, for messages.
-    value
-        Measured numbers, shape (k,).
-    covariance
-        Covariance of their errors, model error included, shape (k, k).
-    predict
-        Predictions for parameter draws: values of shape (n,) each -> (n, k).
-    speaks_of
-        Paths of the sensor parameters that it depends on.
-    """
-
-    name: str
-    value: Array
-    covariance: Array
-    predict: Predict
-    speaks_of: tuple[str, ...]
+    name: str  # name of the quantity, for messages
+    value: Array  # measured numbers, shape (k,)
+    covariance: Array  # covariance of their errors, model error included, shape (k, k)
+    predict: Predict  # predictions for parameter draws: values of shape (n,) each -> (n, k)
+    speaks_of: tuple[str, ...]  # paths of the sensor parameters that it depends on
 
     def chi_squared(self, values: Values) -> Array:
         """Return each draw's chi squared, shape (n,)."""
@@ -131,8 +114,6 @@ def curve_observation(
 ) -> Observation:
     """Return an observation of a curve with errors correlated over a frequency range.
 
-    Notes
-    -----
     Covariance sd_i sd_j exp(-|f_i - f_j|/L) + model_sd^2 on the diagonal: closely spaced points add little information.
     """
     apart = np.abs(frequency[:, None] - frequency[None, :])
@@ -142,26 +123,13 @@ def curve_observation(
 
 @dataclass(frozen=True, kw_only=True)
 class StackMean:
-    """Mean of one stack.
+    """Mean of one stack."""
 
-    Parameters
-    ----------
-    label
-        Label of the stack.
-    mean_dn
-        Mean over frames and pixels, DN.
-    sd_dn
-        Its standard error, from the scatter of the frames' means, DN.
-    noise_dn
-        Robust noise of a pixel, DN: half the range of the central 68 %.
-    illuminance_lux, gate_s, exposure_s, mcp_v
-        Conditions; a dark has no illuminance.
-    """
-
-    label: str
-    mean_dn: float
-    sd_dn: float
-    noise_dn: float
+    label: str  # label of the stack
+    mean_dn: float  # mean over frames and pixels, DN
+    sd_dn: float  # its standard error, from the scatter of the frames' means, DN
+    noise_dn: float  # robust noise of a pixel, DN: half the range of the central 68 %
+    # illuminance_lux, gate_s, exposure_s, mcp_v: conditions; a dark has no illuminance
     illuminance_lux: float
     gate_s: float
     exposure_s: float

@@ -26,7 +26,6 @@ from labdata.sensor import Sensor
 from labdata.session import Session
 
 Array = NDArray[np.float64]
-
 # Model error of the MTF, and spacing of its points; closer points are correlated.
 MTF_MODEL_SD = 0.004
 MTF_SPACING_CY_PER_PX = 0.04

@@ -7,28 +7,18 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import j1, sici
 
 Array = NDArray[np.float64]
-
 Values = Mapping[str, NDArray[np.float64]]
-
 ELEMENTARY_CHARGE_C = 1.602176634e-19
 
 
 def mtf(values: Values, across: ArrayLike, along: ArrayLike = 0.0) -> Array:
     """Return the system MTF.
 
-    Parameters
-    ----------
-    across
-        Horizontal frequencies, shape (m,), cycles per column pitch.
-    along
-        Vertical frequencies, shape (m,), cycles per row pitch; a field row is the sum of two sensor rows.
+    `across`: horizontal frequencies, shape (m,), cycles per column pitch; `along`: vertical frequencies, shape (m,),
+    cycles per row pitch; a field row is the sum of two sensor rows.
 
-    Returns
-    -------
-    Array, shape (n, m).
+    Returns Array, shape (n, m).
 
-    Notes
-    -----
     lens x [(1 - q) + q halo] x tube x fibres x pixel x video, each a function of the frequency at its own plane.
     """
     fx, fy = np.broadcast_arrays(np.atleast_1d(np.asarray(across, float)), np.asarray(along, float))
@@ -51,8 +41,6 @@ def blur_factor(values: Values, gain_dn_per_pe: Array) -> Array:
 def noise_shape(values: Values, gain_dn_per_pe: Array) -> tuple[Array, Array]:
     """Return blur factor and horizontal neighbour correlation of a field's noise, shape (n,), dimensionless.
 
-    Notes
-    -----
     A photoelectron's light spreads with the transfer H of all stages after the gain. Poisson events on the photocathode
     have, x pixels apart, the covariance (rate) integral of |H|^2 cos(2 pi fx x) over the frequency plane in cycles per
     field pixel, and the covariance sum (rate) |H(0)|^2 = (rate), since the pixels tile the plane. Electrons counted in
@@ -88,8 +76,6 @@ def excess_noise_factor(values: Values) -> Array:
 def photoelectron_gain(values: Values, mcp_v: ArrayLike, reference_v: float) -> Array:
     """Return k, the mean signal per photoelectron, undetected ones included, shape (n,), DN.
 
-    Notes
-    -----
     A tube of luminous gain G emits G/(efficacy x photon energy) photons per lumen on the photocathode, which releases
     S/e electrons; the taper transmits T of the photons, the detector converts QE of them to electrons of K DN each. The
     gain depends on the MCP voltage as (V/V0)^m.
@@ -119,8 +105,6 @@ def mcp_load(
 ) -> Array:
     """Return the mean MCP output current over the current at half gain, shape (n,).
 
-    Notes
-    -----
     G_loaded = G/(1 + load), load = j/(a j_strip), j = E S G gate/field averaged over the MCP.
     """
     per_pe = _photons_per_pe(values, mcp_v, reference_v) / values["phosphor.photons_per_electron"]
@@ -133,8 +117,6 @@ def mcp_load(
 def dark_variance(values: Values, gain_dn_per_pe: Array, blur: Array, gate_s: float) -> Array:
     """Return the temporal variance of a dark frame, shape (n,), DN^2.
 
-    Notes
-    -----
     K^2 (r^2 + d) sum w^2 + k^2 F^2 B n sum l^2 + 1/12: read noise r and dark charge d pass the video filter w; the n
     photoelectrons of the EBI are blurred (B, `blur`), and phosphor decay over several fields reduces their noise to the
     fraction sum l^2.
@@ -162,8 +144,6 @@ def ion_variance(values: Values, gain_dn_per_pe: Array, blur: Array, gate_s: flo
 def lag_noise_fraction(values: Values, gate_s: float) -> Array:
     """Return the fraction of a field's scintillation variance that remains with phosphor decay, shape (n,).
 
-    Notes
-    -----
     Mean of sum_j l_j^2 over the arrival of a pulse within the gate at the start of a field; l_j is the fraction of its
     light in the j-th field after it, of two exponential components.
     """
@@ -254,8 +234,6 @@ _ALONG, _ALONG_WEIGHT = _nodes((0.0, 0.2, 1.0, 2.0, 5.0), (5, 6, 6, 8))
 def lens_transfer(frequency_per_mm: Array, blur_um: Array, f_number: Array) -> Array:
     """Return diffraction times exp(-2 (pi f s)^2), a lens with Gaussian aberration blur of width s.
 
-    Notes
-    -----
     Diffraction of a circular pupil, (2/pi)(acos x - x sqrt(1 - x^2)) with x = f wavelength N, falls as 1 - 4x/pi: by 3
     % for a fast lens at the central wavelength of the photocathode.
     """
@@ -273,8 +251,6 @@ def tube_transfer(frequency_per_mm: Array, cut_off_per_mm: Array, exponent: Arra
 def halo_transfer(frequency_per_mm: Array, gap_mm: Array, elastic_share: Array) -> Array:
     """Return the transfer of the halo of back-scattered photoelectrons.
 
-    Notes
-    -----
     An electron re-emitted at the angle t with the fraction e of its energy lands at r = 2 e d sin 2t. Emission by the
     cosine law makes sin^2 t uniform, so that x = r/(2 e d) has the density x/sqrt(1 - x^2) and the Hankel transform
     sin(u)/u with u = 2 pi f 2 d e. Elastic electrons have e = 1; uniformly distributed energies give the mean over e in
@@ -303,19 +279,9 @@ LENGTH_PX = 14
 def video_filter_weights(bandwidth_mhz: Array, clock_mhz: float, order: int, phase: float = 1.0) -> Array:
     """Return the weights of earlier pixels in one pixel, shape (n, LENGTH_PX), with sum 1.
 
-    Parameters
-    ----------
-    bandwidth_mhz
-        Frequency of 3 dB loss, shape (n,), MHz.
-    clock_mhz
-        Pixel clock, MHz.
-    order
-        Order of the Butterworth filter.
-    phase
-        Sampling time within the pixel clock, 0 (start) to 1 (end).
+    `bandwidth_mhz`: frequency of 3 dB loss, shape (n,), MHz; `clock_mhz`: pixel clock, MHz; `order`: order of the
+    Butterworth filter; `phase`: sampling time within the pixel clock, 0 (start) to 1 (end).
 
-    Notes
-    -----
     Poles p_k = w exp(i pi (2k + order + 1)/(2 order)); step response 1 + sum_k r_k exp(p_k t)/p_k with the residues r_k
     = w^order / prod_{j != k} (p_k - p_j). A step that begins j clocks before the sampled pixel has risen to s(j +
     phase) and, with its successor, contributes s(j + phase) - s(j + phase - 1).

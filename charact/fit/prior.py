@@ -11,7 +11,6 @@ from labdata.camera_description import Parameter
 from labdata.sensor import Sensor
 
 Array = NDArray[np.float64]
-
 # Fractions and probabilities with the upper bound 1.
 _AT_MOST_ONE = (
     "photocathode.halo_fraction",
@@ -21,7 +20,6 @@ _AT_MOST_ONE = (
     "taper.transmission",
     "ccd.quantum_efficiency",
 )
-
 # Factors of products and powers: drawn as logarithms, in which a constrained product is a straight ridge.
 _FACTORS = (
     "photocathode.luminous_sensitivity_ua_per_lm",
@@ -37,43 +35,29 @@ _FACTORS = (
     "video.conversion_gain_dn_per_e",
     "ccd.read_noise_e",
 )
-
 # Parameters that enter as 1 + c / parameter: drawn as -1/parameter, in which the dependence is linear.
 _LIMITS = ("microchannel_plate.strip_current_ua_per_cm2",)
-
 # Half of a Gaussian's 95 % interval in standard deviations.
 HALF_WIDTH95_SD = 1.959964
 
 
 @dataclass(frozen=True, kw_only=True)
 class SensorPrior:
-    """Independent priors: two half-Gaussians that meet at the value, so that low..high contain 95 %.
+    """Independent priors: two half-Gaussians that meet at the value, so that low..high contain 95 %."""
 
-    Parameters
-    ----------
-    names
-        Paths of the parameters.
-    power
-        Coordinate of a parameter, shape (parameter,): 1 the parameter, 0 its logarithm, -1 its negative inverse.
-    centre, sd_below, sd_above
-        Coordinate of the value and the two widths, shape (parameter,).
-    bounds
-        Bounds of the coordinates, shape (parameter, 2).
-    """
-
-    names: tuple[str, ...]
+    names: tuple[str, ...]  # paths of the parameters
+    # coordinate of a parameter, shape (parameter,): 1 the parameter, 0 its logarithm, -1 its negative inverse
     power: NDArray[np.int64]
+    # centre, sd_below, sd_above: coordinate of the value and the two widths, shape (parameter,)
     centre: Array
     sd_below: Array
     sd_above: Array
-    bounds: Array
+    bounds: Array  # bounds of the coordinates, shape (parameter, 2)
 
     @property
     def sd(self) -> Array:
         """Standard deviation of each coordinate's prior before truncation, shape (parameter,).
 
-        Notes
-        -----
         Half-Gaussians of the widths a and b with equal height have the variance (1 - 2/pi)(b - a)^2 + a b.
         """
         below, above = self.sd_below, self.sd_above
@@ -109,12 +93,8 @@ class SensorPrior:
 def prior_of(sensor: Sensor, requested: tuple[str, ...]) -> SensorPrior:
     """Return the prior of the requested parameters that have a range.
 
-    Parameters
-    ----------
-    sensor
-        Sensor description whose low..high contain each parameter with 95 % probability.
-    requested
-        Paths of the parameters on which the session's data depend.
+    `sensor`: sensor description whose low..high contain each parameter with 95 % probability; `requested`: paths of the
+    parameters on which the session's data depend.
     """
     known = sensor.parameters()
     rows = [(path, *_row(path, known[path])) for path in requested if _has_range(known[path])]
@@ -162,21 +142,11 @@ CANDIDATES = 200
 
 @dataclass(frozen=True, kw_only=True)
 class Product:
-    """Product of parameters that the data determine.
+    """Product of parameters that the data determine."""
 
-    Parameters
-    ----------
-    carrier
-        Path of the parameter that is drawn as the product.
-    partners
-        Paths of the other factors.
-    factor
-        Factor of the partners, from their values, shape (n,).
-    """
-
-    carrier: str
-    partners: tuple[str, ...]
-    factor: Callable[[Values], Array]
+    carrier: str  # path of the parameter that is drawn as the product
+    partners: tuple[str, ...]  # paths of the other factors
+    factor: Callable[[Values], Array]  # factor of the partners, from their values, shape (n,)
 
 
 PRODUCTS = (

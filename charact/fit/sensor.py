@@ -27,30 +27,17 @@ from labdata.sensor import Draws, Sensor
 from labdata.session import Session
 
 Array = NDArray[np.float64]
-
 KEPT_DRAWS = 400
 
 
 @dataclass(frozen=True, kw_only=True)
 class Model:
-    """Prior and likelihood of the requested parameters.
+    """Prior and likelihood of the requested parameters."""
 
-    Parameters
-    ----------
-    sensor
-        Sensor description with the prior ranges and the parameters not drawn.
-    products
-        Products drawn as one, with the partners at their values.
-    prior
-        Prior of the parameters drawn; that of a product's carrier is the product's.
-    observed
-        Observations of the session.
-    """
-
-    sensor: Sensor
-    products: tuple[Product, ...]
-    prior: SensorPrior
-    observed: tuple[Observation, ...]
+    sensor: Sensor  # sensor description with the prior ranges and the parameters not drawn
+    products: tuple[Product, ...]  # products drawn as one, with the partners at their values
+    prior: SensorPrior  # prior of the parameters drawn; that of a product's carrier is the product's
+    observed: tuple[Observation, ...]  # observations of the session
 
     def misfit(self, coordinates: Array) -> Array:
         """Return chi squared of all observations for coordinates (n, parameter), shape (n,)."""
@@ -109,8 +96,6 @@ def most_probable(model: Model, start: Array, free: NDArray[np.bool_]) -> Array:
 def inflate_errors(model: Model) -> tuple[Model, str | None]:
     """Return the model with errors scaled to its misfit, and the note that reports it.
 
-    Notes
-    -----
     At the most probable point chi squared of data and prior has as many degrees of freedom as there are data. A p-value
     below 1e-4 is a misfit: all errors are then scaled by the root of the reduced chi squared (Birge's ratio), so that
     ranges include the model error.
@@ -164,13 +149,8 @@ def fills_the_scale(session: Session) -> bool:
 def full_well_draws(sensor: Sensor, drawn: dict[str, Array], rng: np.random.Generator) -> Array | None:
     """Return the full well for each draw of gain and black level, e-; None if not constrained.
 
-    Parameters
-    ----------
-    drawn
-        Joint draws by path, shape (draw,) each.
+    `drawn`: joint draws by path, shape (draw,) each.
 
-    Notes
-    -----
     The prior, truncated below (full scale - black level) / gain; that charge where nothing remains.
     """
     prior = prior_of(sensor, (FULL_WELL,))
@@ -185,7 +165,6 @@ def full_well_draws(sensor: Sensor, drawn: dict[str, Array], rng: np.random.Gene
 
 
 Progress = Callable[[str, float], None]
-
 # A parameter is identified if its posterior is narrower than this fraction of its prior, in standard deviations.
 IDENTIFIED_SHARE = 0.7
 # Parameters that the systematic uncertainty of the light meter affects.
@@ -256,16 +235,9 @@ def description_from_posterior(
 ) -> Sensor:
     """Return the sensor description of a posterior.
 
-    Parameters
-    ----------
-    posterior
-        Draws in the coordinates of the model's prior.
-    illuminance_relative_sd
-        Relative standard uncertainty of the illuminance; widens the ranges of the parameters that depend on the meter.
-    seed
-        Seed of additional draws.
-    scale_filled
-        Whether frames reach full scale, which constrains the full well.
+    `posterior`: draws in the coordinates of the model's prior; `illuminance_relative_sd`: relative standard uncertainty
+    of the illuminance; widens the ranges of the parameters that depend on the meter; `scale_filled`: whether frames
+    reach full scale, which constrains the full well.
     """
     left = dict(zip(posterior.names, posterior.draws.std(axis=0, ddof=1) / model.prior.sd, strict=True))
     point, carriers = _consistent(model, posterior, left)

@@ -12,18 +12,10 @@ from labdata.camera_description import Parameter
 from labdata.sensor import Photocathode
 
 Array = NDArray[np.float64]
-
-
 ELECTRON_C = 1.602176634e-19
-
-
 # h c in J nm, and h c / k in nm K.
 PHOTON_J_NM, SECOND_RADIATION_NM_K = 1.986445857e-16, 1.438776877e7
-
-
 LUMENS_PER_WATT = 683.002
-
-
 LAMP_K = 2856.0
 
 
@@ -56,8 +48,6 @@ def photoelectrons_per_photon(context: Context, wavelength_nm: float, rng: np.ra
 def luminous_sensitivity_ua_per_lm(cathode: Photocathode) -> float:
     """Return the luminous sensitivity of the table of quantum efficiencies, uA/lm at 2856 K.
 
-    Notes
-    -----
     S = int QE (e lambda / h c) P dlambda / (683 int V P dlambda), P Planck's law. V is taken as the Gaussian
     1.019 exp(-285.4 (lambda - 0.559)^2), lambda in um, which gives the lumens of this lamp within a percent.
     """

@@ -16,7 +16,6 @@ from labdata import flags
 from labdata.conditions import Conditions
 
 Array = NDArray[np.float64]
-
 # Below this variance rounding is not independent noise: at the 0.24 DN^2 of EMVA 1288, 6.6, the noise is wrong by up to
 # 7 %, here by 1.5 %.
 QUANTISED_DN2 = 0.32

@@ -124,16 +124,8 @@ def electron_quantities(
 ) -> list[Measurement]:
     """Return the system gain and derived quantities.
 
-    Parameters
-    ----------
-    pooled
-        Noise of the flats of one setting.
-    gains
-        See `gain_of`.
-    findings, covariance
-        Findings on the slope, and on the covariance sum.
-    context, fields
-        Settings; method and provenance.
+    `pooled`: noise of the flats of one setting; `gains`: see `gain_of`; `findings`, `covariance`: findings on the
+    slope, and on the covariance sum.
     """
     series, (plain, gain) = pooled.series, gains
     excess = excess_of(series.flats[0].conditions, context)
@@ -183,8 +175,6 @@ def _floor(
 
 
 METHOD = "covariance-sum"
-
-
 QUANTITIES = ("covariance_gain", "blur_factor", "system_gain", "read_noise", "photoelectron_gain")
 
 

@@ -17,47 +17,26 @@ from charact.noise.thresholds import CHECKS, DARK_CURRENT
 from labdata.measurement import Measurement, Result, make_refusal, measurement_from_draws
 
 Array = NDArray[np.float64]
-
 METHOD = "dark-exposures"
 
 
 @dataclass(frozen=True, kw_only=True)
 class DarkSlope:
-    """Dark current at one temperature.
+    """Dark current at one temperature."""
 
-    Parameters
-    ----------
-    temperature_c
-        Mean temperature, degrees Celsius; None if unknown.
-    draws
-        Draws of the dark current, shape (draw,), DN/s.
-    exposures
-        Number of distinct exposures.
-    findings
-        Findings.
-    """
-
-    temperature_c: float | None
-    draws: Array
-    exposures: int
-    findings: tuple[Finding, ...]
+    temperature_c: float | None  # mean temperature, degrees Celsius; None if unknown
+    draws: Array  # draws of the dark current, shape (draw,), DN/s
+    exposures: int  # number of distinct exposures
+    findings: tuple[Finding, ...]  # findings
 
 
 @with_timing
 def dark_current(darks: list[StackStatistics], result: Result, *, context: Context) -> Result:
     """Return the dark current of an exposure series, and the temperature difference that doubles it.
 
-    Parameters
-    ----------
-    darks
-        Darks; the group of one gain and temperature with most exposures is used.
-    result
-        Previous measurements; a valid system gain converts DN to electrons.
-    context
-        Seed.
+    `darks`: darks; the group of one gain and temperature with most exposures is used; `result`: previous measurements;
+    a valid system gain converts DN to electrons.
 
-    Notes
-    -----
     The mean of darks is mu_d = mu_d0 + mu_I t (EMVA 1288 Release 3.1, 3.1) and mu_I doubles every T_d kelvin (3.2).
     Scatter about the line beyond the noise widens the interval (Student's t).
     """

@@ -23,20 +23,11 @@ Places = NDArray[np.int64]
 
 @dataclass(frozen=True, kw_only=True)
 class DefectivePixels:
-    """Excluded pixels of a session; positions are row times columns plus column.
+    """Excluded pixels of a session; positions are row times columns plus column."""
 
-    Parameters
-    ----------
-    places
-        Pixels that are defective in all frames.
-    blinking
-        Those that blink.
-    struck
-        By stack label, positions and frames of struck values; frame -1 for all frames of the stack.
-    """
-
-    places: Places
-    blinking: Places
+    places: Places  # pixels that are defective in all frames
+    blinking: Places  # those that blink
+    # by stack label, positions and frames of struck values; frame -1 for all frames of the stack
     struck: dict[str, tuple[Places, Places]] = field(default_factory=dict)
 
     @property
@@ -51,12 +42,8 @@ class DefectivePixels:
 def find_defective_pixels(surveys: Sequence[PixelSurvey], *, multiplies: bool) -> DefectivePixels:
     """Return the defective pixels.
 
-    Parameters
-    ----------
-    surveys
-        One of each stack, of equal size.
-    multiplies
-        Whether a tube or a register multiplies electrons; its pulses are valid outliers.
+    `surveys`: one of each stack, of equal size; `multiplies`: whether a tube or a register multiplies electrons; its
+    pulses are valid outliers.
     """
     pixels = surveys[0].pixels
     wrong = np.zeros(pixels, bool)

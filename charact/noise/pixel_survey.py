@@ -15,8 +15,6 @@ from labdata.session import StackEntry
 def step_of(values: NDArray[np.float64]) -> float | None:
     """Return the greatest common difference of values; 0 for continuous ones, None if all are equal.
 
-    Notes
-    -----
     For non-integers the smallest spacing is the step if all others are multiples of it.
     """
     distinct = np.unique(values)
@@ -50,11 +48,7 @@ def common_step(steps: list[float | None]) -> float | None:
 
 
 Array = NDArray[np.float64]
-
-
 Places = NDArray[np.int64]
-
-
 # Squares of larger values exceed single precision.
 LARGEST_DN = 1e9
 
@@ -65,49 +59,31 @@ def _no_places() -> Places:
 
 @dataclass(frozen=True, kw_only=True)
 class PixelSurvey:
-    """Outlying pixels of one stack; positions are row times columns plus column.
+    """Outlying pixels of one stack; positions are row times columns plus column."""
 
-    Parameters
-    ----------
-    label, kind, size
-        As in the session; rows and columns.
-    frames
-        Number of frames.
-    level_dn, sd_dn
-        Median, and robust temporal standard deviation, DN.
-    step_dn
-        Quantisation step, DN; 0 for continuous values, None if unknown.
-    bright, faint
-        Positions of pixels whose mean is far from the surrounding ones.
-    threshold_dn
-        Distance threshold, DN.
-    least, most
-        Their numbers if each mean were 1 and 1.96 standard errors closer to the surrounding ones, or farther.
-    sudden
-        Positions of pixels with outliers in some frames.
-    departure_dn, times, frame
-        For each such pixel the largest deviation, DN, the number of outlying frames (at most 4), and the most outlying
-        frame, -1 if unknown (pair).
-    sample, sample_place
-        Deviations of a sample of values, DN, and their positions.
-    """
-
+    # label, kind, size: as in the session; rows and columns
     label: str
     kind: str
     size: tuple[int, int]
-    frames: int
+    frames: int  # number of frames
+    # level_dn, sd_dn: median, and robust temporal standard deviation, DN
     level_dn: float
     sd_dn: float
-    step_dn: float | None
+    step_dn: float | None  # quantisation step, DN; 0 for continuous values, None if unknown
+    # bright, faint: positions of pixels whose mean is far from the surrounding ones
     bright: Places = field(default_factory=_no_places)
     faint: Places = field(default_factory=_no_places)
-    threshold_dn: float = 0.0
+    threshold_dn: float = 0.0  # distance threshold, DN
+    # least, most: their numbers if each mean were 1 and 1.96 standard errors closer to the surrounding ones, or farther
     least: tuple[int, int] = (0, 0)
     most: tuple[int, int] = (0, 0)
-    sudden: Places = field(default_factory=_no_places)
+    sudden: Places = field(default_factory=_no_places)  # positions of pixels with outliers in some frames
+    # departure_dn, times, frame: for each such pixel the largest deviation, DN, the number of outlying frames (at most
+    # 4), and the most outlying frame, -1 if unknown (pair)
     departure_dn: Array
     times: Places = field(default_factory=_no_places)
     frame: Places = field(default_factory=_no_places)
+    # sample, sample_place: deviations of a sample of values, DN, and their positions
     sample: NDArray[np.float32]
     sample_place: Places
 
@@ -134,17 +110,9 @@ class PixelSurvey:
 def survey_pixels(entry: StackEntry, *, means: bool) -> PixelSurvey:
     """Return the survey of a stack.
 
-    Parameters
-    ----------
-    entry
-        Dark or flat.
-    means
-        Whether to search for outlying pixel means.
+    `entry`: dark or flat; `means`: whether to search for outlying pixel means.
 
-    Raises
-    ------
-    BadInput
-        If the frames cannot be read or values are out of range.
+    Raises BadInput if the frames cannot be read or values are out of range.
     """
     stack = open_lazy_stack(entry)
     frames, rows, cols = stack.shape

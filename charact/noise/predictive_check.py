@@ -23,29 +23,17 @@ from labdata.lazy_stack import open_lazy_stack
 from labdata.session import StackEntry
 
 Array = NDArray[np.float64]
-
-
 # Side of binned squares, px: finer detail depends on the blur beyond the fitted frequencies.
 SIDE_PX = 4
 
 
 @dataclass(frozen=True, kw_only=True)
 class SummaryStatistic:
-    """A summary statistic of frames.
+    """A summary statistic of frames."""
 
-    Parameters
-    ----------
-    words
-        Description.
-    harmless
-        Tolerated deviation.
-    upwards
-        Whether only an excess counts.
-    """
-
-    words: str
-    harmless: float
-    upwards: bool = False
+    words: str  # description
+    harmless: float  # tolerated deviation
+    upwards: bool = False  # whether only an excess counts
 
 
 STATISTICS: dict[str, SummaryStatistic] = {
@@ -69,10 +57,7 @@ STATISTICS: dict[str, SummaryStatistic] = {
 def summary_statistics(frames: Array) -> dict[str, float]:
     """Return the summary statistics of exposures of one parity.
 
-    Parameters
-    ----------
-    frames
-        Pixels, shape (exposure, row, col), DN; rows and columns in multiples of `SIDE_PX`.
+    `frames`: pixels, shape (exposure, row, col), DN; rows and columns in multiples of `SIDE_PX`.
     """
     count, rows, cols = frames.shape
     squares = frames.reshape(count, rows // SIDE_PX, SIDE_PX, cols // SIDE_PX, SIDE_PX).mean(axis=(2, 4))
@@ -109,24 +94,16 @@ def _log_variance(values: Array) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class PredictiveResidual:
-    """Comparison of one statistic of one stack.
+    """Comparison of one statistic of one stack."""
 
-    Parameters
-    ----------
-    stack, sign
-        Label of the stack and name of the statistic.
-    measured, expected, sd
-        Statistic of the measured frames, and mean and standard deviation of the drawn ones.
-    chance
-        p-value of the deviation beyond its tolerance.
-    """
-
+    # stack, sign: label of the stack and name of the statistic
     stack: str
     sign: str
+    # measured, expected, sd: statistic of the measured frames, and mean and standard deviation of the drawn ones
     measured: float
     expected: float
     sd: float
-    chance: float
+    chance: float  # p-value of the deviation beyond its tolerance
 
 
 def predictive_residuals(
@@ -134,19 +111,9 @@ def predictive_residuals(
 ) -> list[PredictiveResidual]:
     """Return the statistics of some flats compared with frames drawn from the posterior.
 
-    Parameters
-    ----------
-    entries
-        The session's stacks.
-    pooled
-        Fit of the flats.
-    gain_dn
-        Draws of K for white noise, DN per electron, shape (draw,); None: fitted blur and gain.
-    context
-        Seed, and whether frames are interlaced.
+    `entries`: the session's stacks; `pooled`: fit of the flats; `gain_dn`: draws of K for white noise, DN per electron,
+    shape (draw,); None: fitted blur and gain.
 
-    Notes
-    -----
     Dark noise is not modelled: dark frames, mirrored and shifted at random, are added, with a random fraction of the
     rounding error if the dark noise is smaller than a step. Shading is retained. Replicates vary over the posterior,
     and over the prior of the pulse-height variance. Gelman, Meng & Stern, Statistica Sinica 6, 733 (1996).

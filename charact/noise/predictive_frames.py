@@ -15,38 +15,19 @@ Array = NDArray[np.floating]
 
 @dataclass(frozen=True, kw_only=True)
 class LightNoise:
-    """Noise of uniform light for one posterior draw.
+    """Noise of uniform light for one posterior draw."""
 
-    Parameters
-    ----------
-    pulse_dn
-        Mean pulse height, DN; 0: no intensifier.
-    height_variance
-        Relative variance of the pulse heights, dimensionless.
-    electron_gain_dn
-        K, DN per electron of the CCD; 0: no electron noise.
-    blur
-        Parameters of `charact.noise.gain.model.transfer`; None: no blur.
-    reading
-        Pixel readout.
-    kept
-        Fraction of the light left one exposure later, dimensionless.
-    """
-
-    pulse_dn: float
-    height_variance: float
-    electron_gain_dn: float
-    blur: NDArray[np.float64] | None = None
-    reading: PixelReadoutModel = field(default_factory=PixelReadoutModel)
-    kept: float = 0.0
+    pulse_dn: float  # mean pulse height, DN; 0: no intensifier
+    height_variance: float  # relative variance of the pulse heights, dimensionless
+    electron_gain_dn: float  # K, DN per electron of the CCD; 0: no electron noise
+    blur: NDArray[np.float64] | None = None  # parameters of `charact.noise.gain.model.transfer`; None: no blur
+    reading: PixelReadoutModel = field(default_factory=PixelReadoutModel)  # pixel readout
+    kept: float = 0.0  # fraction of the light left one exposure later, dimensionless
 
     def frames(self, light_dn: Array, count: int, every: int, rng: np.random.Generator) -> Array:
         """Draw every `every`-th of successive exposures, shape (count, row, col), DN above the dark.
 
-        Parameters
-        ----------
-        light_dn
-            Mean signal of every pixel, shape (row, col), DN.
+        `light_dn`: mean signal of every pixel, shape (row, col), DN.
         """
         if not self.pulse_dn:
             return self._electrons(np.broadcast_to(light_dn, (count, *light_dn.shape)), rng)
@@ -93,19 +74,10 @@ def pulse_noise(posterior: Posterior, index: int, share: float, reading: PixelRe
               ) -> LightNoise:  # fmt: skip
     """Return the noise of an intensified camera for one draw of the noise-spectrum model.
 
-    Parameters
-    ----------
-    posterior, index
-        Draws of `charact.noise.gain.model`, and the index of one.
-    share
-        Covariance over signal of this level over the pooled one, dimensionless.
-    reading
-        Pixel readout.
-    rng
-        Generator for the pulse-height variance.
+    `posterior`, `index`: draws of `charact.noise.gain.model`, and the index of one; `share`: covariance over signal of
+    this level over the pooled one, dimensionless; `reading`: pixel readout; `rng`: generator for the pulse-height
+    variance.
 
-    Notes
-    -----
     The spectrum gives k F^2; the relative variance of heights is drawn from its prior. Image lag that leaves the
     fraction r per exposure lowers the covariance of one exposure by (1 - r) / (1 + r).
     """

@@ -25,28 +25,17 @@ Places = NDArray[np.int64]
 class FrameView:
     """Transformation of the frames of one stack on reading.
 
-    Parameters
-    ----------
-    unit_dn
-        Divisor of the values, DN.
-    whole
-        Whether the values are integers then.
-    places, donors
-        Replaced pixels, and their replacements.
-    struck, frame, struck_donors
-        Values replaced in single frames, the frames, and the replacements.
-
-    Notes
-    -----
     A defective pixel takes the values of a valid one up to 32 px away in all frames, shifted by the difference of the
     surrounding medians, which preserves level, noise and pattern. Random distances average out the added correlation in
     spectra. Variances change by less than 1e-4 if one pixel of 200 is replaced.
     """
 
-    unit_dn: float
-    whole: bool
+    unit_dn: float  # divisor of the values, DN
+    whole: bool  # whether the values are integers then
+    # places, donors: replaced pixels, and their replacements
     places: Places
     donors: Places
+    # struck, frame, struck_donors: values replaced in single frames, the frames, and the replacements
     struck: Places
     frame: Places
     struck_donors: Places
@@ -155,15 +144,9 @@ MAPPED = (".npy", ".zarr")
 
 @dataclass(frozen=True, kw_only=True)
 class LoadedStackEntry(StackEntry):
-    """A stack with its frames in memory.
+    """A stack with its frames in memory."""
 
-    Parameters
-    ----------
-    kept
-        The frames.
-    """
-
-    kept: FrameStack
+    kept: FrameStack  # the frames
 
     def read(self, plane: str | None = None) -> FrameStack:
         """Return the frames; `plane` has no effect."""
@@ -188,25 +171,14 @@ def load_frames(entries: tuple[StackEntry, ...]) -> tuple[StackEntry, ...]:
 
 @dataclass(frozen=True, kw_only=True)
 class Prepared:
-    """A session prepared for measurement.
+    """A session prepared for measurement."""
 
-    Parameters
-    ----------
-    session, context
-        Stacks with their views, and settings.
-    unit_dn
-        Unit of the values, DN.
-    surveys
-        Survey of each dark and flat of at least two frames.
-    found
-        Defective pixels; None if the images are too small.
-    """
-
+    # session, context: stacks with their views, and settings
     session: Session
     context: Context
-    unit_dn: float
-    surveys: tuple[PixelSurvey, ...]
-    found: DefectivePixels | None
+    unit_dn: float  # unit of the values, DN
+    surveys: tuple[PixelSurvey, ...]  # survey of each dark and flat of at least two frames
+    found: DefectivePixels | None  # defective pixels; None if the images are too small
 
     def in_dn(self, result: Result) -> Result:
         """Return a result in DN of the files, with a note on excluded pixels."""
@@ -229,15 +201,8 @@ class Prepared:
 def prepare(session: Session, *, context: Context) -> Prepared:
     """Survey the darks and flats of a session and prepare it for measurement.
 
-    Parameters
-    ----------
-    session
-        The session.
-    context
-        Seed, sensor and full scale.
+    `session`: the session.
 
-    Notes
-    -----
     Pixel means are compared in at most eight stacks distributed over the levels, because a defect shows in several.
     """
     session = replace(session, stacks=load_frames(session.stacks) if context.spread is map else session.stacks)

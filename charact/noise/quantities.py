@@ -18,8 +18,6 @@ from charact.noise.thresholds import CHECKS, CORRELATION
 from labdata.measurement import Measurement, make_refusal, measurement_from_draws, measurement_from_sd
 
 Array = NDArray[np.float64]
-
-
 PAIR = "from two frames: includes any temporal correlation between them"
 
 
@@ -125,18 +123,9 @@ def white_quantities(series: FlatSeries, gain: emva1288.GainLine, *, context: Co
                      ) -> list[Measurement]:  # fmt: skip
     """Return the EMVA 1288 quantities that follow from K: efficiency, noise in electrons, range.
 
-    Parameters
-    ----------
-    series, gain
-        The flats and the gain per electron.
-    context, fields
-        Settings; method and provenance.
-    findings, light
-        Findings against the gain, and against quantities that need the stated light.
-    notes
-        Notes on the gain.
-    factor
-        Excess noise factor F^2 of a multiplying register.
+    `series`, `gain`: the flats and the gain per electron; `findings`, `light`: findings against the gain, and against
+    quantities that need the stated light; `notes`: notes on the gain; `factor`: excess noise factor F^2 of a
+    multiplying register.
     """
     slope = gain.slope
     rng = np.random.default_rng([context.seed, 2])

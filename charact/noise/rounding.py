@@ -4,8 +4,6 @@ import numpy as np
 
 # Variance of rounding, DN^2.
 QUANTISATION_DN2 = 1.0 / 12.0
-
-
 # Above this variance rounding adds 1/12 DN^2 within 0.001 DN^2.
 EVEN_DN2 = 0.45
 
@@ -13,10 +11,7 @@ EVEN_DN2 = 0.45
 def rounding_sd(variance_dn2: float) -> tuple[float, float]:
     """Return the standard deviations of the rounding bias of mean, DN, and variance, DN^2.
 
-    Parameters
-    ----------
-    variance_dn2
-        Variance of the values as rounded, DN^2.
+    `variance_dn2`: variance of the values as rounded, DN^2.
     """
     analogue = max(variance_dn2 - QUANTISATION_DN2, 0.0)
     fade = float(np.exp(-2.0 * np.pi**2 * analogue)) / np.sqrt(2.0)
@@ -26,13 +21,8 @@ def rounding_sd(variance_dn2: float) -> tuple[float, float]:
 def variance_range_before_rounding(variance_dn2: float) -> tuple[float, float]:
     """Return the smallest and largest variance of normal noise that has this variance after rounding, DN^2.
 
-    Parameters
-    ----------
-    variance_dn2
-        Variance of the values as rounded, DN^2.
+    `variance_dn2`: variance of the values as rounded, DN^2.
 
-    Notes
-    -----
     Rounding hides most noise about a grey value, and least midway between two, where zero noise has variance 1/4.
     """
     if variance_dn2 > EVEN_DN2:

@@ -18,29 +18,17 @@ from charact.noise.thresholds import CHECKS, CUBE
 from labdata.measurement import Measurement, Result, intervals_of, make_measurement, make_refusal
 
 Array = NDArray[np.float64]
-
-
 METHOD = "three-dimensional"
-
-
 NAMES = (*OWN, "tvh")
 
 
 def three_dimensional(levels: list[StackStatistics], *, context: Context) -> Result:
     """Return the seven components of 3-D noise of every dark and flat with enough frames.
 
-    Parameters
-    ----------
-    levels
-        Darks and flats, read with their cubes.
-    context
-        Seed; interlaced fields are separated and their variances averaged.
+    `levels`: darks and flats, read with their cubes.
 
-    Returns
-    -------
-    Result
-        `noise_t` to `noise_tvh` of each stack, DN, quantisation included; as figure data the means of frames with their
-        spectrum, of rows and of columns. Seven refusals if no stack is long enough.
+    Returns `noise_t` to `noise_tvh` of each stack, DN, quantisation included; as figure data the means of frames with
+    their spectrum, of rows and of columns. Seven refusals if no stack is long enough.
     """
     fields: dict[str, Any] = {"method": METHOD, "provenance": provenance(context)}
     result = Result()

@@ -19,14 +19,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class UndetectedEffect:
-    """Relative loss of gain by a correlation.
+    """Relative loss of gain by a correlation."""
 
-    Parameters
-    ----------
-    share, sd
-        The loss and its standard error, dimensionless; the error is infinite if untestable.
-    """
-
+    # share, sd: the loss and its standard error, dimensionless; the error is infinite if untestable
     share: float
     sd: float
 

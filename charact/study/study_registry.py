@@ -20,16 +20,10 @@ from labdata.errors import BadInput
 class Study:
     """Where the cases of a quantity and a kind of target come from.
 
-    Parameters
-    ----------
-    kind, package
-        Kind of the methods, and the package that registers them.
-    axes
-        The axes along which the methods break.
-    chart_cases, stability_cases
-        Functions of (seed, count) and of (seed, repeats, axes) that return cases.
-    chart_count, quick_count, repeats
-        How many cases a chart holds, how many a first look, and how many draws a position of the stability map.
+    `kind`, `package`: kind of the methods, and the package that registers them; `axes`: the axes along which the
+    methods break; `chart_cases`, `stability_cases`: functions of (seed, count) and of (seed, repeats, axes) that return
+    cases; `chart_count`, `quick_count`, `repeats`: how many cases a chart holds, how many a first look, and how many
+    draws a position of the stability map.
     """
 
     kind: str

@@ -16,12 +16,8 @@ Axes = Mapping[str, tuple[str, tuple[float, ...], tuple[float, float]]]
 class AxisPosition:
     """A position of one knob.
 
-    Parameters
-    ----------
-    axis, position, unit
-        The knob, how far it is turned, and its unit.
-    in_scope
-        Whether every method must cope with it.
+    `axis`, `position`, `unit`: the knob, how far it is turned, and its unit; `in_scope`: whether every method must cope
+    with it.
     """
 
     axis: str
@@ -47,14 +43,8 @@ def cases_along_axes(
 ) -> tuple[Case, ...]:
     """Return the cases of all positions of some axes, drawn several times.
 
-    Parameters
-    ----------
-    axes, chosen
-        All axes, and the names of those that are turned.
-    repeats
-        Draws at each position.
-    case_at
-        Makes a case of a place and the number of the draw.
+    `axes`, `chosen`: all axes, and the names of those that are turned; `repeats`: draws at each position; `case_at`:
+    makes a case of a place and the number of the draw.
     """
     return tuple(case_at(place, repeat) for place in _places(axes, chosen) for repeat in range(repeats))
 

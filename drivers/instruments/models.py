@@ -34,13 +34,7 @@ SHIPPED: tuple[InstrumentModel, ...] = tuple(
 
 
 def models() -> dict[str, InstrumentModel]:
-    """Return all known models by name; shipped ones cannot be replaced.
-
-    Raises
-    ------
-    BadInput
-        If an entry point does not load, is not a model, or has a name in use.
-    """
+    """Return all known models by name; an entry point that is no model, or has a name in use, is BadInput."""
     known = {model.name: model for model in SHIPPED}
     for point in entry_points(group=GROUP):
         known[point.name] = _brought(point, known)

@@ -16,6 +16,7 @@ from labdata.importers.full_scale import byte_order_note, with_full_scale
 
 __all__ = ["KINDS", "list_kinds", "module_of", "read_frames"]
 
+# Endings of files by module and function of this package that reads them
 KINDS: dict[str, tuple[str, ...]] = {
     "tiff.read": (".tif", ".tiff"),
     "array_files.read_npy": (".npy",),
@@ -27,7 +28,6 @@ KINDS: dict[str, tuple[str, ...]] = {
     "image_files.read_video": (".avi",),
     "array_files.read_zarr": (".zarr",),
 }
-"""Endings of files by module and function of this package that reads them."""
 
 
 def list_kinds() -> str:
@@ -38,12 +38,10 @@ def list_kinds() -> str:
 def read_frames(
     path: str | Path, plane: str | None = None, *, axis: str | None = None, find_full_scale: bool = True
 ) -> FrameStack:
-    """Read the frames of a file or of a Zarr array.
+    """Read the frames of a file, by its ending, or of a Zarr array.
 
     Parameters
     ----------
-    path
-        The file; its ending determines the reader.
     plane
         Colour plane to read where there are several: "r", "g", "b" or "luminance" of an RGB image, "r", "g1",
         "g2" or "b" of a mosaic. None: the luminance of an RGB image (noted); a mosaic needs a plane. A number, from
@@ -58,12 +56,7 @@ def read_frames(
     -------
     FrameStack
         Pixels as in the file, shape (frame, row, col); nothing subtracted, scaled or demosaiced. A non-finite
-        border is cut off.
-
-    Raises
-    ------
-    BadInput
-        If the file is missing, of no known kind, damaged, without frames, or without a known frame axis.
+        border is cut off. A file that is damaged, unknown or without a known frame axis is BadInput.
     """
     path = Path(path)
     try:

@@ -11,6 +11,7 @@ from labdata.errors import BadInput
 from labdata.importers.axes import COL, COLOUR, FRAME, ROW, Recorded
 
 SPE_HEADER_BYTES = 4100
+# Header fields: byte offset and format (Princeton Instruments, SPE 3.0 File Format Specification, appendix A)
 SPE_FIELDS = {
     "cols": (42, "<H"),
     "type": (108, "<h"),
@@ -19,14 +20,13 @@ SPE_FIELDS = {
     "frames": (1446, "<i"),
     "version": (1992, "<f"),
 }
-"""Header fields: byte offset and format (Princeton Instruments, SPE 3.0 File Format Specification, appendix A)."""
 SPE_TYPES = {0: "<f4", 1: "<i4", 2: "<i2", 3: "<u2", 5: "<f8", 6: "u1", 8: "<u4"}
 
 SER_MAGIC = b"LUCAM-RECORDER"
 SER_HEADER_BYTES = 178
 SER_MOSAICS = {8: "rggb", 9: "grbg", 10: "gbrg", 11: "bggr"}
+# Samples per pixel by ColorID: grey, RGB, BGR (SER format description version 3, Grischa Hahn)
 SER_COLOURS = {0: 1, 100: 3, 101: 3}
-"""Samples per pixel by ColorID: grey, RGB, BGR (SER format description version 3, Grischa Hahn)."""
 
 
 def read(path: Path) -> Recorded:

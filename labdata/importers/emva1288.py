@@ -17,63 +17,31 @@ KINDS: dict[str, Kind] = {"b": "flat", "d": "dark"}
 
 @dataclass(frozen=True, kw_only=True)
 class DescriptorBlock:
-    """One block of the descriptor: a bright or dark exposure and its images.
+    """One block of the descriptor: a bright or dark exposure and its images."""
 
-    Parameters
-    ----------
-    kind
-        "flat" for bright, "dark" for dark.
-    exposure_ns
-        Exposure, ns.
-    photons_per_px
-        Mean number of photons per pixel and exposure; None for darks.
-    images
-        Paths of the images relative to the descriptor: two are a temporal pair, more a spatial series.
-    """
-
-    kind: Kind
-    exposure_ns: float
-    photons_per_px: float | None
+    kind: Kind  # "flat" for bright, "dark" for dark
+    exposure_ns: float  # Exposure, ns
+    photons_per_px: float | None  # Mean number of photons per pixel and exposure; None for darks
+    # Paths of the images relative to the descriptor: two are a temporal pair, more a spatial series
     images: tuple[str, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Descriptor:
-    """Content of a descriptor file.
+    """Content of a descriptor file."""
 
-    Parameters
-    ----------
-    version
-        Release of the standard.
-    bit_depth
-        Bits of the digitiser.
-    columns, rows
-        Size of an image, px.
-    levels
-        The blocks in order.
-    """
-
-    version: str
-    bit_depth: int
-    columns: int
-    rows: int
-    levels: tuple[DescriptorBlock, ...]
+    version: str  # Release of the standard
+    bit_depth: int  # Bits of the digitiser
+    columns: int  # Size of an image, px
+    rows: int  # Size of an image, px
+    levels: tuple[DescriptorBlock, ...]  # The blocks in order
 
 
 def import_emva1288(file: str | Path, out: str | Path) -> Session:
     """Make a session that refers to the images of an EMVA 1288 descriptor file.
 
-    Parameters
-    ----------
-    file
-        The descriptor: lines `v` version, `n` bits width height, `b` exposure photons, `d` exposure (ns), `i` image.
-    out
-        Folder of the session, created if missing.
-
-    Raises
-    ------
-    BadInput
-        If the descriptor breaks its format, an image is missing, or the folder holds a session already.
+    The descriptor has the lines `v` version, `n` bits width height, `b` exposure photons, `d` exposure (ns), `i` image.
+    One that breaks its format, lacks an image, or a folder with a session is BadInput.
     """
     file, out = Path(file), Path(out)
     descriptor = read_descriptor(file)

@@ -16,8 +16,8 @@ GZIP_MAGIC = b"\x1f\x8b"
 BLOCK_BYTES = 2880
 MOST_HEADER_BYTES = 1000 * BLOCK_BYTES  # 36,000 cards; the longest headers of observatories have some thousands
 
+# Cards with the number of frames, as written by camera software
 FRAME_COUNTS = ("NFRAMES", "NUMFRAME", "NUMFRMS", "FRAMES", "NIMAGES", "NUMKIN")
-"""Cards with the number of frames, as written by camera software."""
 
 
 def read(path: Path) -> Recorded:

@@ -27,23 +27,11 @@ def import_frames(
 
     Parameters
     ----------
-    files
-        The files, each read as `labdata.importers.read_frames` reads it.
-    out
-        Folder of the session, created if missing.
-    kind
-        What the frames show.
     name_pattern
         Pattern of the file names, such as "{mcp_v}V_{gate_ns}ns_*": a condition in braces matches a number,
         * anything. Files of equal conditions become one stack. None: one stack per file.
     axis, plane
         Frame axis of the files and plane to read, kept in the session.
-
-    Raises
-    ------
-    BadInput
-        If a file is missing, of no known kind, without frames, does not match the pattern, or differs in image size
-        from its stack.
     """
     from labdata.importers import reader_of
 
@@ -59,13 +47,7 @@ def import_frames(
 
 
 def _findings(stacks: tuple[StackRecord, ...], out: Path) -> tuple[str, ...]:
-    """Read every file once; return notes of the readers and on stacks of different sizes.
-
-    Raises
-    ------
-    BadInput
-        If a file cannot be read as frames, or the files of a stack differ in size.
-    """
+    """Read every file once; return notes of the readers and on stacks of different sizes. A stack has one size."""
     from labdata.importers import read_frames
 
     found: dict[tuple[int, int], str] = {}

@@ -12,8 +12,7 @@ from labdata.importers.decompression_limit import require_picture, require_room
 from labdata.importers.thresholds import THUMBNAIL
 
 LOSSY = ("JPEG", "WEBP", "JETRAW")
-CFA_PATTERN = 33422
-"""Tag of the mosaic colours, 0 red, 1 green, 2 blue (TIFF/EP, ISO 12234-2)."""
+CFA_PATTERN = 33422  # Tag of the mosaic colours, 0 red, 1 green, 2 blue (TIFF/EP, ISO 12234-2)
 
 
 def read(path: Path) -> Recorded:

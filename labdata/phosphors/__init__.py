@@ -16,18 +16,7 @@ def phosphor_names() -> tuple[str, ...]:
 
 
 def load_phosphor(name_or_path: str | Path) -> Phosphor:
-    """Read a phosphor.
-
-    Parameters
-    ----------
-    name_or_path
-        Name of a shipped phosphor, "p20", "P43", or path of a TOML file that holds the keys of `Phosphor`.
-
-    Raises
-    ------
-    BadInput
-        If there is no such phosphor, or it breaks a rule.
-    """
+    """Read a shipped phosphor by name, "p20", "P43", or the TOML file of another with the keys of `Phosphor`."""
     name = str(name_or_path).lower()
     if name in phosphor_names():
         with resources.as_file(resources.files("labdata.phosphors") / f"{name}.toml") as path:

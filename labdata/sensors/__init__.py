@@ -19,20 +19,7 @@ def sensor_names() -> tuple[str, ...]:
 
 
 def load_sensor(name_or_path: str | Path, relative_to: str | Path | None = None) -> Sensor:
-    """Read the description of an intensified camera.
-
-    Parameters
-    ----------
-    name_or_path
-        Name of a shipped description, or path of a TOML file.
-    relative_to
-        Folder that a relative path starts from; None: the present one.
-
-    Raises
-    ------
-    BadInput
-        If there is no such description, it breaks a rule, or the camera has no intensifier.
-    """
+    """Read the description of an intensified camera, as `load_camera`; one without a tube is BadInput."""
     camera = load_camera(name_or_path, relative_to)
     if isinstance(camera, SolidStateCamera):
         raise BadInput(f"a sensor must be an intensified camera, got {camera.name!r}, which has no [tube]")
@@ -40,10 +27,7 @@ def load_sensor(name_or_path: str | Path, relative_to: str | Path | None = None)
 
 
 def load_camera(name_or_path: str | Path, relative_to: str | Path | None = None) -> Sensor | SolidStateCamera:
-    """Read the description of a camera: intensified if the file has a [tube], or silicon alone if [silicon].
-
-    Parameters and errors as for `load_sensor`.
-    """
+    """Read a shipped camera description by name, or a TOML file: intensified with a [tube], else [silicon]."""
     if str(name_or_path) in sensor_names():
         with resources.as_file(resources.files("labdata.sensors") / f"{name_or_path}.toml") as path:
             return from_toml(path, _type_of(path))

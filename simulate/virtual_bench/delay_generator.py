@@ -43,13 +43,7 @@ class InstrumentStatus(IntFlag):
 
 
 class DelayGenerator:
-    """The instrument, power just switched on, all settings at factory values.
-
-    Parameters
-    ----------
-    external_hz
-        Pulses a second at its trigger input, Hz: the fields of the camera that is wired to it; 0: nothing is.
-    """
+    """The instrument after power-on, with `external_hz` pulses a second at its trigger input, 0: none is wired."""
 
     def __init__(self, *, external_hz: float = FIELD_HZ) -> None:
         self._external_hz = self._wired_hz = external_hz

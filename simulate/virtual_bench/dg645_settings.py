@@ -72,21 +72,11 @@ _COMMAND = re.compile(r"^(\*[A-Z]{3}|[A-Z]{4})(\?)?\s*(.*)$", re.DOTALL)
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
-    """One command of a line.
+    """One command of a line."""
 
-    Parameters
-    ----------
-    mnemonic
-        Upper-case mnemonic, such as "DLAY" or "*IDN".
-    query
-        Whether it asks.
-    arguments
-        Arguments as they were written, stripped of blanks.
-    """
-
-    mnemonic: str
-    query: bool
-    arguments: tuple[str, ...]
+    mnemonic: str  # Upper-case mnemonic, such as "DLAY" or "*IDN"
+    query: bool  # Whether it asks
+    arguments: tuple[str, ...]  # Arguments as they were written, stripped of blanks
 
 
 def commands_of(line: str) -> list[Command | None]:
@@ -105,31 +95,15 @@ def _command(text: str) -> Command | None:
 
 @dataclass(frozen=True, kw_only=True)
 class Dg645Setting:
-    """One setting, or one per output.
+    """One setting, or one per output."""
 
-    Parameters
-    ----------
-    kind
-        int or float.
-    low, high
-        Range; beyond it the instrument refuses.
-    factory
-        Value after `*RST`.
-    form
-        How the value is answered.
-    count
-        Number of indices the setting has; 0: none.
-    step
-        Resolution to which values are rounded; 0: none.
-    """
-
-    kind: type = int
-    low: float
-    high: float
-    factory: float
-    form: str = "{:d}"
-    count: int = 0
-    step: float = 0.0
+    kind: type = int  # int or float
+    low: float  # Range; beyond it the instrument refuses
+    high: float  # Range; beyond it the instrument refuses
+    factory: float  # Value after `*RST`
+    form: str = "{:d}"  # How the value is answered
+    count: int = 0  # Number of indices the setting has; 0: none
+    step: float = 0.0  # Resolution to which values are rounded; 0: none
 
 
 def _volts(low: float, high: float, factory: float, count: int = 0) -> Dg645Setting:
@@ -147,6 +121,7 @@ def _switch(factory: int = 0) -> Dg645Setting:
 OUTPUTS = 5  # T0 AB CD EF GH
 EDGES = 10  # T0 T1 A B C D E F G H
 
+# Ranges as the maker's manual gives them; those of BURP, LOFF, TRAT and PRES are recalled, not looked up
 SETTINGS: dict[str, Dg645Setting] = {
     "TSRC": Dg645Setting(low=0, high=6, factory=5),
     "TRAT": Dg645Setting(kind=float, low=1e-4, high=1e7, factory=1000.0, form="{:+.6f}", step=1e-6),
@@ -169,7 +144,6 @@ SETTINGS: dict[str, Dg645Setting] = {
     "INSE": Dg645Setting(low=0, high=255, factory=0),
     "SHDP": _switch(1),
 }
-"""Ranges as the maker's manual gives them; those of BURP, LOFF, TRAT and PRES are recalled, not looked up."""
 
 
 @dataclass(kw_only=True)

@@ -19,13 +19,7 @@ _ALLOWED = {"pcount": (6, 12), "trig": (0, 1), "speed": (0, 1), "sensors": (0, 1
 
 
 class FilterWheel:
-    """Filter wheel after power-on, at its first position.
-
-    Parameters
-    ----------
-    time_scale
-        How much faster than life the wheel turns, dimensionless.
-    """
+    """Filter wheel after power-on, at its first position; it turns `time_scale` times faster than life."""
 
     def __init__(self, *, time_scale: float = 1.0) -> None:
         self._time_scale = time_scale

@@ -37,13 +37,7 @@ LATCHED = StatusByte.VOLTAGE_TRIP | StatusByte.CURRENT_TRIP | StatusByte.CURRENT
 
 
 class HighVoltageSupply:
-    """High-voltage supply behind its GPIB connector after power-on: high voltage off.
-
-    Parameters
-    ----------
-    time_scale
-        How much faster than life the output moves, dimensionless.
-    """
+    """High-voltage supply behind its GPIB connector after power-on; it moves `time_scale` times faster than life."""
 
     def __init__(self, *, time_scale: float = 1.0) -> None:
         self._time_scale = time_scale

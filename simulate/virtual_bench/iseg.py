@@ -25,13 +25,7 @@ class _Refused(Exception):
 
 
 class IsegSupply:
-    """High-voltage supply after power-on: 0 V, positive, remote control.
-
-    Parameters
-    ----------
-    time_scale
-        How much faster than life the output moves, dimensionless.
-    """
+    """High-voltage supply after power-on: 0 V, positive, remote control; faster than life by `time_scale`."""
 
     def __init__(self, *, time_scale: float = 1.0) -> None:
         self._time_scale = time_scale

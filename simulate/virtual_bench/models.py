@@ -33,27 +33,15 @@ GATE, SUPPLY, WHEEL, LIGHT, METER, THERMOMETER = PLACES = (
 
 @dataclass(frozen=True, kw_only=True)
 class VirtualModel:
-    """One model of virtual instrument.
+    """One model of virtual instrument."""
 
-    Parameters
-    ----------
-    name
-        Name of the model, such as "dg645".
-    place
-        Where it stands at the bench, one of `PLACES`: the name of its port and of its faults.
-    make
-        Makes it, from its address on a bus and how much faster than life it moves.
-    baud
-        Rate set on it, baud; None: a USB adapter, which has none.
-    panel
-        Commands that do what a hand at its panel does, by setting: of a gate "source", "idle level", "width" and
-        "busy" (every second trigger is lost), of a supply "voltage" and "on".
-    """
-
-    name: str
-    place: str
+    name: str  # Name of the model, such as "dg645"
+    place: str  # Where it stands at the bench, one of `PLACES`: the name of its port and of its faults
+    # Makes it, from its address on a bus and how much faster than life it moves
     make: Callable[[int, float], SerialInstrument]
-    baud: int | None
+    baud: int | None  # Rate set on it, baud; None: a USB adapter, which has none
+    # Commands that do what a hand at its panel does, by setting: of a gate "source", "idle level", "width" and "busy"
+    # (every second trigger is lost), of a supply "voltage" and "on"
     panel: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 

@@ -11,8 +11,7 @@ from simulate.virtual_bench.faults import Faults
 from simulate.virtual_bench.outputs import replace_file
 
 IDENTITY = "Thorlabs,PM101R,M00654321,1.2.0"
-LUX_PER_W = 1.6e5
-"""Illuminance on the photocathode for a watt on the head: 1 cm2 of light of 16 lm/W next to the tube."""
+LUX_PER_W = 1.6e5  # Illuminance on the photocathode for a watt on the head: 1 cm2 of light of 16 lm/W next to the tube
 
 NOISE_W = 2e-12
 READINGS_PER_S = 3000.0

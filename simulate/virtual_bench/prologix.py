@@ -50,13 +50,7 @@ class _Unrecognized(Exception):
 
 
 class PrologixAdapter:
-    """GPIB-USB adapter with factory settings: controller, read after write, address 0.
-
-    Parameters
-    ----------
-    bus
-        Instruments by GPIB address.
-    """
+    """GPIB-USB adapter with factory settings (controller, read after write, address 0) before its instruments."""
 
     def __init__(self, bus: Mapping[int, BusInstrument]) -> None:
         self._bus = dict(bus)

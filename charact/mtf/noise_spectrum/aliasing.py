@@ -30,23 +30,12 @@ class PostGainBlur(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class KnownReadout:
-    """The known part of the transfer after the gain.
+    """The known part of the transfer after the gain."""
 
-    Parameters
-    ----------
-    height_px
-        Extent of a pixel as read along columns, column pitches; two rows where fields sum pairs of them.
-    video
-        Filter along rows, or None.
-    fibres
-        Pitch of the taper's fibres, column pitches, and f0 of its interfaces exp(-(f/f0)^2), cycles per column pitch.
-    anisotropy_sd
-        Prior standard deviation of the logarithm of the anisotropy.
-    """
-
-    height_px: float
-    video: VideoFilter | None
-    anisotropy_sd: float
+    height_px: float  # extent of a pixel as read along columns, column pitches; two rows where fields sum pairs of them
+    video: VideoFilter | None  # filter along rows, or None
+    anisotropy_sd: float  # prior standard deviation of the logarithm of the anisotropy
+    # pitch of the taper's fibres, column pitches, and f0 of its interfaces exp(-(f/f0)^2), cycles per column pitch
     fibres: tuple[float, float] | None = None
 
     def electronics(self, column: Array) -> Array:
@@ -73,24 +62,16 @@ class KnownReadout:
 
 @dataclass(frozen=True, kw_only=True)
 class SpectralReplicas:
-    """Which replicas of the spectrum fold into which cells.
+    """Which replicas of the spectrum fold into which cells."""
 
-    Parameters
-    ----------
-    column, row, cell, known
-        Frequency of each replica, the cell that it folds into, in order, and the known |H|^2 there, shape (replica,).
-    first
-        Index of the first replica of each cell, shape (cell,).
-    within
-        Mean over the modes of a cell of the folded power, over that at its mean frequency, shape (cell,).
-    """
-
+    # column, row, cell, known: frequency of each replica, the cell that it folds into, in order, and the known |H|^2
+    # there, shape (replica,)
     column: Array
     row: Array
     cell: NDArray[np.int64]
     known: Array
-    first: NDArray[np.int64]
-    within: Array
+    first: NDArray[np.int64]  # index of the first replica of each cell, shape (cell,)
+    within: Array  # mean over the modes of a cell of the folded power, over that at its mean frequency, shape (cell,)
 
     def power(self, shape: PostGainBlur, theta: Array) -> Array:
         """Return the folded |H|^2 of each cell for (ln anisotropy, *shape), shape (n, parameter) -> (n, cell)."""
@@ -136,8 +117,6 @@ WAVES = tuple(range(2, 8))
 class NonparametricBlur:
     """-ln H = ln 2 exp(s), s a free smooth function of ln f.
 
-    Notes
-    -----
     s = n ln(f/f2) + sum of a_k cos(k pi t)/k^2, t the place of ln f in its range: with normal amplitudes a smoothing
     spline, whose second derivative is penalised. Without them it is the form exp(-ln 2 (f/f2)^n).
     """

@@ -27,7 +27,6 @@ from charact.posterior import find_maximum
 from charact.video_filter import VideoFilter, powers
 
 Array = NDArray[np.float64]
-
 FAMILIES: tuple[BlurModel, ...] = (BlurModel(core="gaussian"), BlurModel(core="exponential"), BlurModel(core="moffat"))
 # How much likelier than any other the form of image tubes is that of a described one, in ln.
 TUBE = "exponential"
@@ -73,8 +72,6 @@ def readout_of(context: Context) -> KnownReadout:
 class SpectrumLikelihood:
     """Whittle's likelihood of a noise spectrum under one form of the transfer.
 
-    Notes
-    -----
     The modes of noise are nearly independent complex Gaussians, so that a mean over n of them is gamma distributed
     with shape n: ln L = -n (ln M + P/M) for a measured power P and a model M (Whittle 1953).
     """
@@ -172,22 +169,13 @@ class SpectrumLikelihood:
 
 @dataclass(frozen=True, kw_only=True)
 class SpectrumOptimum:
-    """The best fit under one form.
+    """The best fit under one form."""
 
-    Parameters
-    ----------
-    problem
-        With the looks and the replicas that belong to the fit.
-    point, covariance
-        Peak and covariance there.
-    log_evidence
-        Laplace's approximation of the evidence, up to a constant that all forms share.
-    """
-
-    problem: SpectrumLikelihood
+    problem: SpectrumLikelihood  # with the looks and the replicas that belong to the fit
+    # point, covariance: peak and covariance there
     point: Array
     covariance: Array
-    log_evidence: float
+    log_evidence: float  # laplace's approximation of the evidence, up to a constant that all forms share
 
     @property
     def log_weight(self) -> float:

@@ -101,10 +101,7 @@ def low_frequency_weights(bins: Bins) -> Array:
 def frequency_cells(rows: int, cols: int, row_pitch: float) -> Bins:
     """Return the cells of frequency of an image whose rows lie `row_pitch` column pitches apart, axes left out.
 
-    Raises
-    ------
-    BadInput
-        If fewer than 24 cells hold modes enough.
+    Raises BadInput if fewer than 24 cells hold modes enough.
     """
     plain = bins_of(rows, cols, row_pitch)
     along = np.arange(cols // 2 + 1)[None, :]
@@ -138,57 +135,42 @@ def smear(window: NDArray[np.float32]) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class PooledSpectrum:
-    """Mean noise spectrum of the flats of one gain, and that of their darks.
+    """Mean noise spectrum of the flats of one gain, and that of their darks."""
 
-    Parameters
-    ----------
-    column_cy_per_px, row_cy_per_px
-        Mean frequency of each cell along rows and along columns, cycles per column pitch, shape (cell,).
-    power_dn2, dark_dn2
-        Power of the flats and the part of it that the dark has too, shape (cell,), DN^2; 0 without darks.
-    looks, looks_lagged
-        Independent modes behind the power if exposures are independent, and if they share light as `lag` says.
-    mode_column, mode_row, mode_cell
-        Frequency and cell of every mode, shape (mode,).
-    smear_column, smear_row
-        Standard deviation of what fading out the sides does to frequency, cycles per column pitch.
-    row_pitch, pitch_ratio
-        Distance of the rows of one exposure and of the frame, column pitches.
-    lag
-        Correlation of exposures 1, 2, ... apart; empty where none is seen.
-    lag_open, lag_tested
-        Whether it goes on beyond the last lag, and whether there were frames enough to look for it.
-    levels
-        What each flat alone says: label, power above its dark's (cell,), signal above its dark's (None: unknown).
-    quantisation_noise_dn2
-        Least and largest white power that the flats have over their darks without light: of the digitiser's steps, and
-        of noise that these hide in the dark; pooled, DN^2.
-    frames
-        Least frames of a flat.
-    shorter_px
-        Shorter side of the image, column pitches.
-    """
-
+    # column_cy_per_px, row_cy_per_px: mean frequency of each cell along rows and along columns, cycles per column
+    # pitch, shape (cell,)
     column_cy_per_px: Array
     row_cy_per_px: Array
+    # power_dn2, dark_dn2: power of the flats and the part of it that the dark has too, shape (cell,), DN^2; 0 without
+    # darks
     power_dn2: Array
     dark_dn2: Array
+    # looks, looks_lagged: independent modes behind the power if exposures are independent, and if they share light as
+    # `lag` says
     looks: Array
     looks_lagged: Array
+    # mode_column, mode_row, mode_cell: frequency and cell of every mode, shape (mode,)
     mode_column: Array
     mode_row: Array
     mode_cell: NDArray[np.int64]
+    # smear_column, smear_row: standard deviation of what fading out the sides does to frequency, cycles per column
+    # pitch
     smear_column: float
     smear_row: float
+    # row_pitch, pitch_ratio: distance of the rows of one exposure and of the frame, column pitches
     row_pitch: float
     pitch_ratio: float
-    lag: Array
+    lag: Array  # correlation of exposures 1, 2, ... apart; empty where none is seen.
+    # lag_open, lag_tested: whether it goes on beyond the last lag, and whether there were frames enough to look for it
     lag_open: bool
     lag_tested: bool
+    # what each flat alone says: label, power above its dark's (cell,), signal above its dark's (None: unknown)
     levels: tuple["FlatSpectrum", ...]
+    # least and largest white power that the flats have over their darks without light: of the digitiser's steps, and of
+    # noise that these hide in the dark; pooled, DN^2
     quantisation_noise_dn2: tuple[float, float]
-    frames: int
-    shorter_px: float
+    frames: int  # least frames of a flat
+    shorter_px: float  # shorter side of the image, column pitches
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -204,24 +186,13 @@ class FlatSpectrum:
 
 @dataclass(frozen=True, kw_only=True)
 class SelectedFlats:
-    """Which stacks the spectrum is made of, as labels: pairs of a flat and its dark, and what was left out.
+    """Which stacks the spectrum is made of, as labels: pairs of a flat and its dark, and what was left out."""
 
-    Parameters
-    ----------
-    pairs
-        Flat, its dark or None, and the signal between them, DN, None without a dark.
-    left_out
-        Flats at other gains, saturated ones and single frames.
-    clipped
-        Whether a chosen stack sits at an end of the codes.
-    flicker
-        Largest relative standard deviation of the frames' means in a flat.
-    """
-
+    # flat, its dark or None, and the signal between them, DN, None without a dark
     pairs: tuple[tuple[str, str | None, float | None], ...]
-    left_out: tuple[str, ...]
-    clipped: bool
-    flicker: float
+    left_out: tuple[str, ...]  # flats at other gains, saturated ones and single frames
+    clipped: bool  # whether a chosen stack sits at an end of the codes
+    flicker: float  # largest relative standard deviation of the frames' means in a flat
 
 
 def select_flats(session: Session, context: Context) -> SelectedFlats:
@@ -255,10 +226,7 @@ def select_flats(session: Session, context: Context) -> SelectedFlats:
 def spectrum_of(session: Session, chosen: SelectedFlats, context: Context) -> PooledSpectrum:
     """Measure the spectra of the chosen stacks and pool them, brighter flats with more weight.
 
-    Raises
-    ------
-    BadInput
-        If images are too small to hold enough modes.
+    Raises BadInput if images are too small to hold enough modes.
     """
     labels = dict.fromkeys(label for flat, dark, _ in chosen.pairs for label in (flat, dark) if label is not None)
     stacks = {label: session.stack(label).read() for label in labels}

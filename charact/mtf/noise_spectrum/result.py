@@ -22,7 +22,6 @@ from charact.mtf.noise_spectrum.thresholds import ACCURACY, THRESHOLDS
 from labdata.measurement import Curve, Measurement, Posterior, Result, make_refusal, measurement_from_draws
 
 Array = NDArray[np.float64]
-
 DRAWS = 1000
 DIRECTIONS = (("mtf_post_gain", False), ("mtf_post_gain_vertical", True))
 
@@ -55,16 +54,9 @@ class SpectrumDraws:
 def transfer_of(peak: SpectrumOptimum, draws: Array, frequency: Array, *, vertical: bool, pitch_ratio: float) -> Array:
     """Return |H| after the gain along one direction, pixel and video included, shape (draw, frequency).
 
-    Parameters
-    ----------
-    peak, draws
-        A form, and draws of its parameters, shape (draw, parameter).
-    frequency
-        Cycles per pixel: per column pitch along rows, per row pitch along columns.
-    vertical
-        Along columns.
-    pitch_ratio
-        Row pitch over column pitch.
+    `peak`, `draws`: a form, and draws of its parameters, shape (draw, parameter); `frequency`: cycles per pixel: per
+    column pitch along rows, per row pitch along columns; `vertical`: along columns; `pitch_ratio`: row pitch over
+    column pitch.
     """
     problem, none = peak.problem, np.zeros_like(frequency)
     shape = problem.blur_parameters(draws)
@@ -171,21 +163,11 @@ class UndetectedComponent:
 
 @dataclass(frozen=True, kw_only=True)
 class UndetectedScatter:
-    """Largest amount of scattered light that may stay undetected.
+    """Largest amount of scattered light that may stay undetected."""
 
-    Parameters
-    ----------
-    length_px
-        How far it is scattered, px.
-    share
-        Largest share of all light.
-    lower_percent
-        By how much MTF50 along rows would be lower if it were counted, percent.
-    """
-
-    length_px: float
-    share: float
-    lower_percent: float
+    length_px: float  # how far it is scattered, px
+    share: float  # largest share of all light
+    lower_percent: float  # by how much MTF50 along rows would be lower if it were counted, percent
 
 
 def note(peak: SpectrumOptimum) -> str:
@@ -201,8 +183,6 @@ def note(peak: SpectrumOptimum) -> str:
 def scatter_limits(peak: SpectrumOptimum) -> tuple[UndetectedScatter, UndetectedScatter]:
     """Return what would go unseen of light scattered over the shortest and the longest length that are looked at.
 
-    Notes
-    -----
     A share q of scattered light changes ln of the power by q d, of which the form takes up what its parameters can.
     What is left tells q with information I, so that q = sqrt(2 S / I) gains S in ln likelihood. MTF50 is wrong by the
     slope of the true one with q less that of the fitted one.

@@ -15,8 +15,6 @@ from charact.noise.events.filters import Filter, common_reach
 from charact.noise.thresholds import EVENT_ACCURACY
 
 Array = NDArray[np.float64]
-
-
 Images = NDArray[np.float32]
 
 
@@ -25,17 +23,9 @@ def observe(
 ) -> CharacteristicFunctionData:
     """Return ln of the characteristic functions of filtered frames, and their covariance from blocks.
 
-    Parameters
-    ----------
-    changes
-        Fluctuations for each parity, shape (exposure, row, col), DN.
-    usable
-        Usable values, same shapes.
-    filters
-        Filters.
+    `changes`: fluctuations for each parity, shape (exposure, row, col), DN; `usable`: usable values, same shapes;
+    `filters`: filters.
 
-    Notes
-    -----
     Filter weights sum to zero, and so does their output except for pulses at the border: its mean is subtracted, which
     rotates the functions by t times it.
     """
@@ -147,8 +137,6 @@ class _Blocks:
 def scatter(pulses: PulsePopulation, observed: CharacteristicFunctionData) -> Array:
     """Return the covariance of the data for given pulses, shape (2 filter t, 2 filter t).
 
-    Notes
-    -----
     The mean of exp(i t y) over N pixels, divided by its expectation, is 1 plus what each pulse of height h adds,
     c(h) = integral over positions of [exp(i t h a(x)) - 1], plus the noise. Pulses are Poisson distributed: their
     covariance is rate/N <c c'>. That of Gaussian noise of covariance C(D) is sum over D of exp(t t' C(D)) - 1. The sum

@@ -19,22 +19,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class PulseDecay:
-    """Phosphor decay of a pulse: two exponentials.
+    """Phosphor decay of a pulse: two exponentials."""
 
-    Parameters
-    ----------
-    share
-        Fraction of slow light, dimensionless.
-    slow_exposures, fast_exposures
-        Decay times of slow and fast light, exposures.
-    open_share
-        Fraction of the exposure period, from its start, in which pulses begin.
-    """
-
-    share: float = 0.0
+    share: float = 0.0  # fraction of slow light, dimensionless
+    # slow_exposures, fast_exposures: decay times of slow and fast light, exposures
     slow_exposures: float = 1.0
     fast_exposures: float = 0.0
-    open_share: float = 1.0
+    open_share: float = 1.0  # fraction of the exposure period, from its start, in which pulses begin
 
     @property
     def lasts(self) -> bool:
@@ -45,12 +36,7 @@ class PulseDecay:
     def by_exposure(self) -> tuple[Array, Array]:
         """Return the fractions of light in a pulse's own and later exposures, and quadrature weights.
 
-        Returns
-        -------
-        light
-            Shape (moment, exposure).
-        weight
-            Fraction of the pulses that begin then, shape (moment,).
+        Returns `light`: shape (moment, exposure); `weight`: fraction of the pulses that begin then, shape (moment,).
         """
         if not self.lasts:
             return np.ones((1, 1)), np.ones(1)
@@ -74,56 +60,32 @@ def _moments() -> tuple[Array, Array]:
 
 @dataclass(frozen=True, kw_only=True)
 class PulsePopulation:
-    """Pulses of a dark or dim frame.
+    """Pulses of a dark or dim frame."""
 
-    Parameters
-    ----------
-    density
-        Detected events per pixel and exposure.
-    height_dn
-        Mean pulse height, total light of a pulse, DN.
-    relative_variance
-        Relative variance of the pulse heights: Polya (gamma) distribution of inverse shape; 1 is exponential.
-    noise_dn2
-        Variance of the noise beneath the pulses, DN^2.
-    line_1, line_2
-        Fractions of a pixel's signal that the video filter moves to the next pixel of the row and the one after, for
-        noise and light alike.
-    column_px, row_px
-        Standard deviation of the Gaussian part of the spot along a row and a column, px.
-    wings
-        Strength of the other part, exp(-wings (f/f0)^exponent) with f0 of 0.1 cycles per column pitch.
-    exponent
-        Its exponent.
-    glow, glow_exposures, fast_exposures
-        As `share`, `slow_exposures` and `fast_exposures` of `PulseDecay`.
-    row_pitch
-        Row pitch of an exposure, column pitches.
-    open_share
-        As in `PulseDecay`.
-    """
-
-    density: float
-    height_dn: float
+    density: float  # detected events per pixel and exposure
+    height_dn: float  # mean pulse height, total light of a pulse, DN
+    # relative variance of the pulse heights: Polya (gamma) distribution of inverse shape; 1 is exponential
     relative_variance: float
-    noise_dn2: float
+    noise_dn2: float  # variance of the noise beneath the pulses, DN^2
+    # line_1, line_2: fractions of a pixel's signal that the video filter moves to the next pixel of the row and the one
+    # after, for noise and light alike
     line_1: float
     line_2: float
+    # column_px, row_px: standard deviation of the Gaussian part of the spot along a row and a column, px
     column_px: float
     row_px: float
-    wings: float
-    exponent: float
+    wings: float  # strength of the other part, exp(-wings (f/f0)^exponent) with f0 of 0.1 cycles per column pitch
+    exponent: float  # its exponent
+    # glow, glow_exposures, fast_exposures: as `share`, `slow_exposures` and `fast_exposures` of `PulseDecay`
     glow: float = 0.0
     glow_exposures: float = 1.0
     fast_exposures: float = 0.0
-    row_pitch: float = 1.0
-    open_share: float = 1.0
+    row_pitch: float = 1.0  # row pitch of an exposure, column pitches
+    open_share: float = 1.0  # as in `PulseDecay`
 
     def log_characteristic(self, one: Filter, frequency: Array) -> NDArray[np.complex128]:
         """Return ln E exp(i t y) of filtered pixels y at frequencies t, shape (t,), 1/DN.
 
-        Notes
-        -----
         rate * integral over positions of [E exp(i t h a(x)) - 1] - t^2 var / 2, with a(x) the filter output of a pulse
         of unit light at x and E exp(i s h) = (1 - i s G v)^(-1/v) of a gamma distribution of mean G and relative
         variance v (Campbell's theorem). The output includes the subtracted temporal mean.
@@ -200,27 +162,13 @@ def sum_by_phase(one: Filter, light: Array) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class CharacteristicFunctionData:
-    """What frames show.
+    """What frames show."""
 
-    Parameters
-    ----------
-    filters
-        Filters.
-    frequency
-        Frequencies of each, shape (filter, t), 1/DN.
-    value
-        ln of the characteristic functions, real parts, then imaginary ones, shape (2 filter t,).
-    covariance
-        Covariance of the values, from the scatter of blocks, shape (2 filter t, 2 filter t).
-    pixels
-        Number of pixels over all exposures.
-    """
-
-    filters: tuple[Filter, ...]
-    frequency: Array
-    value: Array
-    covariance: Array
-    pixels: float
+    filters: tuple[Filter, ...]  # filters
+    frequency: Array  # frequencies of each, shape (filter, t), 1/DN
+    value: Array  # ln of the characteristic functions, real parts, then imaginary ones, shape (2 filter t,)
+    covariance: Array  # covariance of the values, from the scatter of blocks, shape (2 filter t, 2 filter t)
+    pixels: float  # number of pixels over all exposures
 
     def model(self, pulses: PulsePopulation) -> Array:
         """Return the model of pulses, shape (2 filter t,)."""

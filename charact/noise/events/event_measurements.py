@@ -87,18 +87,10 @@ METHOD = "pulse-law"
 def pulses_of_darks(session: Session, darks: list[StackStatistics], *, context: Context) -> Result:
     """Measure single photoelectrons in the dark frames of an intensified camera.
 
-    Parameters
-    ----------
-    session, darks
-        The session, and the statistics of its dark stacks.
-    context
-        Sensor, seed, interlacing and full scale.
+    `session`, `darks`: the session, and the statistics of its dark stacks.
 
-    Returns
-    -------
-    Result
-        Measurements of the dark stack at the gain of most flats, or else of most frames; empty if neither a sensor nor
-        an MCP voltage indicates an intensifier.
+    Returns measurements of the dark stack at the gain of most flats, or else of most frames; empty if neither a sensor
+    nor an MCP voltage indicates an intensifier.
     """
     if context.sensor is None and not any(dark.conditions.mcp_v for dark in darks):
         return Result()

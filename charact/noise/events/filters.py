@@ -10,33 +10,20 @@ from numpy.typing import NDArray
 from charact.noise.thresholds import EVENT_ACCURACY
 
 Images = NDArray[np.float32]
-
-
 # Index of the filter matched to the spot.
 MIDDLE = 3
 
 
 @dataclass(frozen=True, kw_only=True)
 class Filter:
-    """Sum over a box of pixels less the mean on both sides, in one exposure or across several.
+    """Sum over a box of pixels less the mean on both sides, in one exposure or across several."""
 
-    Parameters
-    ----------
-    high, broad
-        Rows and columns of the box, odd.
-    times
-        Weights of successive exposures of one parity.
-    stride
-        Exposures between successive ones of one parity: 2 for fields.
-    exposures
-        Exposures of one parity in each pixel's subtracted mean.
-    """
-
+    # high, broad: rows and columns of the box, odd
     high: int
     broad: int
-    times: tuple[float, ...] = (1.0,)
-    stride: int = 1
-    exposures: int = 64
+    times: tuple[float, ...] = (1.0,)  # weights of successive exposures of one parity
+    stride: int = 1  # exposures between successive ones of one parity: 2 for fields
+    exposures: int = 64  # exposures of one parity in each pixel's subtracted mean
 
     @cached_property
     def columns(self) -> NDArray[np.float64]:
@@ -60,12 +47,8 @@ class Filter:
     def within(self, change: Images, reach: tuple[int, int]) -> Images:
         """Return the filtered images at all pixels with a margin of `reach` rows and columns.
 
-        Parameters
-        ----------
-        change
-            Images, shape (exposure, row, col).
-        reach
-            Margin in rows and columns, at least that of the filter; the output is smaller by twice as many.
+        `change`: images, shape (exposure, row, col); `reach`: margin in rows and columns, at least that of the filter;
+        the output is smaller by twice as many.
         """
         rows, cols = change.shape[1] - 2 * reach[0], change.shape[2] - 2 * reach[1]
         top, left = reach[0] - self.reach[0], reach[1] - self.reach[1]
@@ -110,14 +93,8 @@ def common_reach(filters: Sequence[Filter]) -> tuple[int, int]:
 def boxes(step: int, *, stride: int, exposures: int, lag: bool) -> tuple[Filter, ...]:
     """Return filters from one pixel to several times a spot of half width `step`.
 
-    Parameters
-    ----------
-    step
-        Half width of the matched filter, px.
-    stride, exposures
-        As in `Filter`.
-    lag
-        Whether to include filters across exposures.
+    `step`: half width of the matched filter, px; `stride`, `exposures`: as in `Filter`; `lag`: whether to include
+    filters across exposures.
     """
     near, wide = 2 * step + 1, 6 * step + 1
 
@@ -129,8 +106,6 @@ def boxes(step: int, *, stride: int, exposures: int, lag: bool) -> tuple[Filter,
 
 
 Array = NDArray[np.float64]
-
-
 # Reference frequency of the wings, cycles per pixel.
 REFERENCE_CY_PER_PX = 0.1
 

@@ -12,7 +12,6 @@ from charact.posterior import laplace
 from labdata.measurement import Posterior
 
 Array = NDArray[np.float64]
-
 UNITS = {"density": "1/px", "height_dn": "DN", "relative_variance": "1", "noise_dn2": "DN2", "line_1": "1",
          "line_2": "1", "column_px": "px", "row_px": "px", "wings": "1", "exponent": "1", "glow": "1",
          "glow_exposures": "exposures", "fast_exposures": "exposures"}  # fmt: skip
@@ -38,27 +37,15 @@ PRIORS: Priors = {"line_1": (0.0, 0.2), "line_2": (0.0, 0.1), "exponent": (1.3, 
 
 @dataclass(frozen=True, kw_only=True)
 class PulseOptimum:
-    """Optimum of the pulse likelihood.
+    """Optimum of the pulse likelihood."""
 
-    Parameters
-    ----------
-    pulses
-        Them.
-    point
-        Parameter vector, with logarithms of positive parameters, shape (parameter,).
-    predicted, derivative
-        Model and its derivative by the parameters, shapes (value,) and (value, parameter).
-    covariance
-        Covariance of the parameters, shape (parameter, parameter).
-    chi2, freedom
-        Squared residuals over their variance, and degrees of freedom.
-    """
-
-    pulses: PulsePopulation
-    point: Array
+    pulses: PulsePopulation  # them
+    point: Array  # parameter vector, with logarithms of positive parameters, shape (parameter,)
+    # predicted, derivative: model and its derivative by the parameters, shapes (value,) and (value, parameter)
     predicted: Array
     derivative: Array
-    covariance: Array
+    covariance: Array  # covariance of the parameters, shape (parameter, parameter)
+    # chi2, freedom: squared residuals over their variance, and degrees of freedom
     chi2: float
     freedom: int
 
@@ -72,24 +59,12 @@ class PulseOptimum:
 
 @dataclass(frozen=True, kw_only=True)
 class PulseLikelihood:
-    """Likelihood of pulse parameters.
+    """Likelihood of pulse parameters."""
 
-    Parameters
-    ----------
-    observed
-        The data.
-    names
-        Free parameters.
-    priors
-        Priors of some of them.
-    fixed
-        Values of the other parameters.
-    """
-
-    observed: CharacteristicFunctionData
-    names: tuple[str, ...]
-    priors: Priors
-    fixed: PulsePopulation
+    observed: CharacteristicFunctionData  # the data
+    names: tuple[str, ...]  # free parameters
+    priors: Priors  # priors of some of them
+    fixed: PulsePopulation  # values of the other parameters
 
     @cached_property
     def walls(self) -> Array:

@@ -17,30 +17,14 @@ Images = NDArray[np.float32]
 
 @dataclass(frozen=True, kw_only=True)
 class DarkFrames:
-    """Dark exposures without fixed pattern.
+    """Dark exposures without fixed pattern."""
 
-    Parameters
-    ----------
-    changes
-        Fluctuations of the exposures of each parity, shape (exposure, row, col), DN.
-    stride
-        Exposures between successive ones of one parity.
-    row_pitch
-        Row pitch of an exposure, column pitches.
-    defects
-        Fraction of blinking pixels, which are set to zero.
-    still
-        Fraction of values unchanged in the next exposure of the same parity.
-    full
-        Fraction of bright values at full scale.
-    """
-
-    changes: tuple[Images, ...]
-    stride: int
-    row_pitch: float
-    defects: float
-    still: float
-    full: float
+    changes: tuple[Images, ...]  # fluctuations of the exposures of each parity, shape (exposure, row, col), DN
+    stride: int  # exposures between successive ones of one parity
+    row_pitch: float  # row pitch of an exposure, column pitches
+    defects: float  # fraction of blinking pixels, which are set to zero
+    still: float  # fraction of values unchanged in the next exposure of the same parity
+    full: float  # fraction of bright values at full scale
 
     def filters(self, step: int, *, lag: bool) -> tuple[Filter, ...]:
         """Return filters for a spot of half width `step`, px."""
@@ -147,18 +131,10 @@ def has_pulses(frames: DarkFrames) -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class ImageLagCorrelation:
-    """Exposures with image lag.
+    """Exposures with image lag."""
 
-    Parameters
-    ----------
-    across
-        In the next field.
-    later
-        Two exposures later.
-    """
-
-    across: bool
-    later: bool
+    across: bool  # in the next field
+    later: bool  # two exposures later
 
 
 def image_lag_correlation(frames: DarkFrames) -> ImageLagCorrelation:
@@ -194,12 +170,8 @@ def usable_values(change: Images, one: Filter, limit_dn: float, after: int) -> t
 
     Starting with the brightest value, each pulse claims its surroundings.
 
-    Parameters
-    ----------
-    one
-        Filter whose output is compared with the limit, DN.
-    after
-        Exposures after such a pulse that are excluded too.
+    `one`: filter whose output is compared with the limit, DN; `after`: exposures after such a pulse that are excluded
+    too.
     """
     value = one.within(change, one.reach)
     usable, heights = np.ones(change.shape, bool), []

@@ -27,41 +27,23 @@ from charact.noise.thresholds import EVENTS
 from labdata.measurement import Posterior
 
 Array = NDArray[np.float64]
-
 # Half width of the matched filter, px, below each spot width.
 STEPS = ((1.0, 1), (1.8, 2), (np.inf, 3))
 
 
 @dataclass(frozen=True, kw_only=True)
 class PulseFit:
-    """Pulse-height fit of dark frames.
+    """Pulse-height fit of dark frames."""
 
-    Parameters
-    ----------
-    peak, posterior
-        Optimum and draws.
-    observed
-        Data of the fit.
-    usable
-        Values far from ion feedback, for each parity, shape (exposure, row, col).
-    frames
-        Exposures, centred on the mean of those values.
-    signal_to_noise
-        Output of the matched filter for a mean pulse in its own exposure, over its noise.
-    ion_height_dn
-        Heights of the ion feedback events, total light, shape (event,), DN.
-    gain_of_pulses
-        Decrease of chi2 by pulses in addition to noise.
-    """
-
+    # peak, posterior: optimum and draws
     peak: PulseOptimum
     posterior: Posterior
-    observed: CharacteristicFunctionData
-    usable: list[NDArray[np.bool_]]
-    frames: DarkFrames
-    signal_to_noise: float
-    ion_height_dn: Array
-    gain_of_pulses: float
+    observed: CharacteristicFunctionData  # data of the fit
+    usable: list[NDArray[np.bool_]]  # values far from ion feedback, for each parity, shape (exposure, row, col)
+    frames: DarkFrames  # exposures, centred on the mean of those values
+    signal_to_noise: float  # output of the matched filter for a mean pulse in its own exposure, over its noise
+    ion_height_dn: Array  # heights of the ion feedback events, total light, shape (event,), DN
+    gain_of_pulses: float  # decrease of chi2 by pulses in addition to noise
 
     @property
     def fraction_contaminated(self) -> float:
@@ -108,14 +90,8 @@ def fit_pulses(look: DarkFrames, frames: DarkFrames, context: Context, *, period
                open_share: float = 1.0) -> PulseFit | str:  # fmt: skip
     """Fit the pulses of dark frames, or return the reason for refusal.
 
-    Parameters
-    ----------
-    look, frames
-        A part of the exposures for the start of the fit, and all used exposures.
-    period_s
-        Exposure period, s; None: unknown.
-    open_share
-        Fraction of the period, from its start, in which photoelectrons arrive.
+    `look`, `frames`: a part of the exposures for the start of the fit, and all used exposures; `period_s`: exposure
+    period, s; None: unknown; `open_share`: fraction of the period, from its start, in which photoelectrons arrive.
     """
     seen, fast = image_lag_correlation(frames), fast_prior(context, period_s, frames.stride)
     known = context.sensor is not None and period_s is not None

@@ -22,21 +22,11 @@ from labdata.solid_state import excess_noise_factor
 
 @dataclass(frozen=True, kw_only=True)
 class Excess:
-    """Excess noise factor of a register.
+    """Excess noise factor of a register."""
 
-    Parameters
-    ----------
-    factor
-        F^2; 1 without a register.
-    relative_sd
-        Relative standard deviation of F^2.
-    note
-        Source of the value; None without a register.
-    """
-
-    factor: float = 1.0
-    relative_sd: float = 0.0
-    note: str | None = None
+    factor: float = 1.0  # F^2; 1 without a register
+    relative_sd: float = 0.0  # relative standard deviation of F^2
+    note: str | None = None  # source of the value; None without a register
 
     def divide(self, slope: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
         """Return draws of the gain per electron: slope over F^2."""
@@ -73,38 +63,20 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class GainLine:
-    """A straight line through the origin with its posterior.
+    """A straight line through the origin with its posterior."""
 
-    Parameters
-    ----------
-    posterior
-        Draws of the slope and of the model departure beyond the noise.
-    slope
-        Draws of the slope, shape (draw,).
-    residual
-        Residual of each stack, shape (stack,).
-    """
-
-    posterior: Posterior
-    slope: Array
-    residual: Array
+    posterior: Posterior  # draws of the slope and of the model departure beyond the noise
+    slope: Array  # draws of the slope, shape (draw,)
+    residual: Array  # residual of each stack, shape (stack,)
 
 
 def line(x: Array, y: Array, sd: Array, *, names: tuple[str, str], units: tuple[str, str], seed: int,
          quick: bool, shared_sd: float = 0.0) -> GainLine:  # fmt: skip
     """Fit y = a x with an unknown model departure of equal standard deviation at all levels.
 
-    Parameters
-    ----------
-    x, y, sd
-        Levels and standard errors of y, shape (level,).
-    names, units
-        Names and units of slope and departure.
-    shared_sd
-        Standard error of an offset common to all y.
+    `x`, `y`, `sd`: levels and standard errors of y, shape (level,); `names`, `units`: names and units of slope and
+    departure; `shared_sd`: standard error of an offset common to all y.
 
-    Notes
-    -----
     No camera is exactly linear. If the departure exceeds the noise, the result is the unweighted fit of the standard
     with an interval from the residuals, else the weighted fit. The prior of the departure is uniform in its logarithm
     from 1e-5 to 1 of the largest y.

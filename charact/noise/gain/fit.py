@@ -17,8 +17,6 @@ from charact.posterior.importance import ENOUGH, FIRST_DRAWS
 from labdata.measurement import Posterior
 
 Array = NDArray[np.float64]
-
-
 # Start values of tail and spread fraction.
 BEGIN = (GAIN_PRIORS.tail[0], 0.2)
 
@@ -90,30 +88,17 @@ def _inverse_root(covariance: Array) -> Array:
 
 
 DERIVED = ("covariance_gain", "blur_factor", "lag_factor")
-
-
 DERIVED_UNITS = ("DN", "1", "1")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fit:
-    """Posterior of the noise model and its fit.
+    """Posterior of the noise model and its fit."""
 
-    Parameters
-    ----------
-    posterior
-        Draws of `NAMES`.
-    used
-        Bins fitted, shape (bin,).
-    model_dn
-        Power of the best model in every bin, shape (bin,), DN.
-    chi2, freedom, chance
-        Squared residuals over their variance, degrees of freedom, and p-value.
-    """
-
-    posterior: Posterior
-    used: NDArray[np.bool_]
-    model_dn: Array
+    posterior: Posterior  # draws of `NAMES`
+    used: NDArray[np.bool_]  # bins fitted, shape (bin,)
+    model_dn: Array  # power of the best model in every bin, shape (bin,), DN
+    # chi2, freedom, chance: squared residuals over their variance, degrees of freedom, and p-value
     chi2: float
     freedom: int
     chance: float
@@ -121,23 +106,16 @@ class Fit:
 
 @dataclass(frozen=True, kw_only=True)
 class GainSpectrumOptimum:
-    """Optimum of a blur model.
+    """Optimum of a blur model."""
 
-    Parameters
-    ----------
-    form, point, covariance, log_probability
-        The blur model, its free parameters at the optimum, their covariance, and ln of the posterior density.
-    log_evidence
-        Laplace approximation of the evidence, up to a constant common to all models.
-    chi2, freedom, chance
-        Squared residuals over their variance, degrees of freedom, and p-value.
-    """
-
+    # form, point, covariance, log_probability: the blur model, its free parameters at the optimum, their covariance,
+    # and ln of the posterior density
     form: GainBlurModel
     point: Array
     covariance: Array
     log_probability: Callable[[Array], Array]
-    log_evidence: float
+    log_evidence: float  # laplace approximation of the evidence, up to a constant common to all models
+    # chi2, freedom, chance: squared residuals over their variance, degrees of freedom, and p-value
     chi2: float
     freedom: int
     chance: float
@@ -198,14 +176,7 @@ def _log_probability(data: SpectrumData, form: GainBlurModel) -> Callable[[Array
 def fit_spectrum(summary: PooledNoise, *, seed: int, quick: bool, forms: tuple[GainBlurModel, ...]) -> Fit:
     """Fit the blur models to the pooled spectrum, variance and temporal correlation.
 
-    Parameters
-    ----------
-    summary
-        The statistics.
-    seed, quick
-        Seed of the draws; whether to use the Laplace approximation.
-    forms
-        Candidate blur models, averaged by evidence; see `charact.noise.gain.model`.
+    `summary`: the statistics; `forms`: candidate blur models, averaged by evidence; see `charact.noise.gain.model`.
     """
     radius = np.hypot(summary.column_cy_per_px, summary.row_cy_per_px)
     for reach in GAIN.band_limits_cy_per_px:

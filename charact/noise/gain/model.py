@@ -21,21 +21,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class PixelReadoutModel:
-    """Aperture and lattice of pixels, and the video filter.
+    """Aperture and lattice of pixels, and the video filter."""
 
-    Parameters
-    ----------
-    row_pitch
-        Row pitch of one exposure, and pixel height of a described camera, column pitches.
-    described
-        Whether the camera is described; otherwise readout counts as blur.
-    video
-        Video filter; None for none.
-    """
-
-    row_pitch: float = 1.0
-    described: bool = False
-    video: VideoFilter | None = None
+    row_pitch: float = 1.0  # row pitch of one exposure, and pixel height of a described camera, column pitches
+    described: bool = False  # whether the camera is described; otherwise readout counts as blur
+    video: VideoFilter | None = None  # video filter; None for none
 
     @classmethod
     def of(cls, row_pitch: float, sensor: Sensor | None) -> "PixelReadoutModel":
@@ -57,15 +47,9 @@ class PixelReadoutModel:
     def pixel_power(self, ln_power: Callable[[Array, Array], Array], column: Array, row: Array) -> Array:
         """Return |H|^2 including pixel readout.
 
-        Parameters
-        ----------
-        ln_power
-            ln |H|^2 before the pixels, of frequencies along rows and columns, cycles per column pitch.
-        column, row
-            Frequencies, shape (bin,).
+        `ln_power`: ln |H|^2 before the pixels, of frequencies along rows and columns, cycles per column pitch;
+        `column`, `row`: frequencies, shape (bin,).
 
-        Notes
-        -----
         Pixels sample light filtered by their aperture, sinc^2, so power beyond half a cycle per pixel is aliased: the
         nearest order, and the rest as the second order. Light without blur stays white. The gain of an aliased order
         over the baseband is limited to 2.
@@ -95,8 +79,6 @@ def _orders(frequency: Array, pitch: float) -> list[tuple[Array, Array]]:
 
 
 NAMES = ("power", "fall_columns", "fall_rows", "strength", "exponent", "electron_share", "tail", "spread_share")
-
-
 UNITS = ("DN", "1", "1", "1", "1", "1", "1", "1")
 
 
@@ -146,25 +128,14 @@ NONE = dict.fromkeys(NAMES, 0.0) | {"exponent": 2.0, "spread_share": 1.0}
 
 @dataclass(frozen=True, kw_only=True)
 class GainBlurModel:
-    """A blur model: free parameters of the noise model and their priors.
+    """A blur model: free parameters of the noise model and their priors."""
 
-    Parameters
-    ----------
-    priors
-        Bounds of every free parameter with mean and standard deviation of its normal prior; None: flat. With `split`,
-        falls are those of the Gaussian part alone.
-    strength
-        Value if not free.
-    odds
-        Prior weight of the model.
-    split
-        Whether the falls exclude `strength`.
-    """
-
+    # bounds of every free parameter with mean and standard deviation of its normal prior; None: flat. With `split`,
+    # falls are those of the Gaussian part alone.
     priors: dict[str, tuple[tuple[float, float], tuple[float, float] | None]]
-    strength: float = 0.0
-    odds: float = 1.0
-    split: bool = False
+    strength: float = 0.0  # value if not free
+    odds: float = 1.0  # prior weight of the model
+    split: bool = False  # whether the falls exclude `strength`
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -214,14 +185,8 @@ class GainBlurModel:
 def blur_models(exponent: tuple[float, float] | None, *, blurred: bool, floor: bool) -> tuple[GainBlurModel, ...]:
     """Return the candidate blur models.
 
-    Parameters
-    ----------
-    exponent
-        Mean and standard deviation of the exponent of a described tube; None: not described.
-    blurred
-        Whether noise of neighbours is correlated.
-    floor
-        Whether a white floor can be measured.
+    `exponent`: mean and standard deviation of the exponent of a described tube; None: not described; `blurred`: whether
+    noise of neighbours is correlated; `floor`: whether a white floor can be measured.
     """
     power = ((0.0, np.inf), None)
     share = (GAIN_PRIORS.electron_bounds, GAIN_PRIORS.electron_fraction if floor else GAIN_PRIORS.few_electrons)

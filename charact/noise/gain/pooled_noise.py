@@ -17,8 +17,6 @@ from charact.noise.thresholds import GAIN
 from labdata.sensor import Sensor
 
 Array = NDArray[np.float64]
-
-
 # Fraction of the light left one exposure later, uniform prior.
 KEPT = np.linspace(0.02, 0.9, 45)
 
@@ -28,19 +26,10 @@ def lag_sum_correction(
 ) -> tuple[float, Array]:
     """Return the missing part of the correlation sum over all lags, and its derivative by the correlations.
 
-    Parameters
-    ----------
-    flats
-        The pooled levels.
-    share
-        Weight of each flat in the pooled covariances, sum 1, shape (flat,).
-    lags
-        Common lags from 0, exposures, shape (lag + 1,).
-    correlation, covariance
-        Correlation at the lags from 1, shape (lag,), and the covariance of its errors.
+    `flats`: the pooled levels; `share`: weight of each flat in the pooled covariances, sum 1, shape (flat,); `lags`:
+    common lags from 0, exposures, shape (lag + 1,); `correlation`, `covariance`: correlation at the lags from 1, shape
+    (lag,), and the covariance of its errors.
 
-    Notes
-    -----
     Beyond the first lag the correlation is b r^(lag - 2), r the fraction of the light left one exposure later; centring
     lowers it at each lag, see `truncation_bias`. The result is the mean over uniform b and r, and over no decay with
     equal total weight, weighted by the likelihood exp(-chi^2/2). Its derivative by the correlations is the posterior
@@ -91,88 +80,49 @@ def _truncation_biases(flats: Sequence[StackStatistics], share: Array, lags: NDA
 
 @dataclass(frozen=True, kw_only=True)
 class ImageLag:
-    """Image lag: correlation of exposures in time.
+    """Image lag: correlation of exposures in time."""
 
-    Parameters
-    ----------
-    lag
-        Lags, exposures, shape (lag,), from 1.
-    correlation, correlation_sd
-        Correlation of the modes at the lags and standard errors, shape (lag,).
-    is_detected
-        Whether image lag is detected.
-    factor, factor_sd
-        Sum of the correlation over all lags, positive and negative, and its standard error: 1 without lag.
-    freedom
-        Degrees of freedom of the standard error.
-    tested
-        Whether there were enough frames for the test.
-    open
-        Whether image lag extends beyond the last lag, so that its sum is too small.
-    """
-
-    lag: NDArray[np.int64]
+    lag: NDArray[np.int64]  # lags, exposures, shape (lag,), from 1
+    # correlation, correlation_sd: correlation of the modes at the lags and standard errors, shape (lag,)
     correlation: Array
     correlation_sd: Array
-    is_detected: bool
+    is_detected: bool  # whether image lag is detected
+    # factor, factor_sd: sum of the correlation over all lags, positive and negative, and its standard error: 1 without
+    # lag
     factor: float
     factor_sd: float
-    freedom: float
-    tested: bool
-    open: bool
+    freedom: float  # degrees of freedom of the standard error
+    tested: bool  # whether there were enough frames for the test
+    open: bool  # whether image lag extends beyond the last lag, so that its sum is too small
 
 
 @dataclass(frozen=True, kw_only=True)
 class PooledNoise:
-    """Noise per DN of signal.
+    """Noise per DN of signal."""
 
-    Parameters
-    ----------
-    column_cy_per_px, row_cy_per_px
-        Frequencies of the bins, cycles per column pitch, shape (bin,).
-    reading
-        Pixel readout.
-    leak_cy2_per_px2
-        Variance of the frequencies mixed into one mode, along rows and along columns.
-    modes
-        Independent modes of each bin over all exposures, shape (bin,).
-    power_dn, power_sd_dn
-        Noise power over signal, both above the dark's, shape (bin,), DN.
-    variance_dn, variance_sd_dn
-        Variance of a pixel over signal, DN.
-    height_sd
-        Common relative standard error of all bins by the pulse-height distribution.
-    lag
-        Temporal correlation.
-    beyond
-        Integrals beyond the band; None if no white floor is possible.
-    """
-
+    # column_cy_per_px, row_cy_per_px: frequencies of the bins, cycles per column pitch, shape (bin,)
     column_cy_per_px: Array
     row_cy_per_px: Array
-    reading: PixelReadoutModel
+    reading: PixelReadoutModel  # pixel readout
+    # variance of the frequencies mixed into one mode, along rows and along columns
     leak_cy2_per_px2: tuple[float, float]
-    modes: Array
+    modes: Array  # independent modes of each bin over all exposures, shape (bin,)
+    # power_dn, power_sd_dn: noise power over signal, both above the dark's, shape (bin,), DN
     power_dn: Array
     power_sd_dn: Array
+    # variance_dn, variance_sd_dn: variance of a pixel over signal, DN
     variance_dn: float
     variance_sd_dn: float
-    height_sd: float
-    lag: ImageLag
-    beyond: Beyond | None = None
+    height_sd: float  # common relative standard error of all bins by the pulse-height distribution
+    lag: ImageLag  # temporal correlation
+    beyond: Beyond | None = None  # integrals beyond the band; None if no white floor is possible
 
 
 def pool_noise(series: FlatSeries, sensor: Sensor | None, *, floor: bool = False) -> PooledNoise:
     """Pool the fitted flats of a series, weighted by their information.
 
-    Parameters
-    ----------
-    series
-        The flats of one setting with their darks.
-    sensor
-        Sensor description for the readout model; None if unknown.
-    floor
-        Whether a white floor is possible; includes the integrals beyond the band.
+    `series`: the flats of one setting with their darks; `sensor`: sensor description for the readout model; None if
+    unknown; `floor`: whether a white floor is possible; includes the integrals beyond the band.
     """
     chosen, weight = pooling(series)
     pairs = [(series.flats[i], series.darks[i]) for i in chosen]

@@ -14,53 +14,29 @@ from labdata.errors import BadInput
 from labdata.session import Session
 
 Array = NDArray[np.float64]
-
-
 # Fraction of values at full scale above which clipping lowers the variance.
 CLIPPED_SHARE = 1e-4
-
-
 # Conditions that set the gain.
 GAINS = ("mcp_v", "gain_control", "em_gain", "camera_gain_db")
 
 
 @dataclass(frozen=True, kw_only=True)
 class FlatSeries:
-    """Flats of one gain in order of rising level, each with its dark.
+    """Flats of one gain in order of rising level, each with its dark."""
 
-    Parameters
-    ----------
-    flats
-        Statistics of the flats.
-    darks
-        The dark of each flat.
-    all_darks
-        Every dark of the session.
-    signal_dn, variance_dn2, variance_sd_dn2
-        Mean and variance above the dark's, and standard error of the variance, shape (flat,), DN and DN^2.
-    fitted
-        Whether each flat is in the range of the gain fit, shape (flat,).
-    peak
-        Index of the flat of peak variance; None if the variance still rises.
-    reference
-        "dark" or "lowest flat": reference of the signal.
-    left_out
-        Flats at another gain, excluded.
-    single
-        Stacks of a single frame, excluded.
-    """
-
-    flats: tuple[StackStatistics, ...]
-    darks: tuple[StackStatistics, ...]
-    all_darks: tuple[StackStatistics, ...]
+    flats: tuple[StackStatistics, ...]  # statistics of the flats
+    darks: tuple[StackStatistics, ...]  # the dark of each flat
+    all_darks: tuple[StackStatistics, ...]  # every dark of the session
+    # signal_dn, variance_dn2, variance_sd_dn2: mean and variance above the dark's, and standard error of the variance,
+    # shape (flat,), DN and DN^2
     signal_dn: Array
     variance_dn2: Array
     variance_sd_dn2: Array
-    fitted: NDArray[np.bool_]
-    peak: int | None
-    reference: str
-    left_out: tuple[str, ...] = ()
-    single: tuple[str, ...] = ()
+    fitted: NDArray[np.bool_]  # whether each flat is in the range of the gain fit, shape (flat,)
+    peak: int | None  # index of the flat of peak variance; None if the variance still rises
+    reference: str  # "dark" or "lowest flat": reference of the signal
+    left_out: tuple[str, ...] = ()  # flats at another gain, excluded
+    single: tuple[str, ...] = ()  # stacks of a single frame, excluded
 
 
 def without_noise(single: Sequence[str]) -> str:
@@ -73,15 +49,9 @@ def read_levels(
 ) -> tuple[list[StackStatistics], list[StackStatistics], list[str]]:
     """Read the statistics of every dark and flat of a session.
 
-    Returns
-    -------
-    darks, flats, single
-        Statistics, and the labels of stacks with a single frame.
+    Returns statistics, and the labels of stacks with a single frame.
 
-    Raises
-    ------
-    BadInput
-        If the images differ in size.
+    Raises BadInput if the images differ in size.
     """
     darks, flats, single = [], [], []
     entries = session.of_kind("dark", "flat")

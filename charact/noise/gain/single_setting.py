@@ -27,27 +27,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class SingleSetting:
-    """Noise of the flats of one setting.
+    """Noise of the flats of one setting."""
 
-    Parameters
-    ----------
-    series
-        The flats with their darks.
-    summary
-        Their noise per DN of signal.
-    fit
-        Fitted blur and covariance gain; its posterior includes image lag that few frames cannot exclude.
-    levels_dn, levels_sd_dn
-        Covariance over signal of every flat with the common blur, and its standard error, shape (flat,), DN.
-    neighbours, exposures
-        Correlation between neighbouring pixels and between successive exposures.
-    """
-
-    series: FlatSeries
-    summary: PooledNoise
-    fit: Fit
+    series: FlatSeries  # the flats with their darks
+    summary: PooledNoise  # their noise per DN of signal
+    fit: Fit  # fitted blur and covariance gain; its posterior includes image lag that few frames cannot exclude
+    # levels_dn, levels_sd_dn: covariance over signal of every flat with the common blur, and its standard error, shape
+    # (flat,), DN
     levels_dn: Array
     levels_sd_dn: Array
+    # neighbours, exposures: correlation between neighbouring pixels and between successive exposures
     neighbours: UndetectedEffect
     exposures: UndetectedEffect
 
@@ -92,14 +81,7 @@ class SingleSetting:
 def fit_single_setting(series: FlatSeries, *, context: Context, quick: bool) -> SingleSetting:
     """Fit blur and covariance gain to a flat series.
 
-    Parameters
-    ----------
-    series
-        The flats of one setting.
-    context
-        Seed, and sensor for the blur prior.
-    quick
-        Whether to omit the Markov chain.
+    `series`: the flats of one setting.
     """
     neighbours = spatially_correlated_fraction(series)
     summary = pool_noise(series, context.sensor, floor=neighbours.is_detected and not has_analogue_chain(context))
@@ -119,8 +101,6 @@ def fit_single_setting(series: FlatSeries, *, context: Context, quick: bool) -> 
 def quantisation_fraction(series: FlatSeries, summary: PooledNoise) -> float:
     """Return the possible fraction of quantisation noise in the pooled variance; 0 if negligible.
 
-    Notes
-    -----
     Rounding adds 1/12 DN^2 to noise of half a step or more, and another amount to a quieter dark, which biases the
     difference; the relative bias is largest in the dimmest flats.
     """

@@ -24,31 +24,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Beyond:
-    """Integrals beyond the band of noise power over signal.
+    """Integrals beyond the band of noise power over signal."""
 
-    Parameters
-    ----------
-    value_dn
-        Integrals with 1, cos(2 pi x) and cos(2 pi y), shape (3,), DN.
-    inside_dn
-        Integrals inside the band, already subtracted, shape (3,), DN.
-    noise
-        Factors of 1, P and P^2 in the variance density of the power P, DN^2, DN and 1.
-    column_cy_per_px, row_cy_per_px
-        Frequencies beyond the band, cycles per column pitch, shape (point,).
-    cosines
-        Weights of their power in the integrals, shape (3, point).
-    share
-        Fraction of all modes per point, shape (point,).
-    """
-
-    value_dn: Array
-    inside_dn: Array
-    noise: tuple[float, float, float]
+    value_dn: Array  # integrals with 1, cos(2 pi x) and cos(2 pi y), shape (3,), DN
+    inside_dn: Array  # integrals inside the band, already subtracted, shape (3,), DN
+    noise: tuple[float, float, float]  # factors of 1, P and P^2 in the variance density of the power P, DN^2, DN and 1
+    # column_cy_per_px, row_cy_per_px: frequencies beyond the band, cycles per column pitch, shape (point,)
     column_cy_per_px: Array
     row_cy_per_px: Array
-    cosines: Array
-    share: Array
+    cosines: Array  # weights of their power in the integrals, shape (3, point)
+    share: Array  # fraction of all modes per point, shape (point,)
 
     def covariance(self, power: Array) -> Array:
         """Return the covariance of the integrals under a power (point,), DN, shape (3, 3), DN^2.
@@ -71,18 +56,9 @@ def beyond_of(
 ) -> Beyond:
     """Return the integrals beyond the band from variance and neighbour covariances.
 
-    Parameters
-    ----------
-    flats, darks
-        Pooled levels, each with its dark.
-    weight
-        Weight of each flat above its dark, shape (flat,), 1/DN; weights times signals sum to 1.
-    signal
-        Signal of each, DN.
-    known
-        Independent exposures of each flat.
-    name
-        "few" or "many": the spectra with few or many temporal lags.
+    `flats`, `darks`: pooled levels, each with its dark; `weight`: weight of each flat above its dark, shape (flat,),
+    1/DN; weights times signals sum to 1; `signal`: signal of each, DN; `known`: independent exposures of each flat;
+    `name`: "few" or "many": the spectra with few or many temporal lags.
     """
     bins = flats[0].bins
     shares = shares_of(bins).modes
@@ -138,44 +114,24 @@ def integrals(beyond: Beyond, power: Callable[[Array, Array], Array]) -> Array:
 
 
 HIDDEN = "no white-noise floor detected beneath the scintillation noise; take flats at low tube gain to measure K"
-
-
 FILTERED = "electronics smooth the noise, so that no floor is white; K needs a readout without a low-pass filter"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Floor:
-    """Estimate of K.
+    """Estimate of K."""
 
-    Parameters
-    ----------
-    draws
-        Draws of K, shape (draw,), DN per electron.
-    is_detected
-        Whether the white floor is detected.
-    source
-        Source of the draws, in words.
-    refusal_reason
-        Why the floor is not detected.
-    """
-
-    draws: Array
-    is_detected: bool
-    source: str
-    refusal_reason: str = ""
+    draws: Array  # draws of K, shape (draw,), DN per electron
+    is_detected: bool  # whether the white floor is detected
+    source: str  # source of the draws, in words
+    refusal_reason: str = ""  # why the floor is not detected
 
 
 def floor_of(series: FlatSeries, posterior: Posterior, *, context: Context) -> Floor:
     """Return K from the detected floor, else from the sensor, else the range allowed by the spectrum.
 
-    Parameters
-    ----------
-    series
-        The flats of one setting.
-    posterior
-        Draws of covariance gain, blur and electron fraction, see `charact.noise.gain.model`.
-    context
-        Sensor, seed and interlacing.
+    `series`: the flats of one setting; `posterior`: draws of covariance gain, blur and electron fraction, see
+    `charact.noise.gain.model`.
     """
     rng = np.random.default_rng([context.seed, 31])
     white = not has_electronic_smoothing(series, context)

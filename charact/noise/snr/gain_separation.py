@@ -29,29 +29,17 @@ from labdata.measurement import Measurement, Posterior, Result, make_refusal, me
 from labdata.session import Session
 
 Array = NDArray[np.float64]
-
-
 ILLUMINANCE_LUX = 108e-6
-
-
 SPOT_MM = 0.2
-
-
 BANDWIDTH_HZ = 10.0
-
-
 SPOT_M2 = np.pi / 4.0 * (SPOT_MM * 1e-3) ** 2
 
 
 def snr_from_specification(sensitivity_ua_per_lm: ArrayLike, excess_noise_factor: ArrayLike) -> Array:
     """Return the signal-to-noise ratio of a specified tube.
 
-    Parameters
-    ----------
-    sensitivity_ua_per_lm
-        Luminous sensitivity S of the photocathode at 2856 K, uA/lm.
-    excess_noise_factor
-        F^2 including undetected photoelectrons; the square of the noise factor NF.
+    `sensitivity_ua_per_lm`: luminous sensitivity S of the photocathode at 2856 K, uA/lm; `excess_noise_factor`: F^2
+    including undetected photoelectrons; the square of the noise factor NF.
     """
     photoelectrons = np.asarray(sensitivity_ua_per_lm) * 1e-6 / ELECTRON_C
     return _snr(photoelectrons / np.asarray(excess_noise_factor))
@@ -60,14 +48,9 @@ def snr_from_specification(sensitivity_ua_per_lm: ArrayLike, excess_noise_factor
 def snr_from_measurement(response_dn_per_lux_s: ArrayLike, pulse_gain_dn: ArrayLike, pixel_area_m2: ArrayLike) -> Array:
     """Return the signal-to-noise ratio of a measured tube and camera.
 
-    Parameters
-    ----------
-    response_dn_per_lux_s
-        Signal of a pixel per lux and second at the photocathode, DN.
-    pulse_gain_dn
-        k F^2: covariance sum of the scintillation noise over the signal, DN.
-    pixel_area_m2
-        Area of a pixel at the photocathode, m2.
+    `response_dn_per_lux_s`: signal of a pixel per lux and second at the photocathode, DN; `pulse_gain_dn`: k F^2:
+    covariance sum of the scintillation noise over the signal, DN; `pixel_area_m2`: area of a pixel at the photocathode,
+    m2.
     """
     return _snr(np.asarray(response_dn_per_lux_s) / (np.asarray(pulse_gain_dn) * np.asarray(pixel_area_m2)))
 
@@ -78,45 +61,25 @@ def _snr(effective_per_lux_s_m2: Array) -> Array:
 
 
 APART = "a known light (illuminance_lux with gate or exposure, or photons_per_px at a wavelength_nm, and the sensor)"
-
-
 PULSES = "the heights of single photoelectrons in dark frames"
 
 
 @dataclass(frozen=True, kw_only=True)
 class ResponsivityEstimate:
-    """Responsivity and photoelectron gain from a known light.
+    """Responsivity and photoelectron gain from a known light."""
 
-    Parameters
-    ----------
-    gain
-        Draws of k, DN per photoelectron; None if the photocathode is unknown.
-    per_lux_s
-        Draws of the signal per lux and second, DN; None without illuminance and time.
-    note
-        Note on the uncertainty of the light.
-    refusal_reason
-        Reason for the absence of k.
-    """
-
-    gain: Array | None = None
-    per_lux_s: Array | None = None
-    note: str = ""
-    refusal_reason: str = ""
+    gain: Array | None = None  # draws of k, DN per photoelectron; None if the photocathode is unknown
+    per_lux_s: Array | None = None  # draws of the signal per lux and second, DN; None without illuminance and time
+    note: str = ""  # note on the uncertainty of the light
+    refusal_reason: str = ""  # reason for the absence of k
 
 
 def separate_gains(series: FlatSeries, posterior: Posterior, *, context: Context, flags: tuple[str, ...],
               covariance_flags: tuple[str, ...], **fields: Any) -> list[Measurement]:  # fmt: skip
     """Return K, k F^2, k, F^2 and the tube's signal-to-noise ratio, measured or refused.
 
-    Parameters
-    ----------
-    series, posterior
-        The flats of one gain, and draws of covariance gain and blur.
-    context
-        Sensor and seed.
-    flags, covariance_flags
-        Flags of the signal, and of the covariance gain.
+    `series`, `posterior`: the flats of one gain, and draws of covariance gain and blur; `flags`, `covariance_flags`:
+    flags of the signal, and of the covariance gain.
     """
     floor = floor_of(series, posterior, context=context)
     response = response_of(series, len(posterior.draws), context)
@@ -261,15 +224,8 @@ def _tube(response: ResponsivityEstimate, pulses: Array | None, context: Context
 def add_event_gains(result: Result, session: Session, *, context: Context) -> Result:
     """Return the result with k and F^2 from flats, light and pulses, if pulses were measured at the same gain.
 
-    Parameters
-    ----------
-    result
-        `pulse_gain` of the flats and `detected_photoelectron_gain` of a dark stack, with their posteriors; without
-        either it is returned unchanged.
-    session
-        The session, with the gain of the dark stack.
-    context
-        The sensor, and the seed.
+    `result`: `pulse_gain` of the flats and `detected_photoelectron_gain` of a dark stack, with their posteriors;
+    without either it is returned unchanged; `session`: the session, with the gain of the dark stack.
     """
     flats = [one for one in result.find("pulse_gain") if one.posterior is not None]
     darks = [one for one in result.find("detected_photoelectron_gain") if one.posterior is not None]

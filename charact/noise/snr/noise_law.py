@@ -21,42 +21,26 @@ from charact.noise.thresholds import SNR
 from labdata.measurement import Posterior
 
 Array = NDArray[np.float64]
-
-
 NAMES = ("read_variance", "shot_gain", "bend", "pattern_variance")
-
-
 UNITS = ("DN2", "DN", "1", "1")
 
 
 @dataclass(frozen=True, kw_only=True)
 class SignalNoiseSeries:
-    """Signal and temporal noise of one exposure at every level of one gain, of a pixel or an area mean.
+    """Signal and temporal noise of one exposure at every level of one gain, of a pixel or an area mean."""
 
-    Parameters
-    ----------
-    signal_dn, signal_sd_dn
-        Signal above the dark and its standard error, shape (flat,), DN.
-    variance_dn2, variance_sd_dn2
-        Variance and its standard error, shape (flat,), DN^2.
-    dark
-        Index of the dark of each flat, shape (flat,).
-    dark_variance_dn2, dark_variance_sd_dn2
-        Variance of every dark and its standard error, shape (dark,), DN^2.
-    fitted
-        Whether each level is in the linear range, shape (flat,).
-    pattern, pattern_sd
-        Squared PRNU and its standard error, dimensionless; 0 and 0 for none.
-    """
-
+    # signal_dn, signal_sd_dn: signal above the dark and its standard error, shape (flat,), DN
     signal_dn: Array
     signal_sd_dn: Array
+    # variance_dn2, variance_sd_dn2: variance and its standard error, shape (flat,), DN^2
     variance_dn2: Array
     variance_sd_dn2: Array
-    dark: NDArray[np.int64]
+    dark: NDArray[np.int64]  # index of the dark of each flat, shape (flat,)
+    # dark_variance_dn2, dark_variance_sd_dn2: variance of every dark and its standard error, shape (dark,), DN^2
     dark_variance_dn2: Array
     dark_variance_sd_dn2: Array
-    fitted: NDArray[np.bool_]
+    fitted: NDArray[np.bool_]  # whether each level is in the linear range, shape (flat,)
+    # pattern, pattern_sd: squared PRNU and its standard error, dimensionless; 0 and 0 for none
     pattern: float = 0.0
     pattern_sd: float = 0.0
 
@@ -83,18 +67,10 @@ class SignalNoiseSeries:
 
 @dataclass(frozen=True, kw_only=True)
 class NoiseLaw:
-    """Posterior of the noise law.
+    """Posterior of the noise law."""
 
-    Parameters
-    ----------
-    posterior
-        Draws of `NAMES`.
-    misfit
-        Note on deviations from the law, or None.
-    """
-
-    posterior: Posterior
-    misfit: str | None
+    posterior: Posterior  # draws of `NAMES`
+    misfit: str | None  # note on deviations from the law, or None
 
     def snr(self, signal: Array, *, pattern: bool = False) -> Array:
         """Return the SNR, shape (draw, signal), with or without PRNU."""
@@ -112,15 +88,8 @@ class NoiseLaw:
 def noise_law(levels: SignalNoiseSeries, rng: np.random.Generator, *, reference: int) -> NoiseLaw:
     """Fit the noise law to the levels of the linear range.
 
-    Parameters
-    ----------
-    levels
-        The levels; at least one is fitted.
-    reference
-        Index of the dark that gives the read noise.
+    `levels`: the levels; at least one is fitted; `reference`: index of the dark that gives the read noise.
 
-    Notes
-    -----
     The law is linear in its parameters, so the posterior is normal, truncated at zero read and shot noise. If the
     levels scatter by more than their errors, the errors are scaled to the scatter (Birge, Phys. Rev. 40, 207 (1932)).
     """

@@ -41,35 +41,19 @@ from labdata.measurement import (
 )
 
 Array = NDArray[np.float64]
-
-
 # Defining signal-to-noise ratio.
 LEAST_SNR = 1.0
-
-
 ALTERNATIVE = "the signal is not proportional to the light: an automatic gain or brightness control was active"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scope:
-    """A signal-to-noise ratio of a pixel or an area.
+    """A signal-to-noise ratio of a pixel or an area."""
 
-    Parameters
-    ----------
-    suffix
-        Suffix of the quantity names.
-    sentence
-        Description for notes.
-    levels
-        Signal and noise.
-    law
-        Fitted noise law.
-    """
-
-    suffix: str
-    sentence: str
-    levels: SignalNoiseSeries
-    law: NoiseLaw
+    suffix: str  # suffix of the quantity names
+    sentence: str  # description for notes
+    levels: SignalNoiseSeries  # signal and noise
+    law: NoiseLaw  # fitted noise law
 
 
 def scope_of(suffix: str, sentence: str, levels: SignalNoiseSeries, reference: int, context: Context) -> Scope:
@@ -90,18 +74,8 @@ def minimum_illumination(
 ) -> Measurement:
     """Return the light at which the SNR is `LEAST_SNR`, or a refusal.
 
-    Parameters
-    ----------
-    scope
-        Pixel or area.
-    light
-        Light of the flats, or why it is unknown.
-    response
-        Draws of the signal per recorded light.
-    findings
-        Findings of the series.
-    seed
-        Seed of the error of the light.
+    `scope`: pixel or area; `light`: light of the flats, or why it is unknown; `response`: draws of the signal per
+    recorded light; `findings`: findings of the series.
     """
     name = f"minimum_illumination{scope.suffix}"
     if isinstance(light, str) or response is None:
@@ -181,16 +155,8 @@ def setting_figure_data(
 ) -> dict[str, Any]:
     """Return levels, noise laws and minima of one gain.
 
-    Parameters
-    ----------
-    series, words
-        The flats, and their gain setting in words.
-    light, response
-        Recorded light and signal per light; without light the signal is the abscissa.
-    scopes
-        Pixel and area.
-    found
-        The measurements.
+    `series`, `words`: the flats, and their gain setting in words; `light`, `response`: recorded light and signal per
+    light; without light the signal is the abscissa; `scopes`: pixel and area; `found`: the measurements.
     """
     if isinstance(light, str) or response is None:
         amount, per_amount, unit = series.signal_dn, 1.0, "DN"
@@ -231,14 +197,8 @@ def _scope(scope: Scope, shown: NDArray[np.bool_], amount: Array, per_amount: fl
 
 
 METHOD = "light-transfer"
-
-
 PIXEL = "of a pixel: temporal noise of one exposure"
-
-
 AREA = f"of the mean of {SIDE_PX} x {SIDE_PX} pixels of one exposure, including correlated noise"
-
-
 AXES = "excludes row, column and frame noise: too few frames to measure it"
 
 
@@ -248,23 +208,11 @@ def snr_against_light(
 ) -> Result:
     """Return signal-to-noise ratios of a pixel and of an area at every level, and the minimum illumination of each.
 
-    Parameters
-    ----------
-    darks, flats
-        Stacks read with their spectra.
-    single
-        Labels of excluded stacks of a single frame.
-    context
-        Seed.
+    `darks`, `flats`: stacks read with their spectra; `single`: labels of excluded stacks of a single frame.
 
-    Returns
-    -------
-    Result
-        `snr` and `snr_area` of every flat, `minimum_illumination` and `minimum_illumination_area` of every gain, the
-        light at SNR `LEAST_SNR`; as figure data the levels with the fitted noise law.
+    Returns `snr` and `snr_area` of every flat, `minimum_illumination` and `minimum_illumination_area` of every gain,
+    the light at SNR `LEAST_SNR`; as figure data the levels with the fitted noise law.
 
-    Notes
-    -----
     Noise is that of one exposure less the mean dark. The minimum illumination includes PRNU, and its interval the
     common uncertainty of the light; see `charact.noise.snr.stated_illumination`.
     """

@@ -16,35 +16,21 @@ from charact.noise.thresholds import SNR
 from labdata.conditions import Conditions
 
 Array = NDArray[np.float64]
-
 # Relative standard deviation of a photometer of unstated uncertainty.
 UNSTATED_ILLUMINANCE_SD = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
 class StatedIllumination:
-    """Recorded light of the flats of a series.
+    """Recorded light of the flats of a series."""
 
-    Parameters
-    ----------
-    amount
-        Light of each flat, shape (flat,): illuminance scaled to an exposure of `seconds`, lux, or photons per pixel and
-        exposure.
-    unit
-        "lux" or "photons/px".
-    seconds
-        Longest exposure time of the series, s; None if not stated.
-    relative_sd
-        Common relative standard deviation of the light, dimensionless.
-    stated
-        Whether the session states the uncertainty.
-    """
-
+    # light of each flat, shape (flat,): illuminance scaled to an exposure of `seconds`, lux, or photons per pixel and
+    # exposure
     amount: Array
-    unit: str
-    seconds: float | None
-    relative_sd: float
-    stated: bool
+    unit: str  # "lux" or "photons/px"
+    seconds: float | None  # longest exposure time of the series, s; None if not stated
+    relative_sd: float  # common relative standard deviation of the light, dimensionless
+    stated: bool  # whether the session states the uncertainty
 
     def scale(self, seed: int, count: int) -> Array:
         """Return draws of true over recorded light, shape (count,); equal for equal seeds."""
@@ -122,15 +108,9 @@ def _mean_sd(level: StackStatistics) -> float:
 def response_draws(amount: Array, signal: Array, sd: Array, rng: np.random.Generator, count: int) -> Array:
     """Return draws of the signal per recorded light, shape (count,).
 
-    Parameters
-    ----------
-    amount
-        Light of each level, shape (level,), positive.
-    signal, sd
-        Signal of each level and its standard error, DN.
+    `amount`: light of each level, shape (level,), positive; `signal`, `sd`: signal of each level and its standard
+    error, DN.
 
-    Notes
-    -----
     ln(signal / amount) = ln R + e, e normal with the error of the signal and a departure common to the levels whose
     standard deviation is unknown, see `SNR.departure_range`. With one level the prior remains.
     """

@@ -10,26 +10,16 @@ from charact.noise.stack.contrasts import Contrasts, waves
 from charact.noise.thresholds import CUBE
 
 Array = NDArray[np.float64]
-
-
 # Axes of a contrast array (field, time, row, col) along which components vary.
 TIME, ROW, COL = 1, 2, 3
 
 
 @dataclass(frozen=True, kw_only=True)
 class MeanSquare:
-    """A mean of squares with a scaled chi-squared distribution.
+    """A mean of squares with a scaled chi-squared distribution."""
 
-    Parameters
-    ----------
-    value_dn2
-        The mean of squares, DN^2.
-    freedom
-        Degrees of freedom, reduced for correlated or non-normal values.
-    """
-
-    value_dn2: float
-    freedom: float
+    value_dn2: float  # the mean of squares, DN^2
+    freedom: float  # degrees of freedom, reduced for correlated or non-normal values
 
     def draws(self, rng: np.random.Generator, count: int) -> Array:
         """Return posterior draws of the expected mean square, shape (count,), DN^2."""
@@ -61,8 +51,6 @@ def shading(length: int) -> Array:
 def mean_square(rest: NDArray, own: tuple[int, ...], *, fixed: bool) -> MeanSquare:
     """Return the mean square of centred contrasts.
 
-    Notes
-    -----
     For a stationary normal process with mode powers P the sum of n squares is approximately chi-squared with (sum P)^2
     / sum P^2 degrees of freedom (Satterthwaite, Biometrics Bulletin 2, 110 (1946)). A fourth cumulant g adds g / n to
     its relative variance; two fields of correlation r count 2 / (1 + r^2) times. Each of the three is measured and
@@ -136,22 +124,13 @@ OWN = {"t": (TIME,), "v": (ROW,), "h": (COL,), "tv": (TIME, ROW), "th": (TIME, C
 
 @dataclass(frozen=True, kw_only=True)
 class LowFrequencyExcess:
-    """Excess power of correlated noise in its mean over its slowest waves along an axis.
+    """Excess power of correlated noise in its mean over its slowest waves along an axis."""
 
-    Parameters
-    ----------
-    dn2, sd_dn2
-        The excess and its standard error, extrapolated from the waves of two periods and of one, DN^2.
-    share
-        The excess over the power of these waves, dimensionless.
-    drawn
-        Whether the excess is shrunk towards zero (James and Stein).
-    """
-
+    # dn2, sd_dn2: the excess and its standard error, extrapolated from the waves of two periods and of one, DN^2
     dn2: float
     sd_dn2: float
-    share: float
-    drawn: bool = True
+    share: float  # the excess over the power of these waves, dimensionless
+    drawn: bool = True  # whether the excess is shrunk towards zero (James and Stein)
 
     @property
     def estimate_dn2(self) -> float:
@@ -182,18 +161,10 @@ class LowFrequencyExcess:
 
 @dataclass(frozen=True, kw_only=True)
 class Component:
-    """The variance of one component.
+    """The variance of one component."""
 
-    Parameters
-    ----------
-    terms
-        Mean squares with their factors; the variance is their sum.
-    slopes
-        Excess to subtract for each axis (`TIME`, `ROW`, `COL`) of averaging.
-    """
-
-    terms: tuple[tuple[float, MeanSquare], ...]
-    slopes: dict[int, LowFrequencyExcess]
+    terms: tuple[tuple[float, MeanSquare], ...]  # mean squares with their factors; the variance is their sum
+    slopes: dict[int, LowFrequencyExcess]  # excess to subtract for each axis (`TIME`, `ROW`, `COL`) of averaging
 
     @property
     def variance_dn2(self) -> float:
@@ -212,8 +183,6 @@ class Component:
 def components(found: Contrasts) -> dict[str, Component]:
     """Return the seven variance components of a stack.
 
-    Notes
-    -----
     U(t,v,h) = S + N_t + N_v + N_h + N_tv + N_th + N_vh + N_tvh. An orthonormal mean along an axis contains white noise
     of variance s^2 as s^2, and a component constant along the axis n-fold; the analysis of variance subtracts the one
     from the other. The subtracted term is not the mean square over all of N_tvh, as in the textbook, but over its

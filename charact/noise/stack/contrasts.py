@@ -20,25 +20,14 @@ class Contrasts:
 
     Index 0 of an axis of combinations is the sum over it divided by the root of its length; the others are the
     slowest waves along it, see `waves`. White noise of variance v gives every combination the variance v. DN.
-
-    Parameters
-    ----------
-    by_row
-        Combinations along columns, shape (field, frame, row, wave).
-    by_col
-        Combinations along rows, shape (field, frame, wave, col).
-    by_pixel
-        Combinations along frames, shape (field, wave, row, col).
-    power_dn2
-        Sum over frames and pixels of the squared deviation from the temporal mean of each pixel, shape (field,), DN^2.
-    pairs
-        Differences of some successive frames, disjoint, over the root of two, shape (field, pair, row, col).
     """
 
-    by_row: NDArray
-    by_col: NDArray
-    by_pixel: NDArray
+    by_row: NDArray  # combinations along columns, shape (field, frame, row, wave)
+    by_col: NDArray  # combinations along rows, shape (field, frame, wave, col)
+    by_pixel: NDArray  # combinations along frames, shape (field, wave, row, col)
+    # sum over frames and pixels of the squared deviation from the temporal mean of each pixel, shape (field,), DN^2
     power_dn2: Array
+    # differences of some successive frames, disjoint, over the root of two, shape (field, pair, row, col)
     pairs: NDArray[np.float32]
 
     @property
@@ -65,15 +54,8 @@ def waves(length: int) -> Array:
 def contrasts(stack: LazyStack | FrameStack, *, interlaced: bool) -> Contrasts:
     """Read a stack once, in groups of frames, and return its contrasts.
 
-    Parameters
-    ----------
-    stack
-        At least two frames.
-    interlaced
-        Whether frames are interlaced: each field is then a separate cube.
+    `stack`: at least two frames; `interlaced`: whether frames are interlaced: each field is then a separate cube.
 
-    Notes
-    -----
     The first frame is subtracted from all frames, which removes the fixed pattern, so that single precision suffices
     for the squares.
     """

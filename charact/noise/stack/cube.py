@@ -45,31 +45,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class FrameMeans:
-    """Means of the exposures of one stack.
+    """Means of the exposures of one stack."""
 
-    Parameters
-    ----------
-    mean_dn
-        Mean of each exposure about the mean of its parity, shape (exposure,), DN.
-    frequency_cy_per_exposure
-        Frequencies above zero, shape (frequency,), cycles per exposure.
-    power_dn2
-        Variance of the means at each frequency without drift, shape (frequency,), DN^2.
-    exposure_period_s
-        Exposure period, s; None without time stamps.
-    drift_dn, drift_seen
-        Linear change from first to last exposure, DN, and whether it is significant.
-    line
-        Index of the strongest frequency if significant, else None.
-    """
-
-    mean_dn: Array
-    frequency_cy_per_exposure: Array
-    power_dn2: Array
-    exposure_period_s: float | None
+    mean_dn: Array  # mean of each exposure about the mean of its parity, shape (exposure,), DN
+    frequency_cy_per_exposure: Array  # frequencies above zero, shape (frequency,), cycles per exposure
+    power_dn2: Array  # variance of the means at each frequency without drift, shape (frequency,), DN^2
+    exposure_period_s: float | None  # exposure period, s; None without time stamps
+    # drift_dn, drift_seen: linear change from first to last exposure, DN, and whether it is significant
     drift_dn: float
     drift_seen: bool
-    line: int | None
+    line: int | None  # index of the strongest frequency if significant, else None
 
     @property
     def line_rms_dn(self) -> float:
@@ -87,15 +72,9 @@ class FrameMeans:
 def frame_means(field_mean_dn: Array, time_s: NDArray) -> FrameMeans:
     """Search the means of exposures for drift and a flicker line.
 
-    Parameters
-    ----------
-    field_mean_dn
-        Mean of every frame of each field, shape (field, frame), DN, at least four frames.
-    time_s
-        Time of each frame, shape (frame,), s; empty if unknown.
+    `field_mean_dn`: mean of every frame of each field, shape (field, frame), DN, at least four frames; `time_s`: time
+    of each frame, shape (frame,), s; empty if unknown.
 
-    Notes
-    -----
     The largest of m powers of white noise exceeds the fraction g of their sum with probability m (1 - g)^(m - 1)
     (Fisher, Proc. R. Soc. A 125, 54 (1929), first term).
     """
@@ -137,31 +116,16 @@ def _line(power: Array) -> int | None:
 
 @dataclass(frozen=True, kw_only=True)
 class Cube:
-    """3-D noise of one stack.
+    """3-D noise of one stack."""
 
-    Parameters
-    ----------
-    components
-        Variance of each component, by its axes: "t" to "tvh".
-    findings
-        Findings of each component, by its axes.
-    means
-        Means of the exposures.
-    row_mean_dn, column_mean_dn
-        Mean of each row, shape (row,), and of each column, shape (col,), DN.
-    fields
-        Number of cubes: 2 for interlaced frames.
-    seconds
-        Run time, s.
-    """
-
-    components: dict[str, Component]
-    findings: dict[str, tuple[Finding, ...]]
-    means: FrameMeans
+    components: dict[str, Component]  # variance of each component, by its axes: "t" to "tvh"
+    findings: dict[str, tuple[Finding, ...]]  # findings of each component, by its axes
+    means: FrameMeans  # means of the exposures
+    # row_mean_dn, column_mean_dn: mean of each row, shape (row,), and of each column, shape (col,), DN
     row_mean_dn: Array
     column_mean_dn: Array
-    fields: int
-    seconds: float
+    fields: int  # number of cubes: 2 for interlaced frames
+    seconds: float  # run time, s
 
 
 def cube_of(stack: LazyStack, *, context: Context) -> Cube | None:

@@ -26,26 +26,18 @@ from labdata.importers.full_scale import ends_at
 
 @dataclass(frozen=True, kw_only=True)
 class ClippedCounts:
-    """Number of values at 0 DN and at full scale.
+    """Number of values at 0 DN and at full scale."""
 
-    Parameters
-    ----------
-    values, frames
-        Counted values and frames.
-    low, full
-        Values at 0 DN, and at or above full scale if stated.
-    largest, held
-        The largest value and its count.
-    next_largest, next_held
-        The next largest value and its count; 0 if the largest is rare.
-    """
-
+    # values, frames: counted values and frames
     values: int
     frames: int
+    # low, full: values at 0 DN, and at or above full scale if stated
     low: int
     full: int
+    # largest, held: the largest value and its count
     largest: float
     held: int
+    # next_largest, next_held: the next largest value and its count; 0 if the largest is rare
     next_largest: float
     next_held: int
 
@@ -117,35 +109,21 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Pattern:
-    """Spatial variance of the fixed pattern.
+    """Spatial variance of the fixed pattern."""
 
-    Parameters
-    ----------
-    variance_dn2, sd_dn2
-        The variance and its standard error, DN^2.
-    settled
-        Whether the covariance is independent of the separation of exposures; if not, slow noise counts as pattern.
-    """
-
+    # variance_dn2, sd_dn2: the variance and its standard error, DN^2
     variance_dn2: float
     sd_dn2: float
+    # whether the covariance is independent of the separation of exposures; if not, slow noise counts as pattern
     settled: bool
 
 
 def measure_fixed_pattern(order: Order, sums: PixelSums, least: int) -> Pattern:
     """Return the spatial variance of the fixed pattern.
 
-    Parameters
-    ----------
-    order
-        Order of the exposures.
-    sums
-        Products of their pixels.
-    least
-        Smallest separation of compared exposures.
+    `order`: order of the exposures; `sums`: products of their pixels; `least`: smallest separation of compared
+    exposures.
 
-    Notes
-    -----
     The estimate is the mean covariance over the image of two exposures of the same rows, whose temporal noise is
     independent. Image lag correlates exposures near in time, so the separation is doubled until the covariance no
     longer falls.
@@ -243,21 +221,11 @@ def _power(image: NDArray[np.float32]) -> Array:
 
 @dataclass(frozen=True, kw_only=True)
 class BlockSpectrum:
-    """Temporal noise of one stack up to a largest lag: more lags mean less bias and more scatter.
+    """Temporal noise of one stack up to a largest lag: more lags mean less bias and more scatter."""
 
-    Parameters
-    ----------
-    lags
-        Lags, exposures, 0 first, shape (lag,); empty if no spectrum was requested.
-    power_dn2
-        Autocovariance in time of the modes of each bin, shape (bin, lag), DN^2.
-    variance_dn2
-        Temporal variance of a pixel, DN^2.
-    """
-
-    lags: NDArray[np.int64]
-    power_dn2: Array
-    variance_dn2: float
+    lags: NDArray[np.int64]  # lags, exposures, 0 first, shape (lag,); empty if no spectrum was requested
+    power_dn2: Array  # autocovariance in time of the modes of each bin, shape (bin, lag), DN^2
+    variance_dn2: float  # temporal variance of a pixel, DN^2
 
 
 NO_SPECTRUM = BlockSpectrum(lags=np.empty(0, np.int64), power_dn2=np.empty((0, 0)), variance_dn2=0.0)
@@ -283,10 +251,7 @@ class FrameBlock:
 def run_of(frames: FrameStack, *, context: Context, spectra: bool) -> FrameBlock:
     """Return the statistics of one block of frames.
 
-    Raises
-    ------
-    BadInput
-        If values are out of range, or a frame has too few rows for two fields.
+    Raises BadInput if values are out of range, or a frame has too few rows for two fields.
     """
     _check(frames, context)
     full_scale_dn = context.full_scale_dn if context.full_scale_dn is not None else frames.full_scale_dn

@@ -12,69 +12,42 @@ from charact.noise.thresholds import STACK
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
-
 # Sums of each block, in this order.
 SUMS = ("power", "right", "below", "near", "level")
 
 
 @dataclass(frozen=True, kw_only=True)
 class PixelSums:
-    """Products of the temporal fluctuations of pixels, see `charact.noise.stack.temporal.fluctuations`.
+    """Products of the temporal fluctuations of pixels, see `charact.noise.stack.temporal.fluctuations`."""
 
-    Parameters
-    ----------
-    size
-        Rows and columns of an exposure.
-    mean_dn
-        Mean of each exposure, shape (exposure,), DN.
-    products
-        Mean product of exposures of equal parity, shape (exposure, exposure), DN^2; 0 across parities.
-    with_mean
-        Mean product of each exposure's fluctuations with the mean image of its parity, shape (exposure,), DN^2.
-    mean_square
-        Variance over the image of that mean image, shape (parity,), DN^2.
-    middle, mean_middle
-        For each parity the image centre of the fluctuations of some exposures, shape (exposure, row, col), and of the
-        mean image, shape (row, col), DN.
-    power, right, below
-        Block means of the sum over exposures of the square, and of the product with the next pixel of the row and of
-        the column, shape (block,), DN^2; NaN for a block without such pairs.
-    near, pairs
-        Block means of the summed products of the exposures nearest in time, shape (block,), DN^2, and the number of
-        these pairs.
-    level
-        Mean of the pixels of a block, shape (block,), DN.
-    spectra
-        Mean product of the modes of exposures, see `charact.noise.stack.spectrum.cross_spectra`.
-    """
-
-    size: tuple[int, int]
-    mean_dn: Array
-    products: Array
+    size: tuple[int, int]  # rows and columns of an exposure
+    mean_dn: Array  # mean of each exposure, shape (exposure,), DN
+    products: Array  # mean product of exposures of equal parity, shape (exposure, exposure), DN^2; 0 across parities
+    # mean product of each exposure's fluctuations with the mean image of its parity, shape (exposure,), DN^2
     with_mean: Array
-    mean_square: Array
+    mean_square: Array  # variance over the image of that mean image, shape (parity,), DN^2
+    # middle, mean_middle: for each parity the image centre of the fluctuations of some exposures, shape (exposure, row,
+    # col), and of the mean image, shape (row, col), DN
     middle: tuple[NDArray[np.float32], ...]
     mean_middle: tuple[NDArray[np.float32], ...]
+    # power, right, below: block means of the sum over exposures of the square, and of the product with the next pixel
+    # of the row and of the column, shape (block,), DN^2; NaN for a block without such pairs
     power: Array
     right: Array
     below: Array
+    # near, pairs: block means of the summed products of the exposures nearest in time, shape (block,), DN^2, and the
+    # number of these pairs
     near: Array
     pairs: int
-    level: Array
-    spectra: Array
+    level: Array  # mean of the pixels of a block, shape (block,), DN
+    spectra: Array  # mean product of the modes of exposures, see `charact.noise.stack.spectrum.cross_spectra`
 
 
 def pixel_sums(data: NDArray, order: Order, bins: Bins) -> PixelSums:
     """Return the sums over the pixels of frames.
 
-    Parameters
-    ----------
-    data
-        Pixels, shape (frame, row, col), DN.
-    order
-        Time order of the exposures.
-    bins
-        Bins of the spectra; `NO_BINS` for none.
+    `data`: pixels, shape (frame, row, col), DN; `order`: time order of the exposures; `bins`: bins of the spectra;
+    `NO_BINS` for none.
     """
     fields = split_fields(data, order.row_step)
     rows, cols = fields[0].shape[1:]
@@ -283,8 +256,6 @@ def variance_error(sums: PixelSums, variance: float) -> float:
 def line_errors(sums: PixelSums, order: Order) -> tuple[float, float]:
     """Return the part of row noise, and of column noise, in the standard error of the variance, DN^2.
 
-    Notes
-    -----
     Row noise of variance v in R rows of n exposures has the standard error v sqrt(2 / (R (n - 1))), whatever the number
     of pixels. It is the power of rows at frequency 0 above that at the lowest frequency, which blur affects alike.
     """

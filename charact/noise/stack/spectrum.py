@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from charact.noise.thresholds import STACK
 
 Array = NDArray[np.float64]
-
 # Largest radial frequency of spectra, cycles per column pitch, and the rings and sectors of averaging.
 BAND_CY_PER_PX = 0.25
 # Rows of one exposure alias beyond this frequency, cycles per row of the exposure.
@@ -19,29 +18,17 @@ ROW_LIMIT_CY = 0.3
 
 @dataclass(frozen=True, kw_only=True)
 class Bins:
-    """Bins of spatial frequency.
+    """Bins of spatial frequency."""
 
-    Parameters
-    ----------
-    column_cy_per_px, row_cy_per_px
-        Root mean square of the frequency along rows and along columns, cycles per column pitch, shape (bin,).
-    modes
-        Number of modes in each bin, shape (bin,).
-    select
-        Index of the bin of each mode of the half plane, -1 for none.
-    efficiency
-        Independent modes per mode, reduced by the taper.
-    row_pitch
-        Row pitch of one exposure, column pitches.
-    """
-
+    # column_cy_per_px, row_cy_per_px: root mean square of the frequency along rows and along columns, cycles per column
+    # pitch, shape (bin,)
     column_cy_per_px: Array
     row_cy_per_px: Array
-    modes: Array
-    select: NDArray[np.int64]
+    modes: Array  # number of modes in each bin, shape (bin,)
+    select: NDArray[np.int64]  # index of the bin of each mode of the half plane, -1 for none
     window: NDArray[np.float32]
-    efficiency: float
-    row_pitch: float
+    efficiency: float  # independent modes per mode, reduced by the taper
+    row_pitch: float  # row pitch of one exposure, column pitches
 
     @cached_property
     def leak_cy2_per_px2(self) -> tuple[float, float]:
@@ -140,17 +127,9 @@ def _fade(length: int) -> Array:
 def cross_spectra(change: NDArray[np.float32], parity: NDArray[np.int64], bins: Bins) -> Array:
     """Return the mean product of the modes of exposures i and j in every bin, shape (bin, exposure, exposure), DN^2.
 
-    Parameters
-    ----------
-    change
-        Fluctuations, shape (exposure, row, col), DN; rows and columns beyond the bins are ignored.
-    parity
-        Rows of the frame in each exposure, 0 even, 1 odd, shape (exposure,).
-    bins
-        The bins.
+    `change`: fluctuations, shape (exposure, row, col), DN; rows and columns beyond the bins are ignored; `parity`: rows
+    of the frame in each exposure, 0 even, 1 odd, shape (exposure,); `bins`: the bins.
 
-    Notes
-    -----
     White noise of variance v gives v at i = j. Odd rows lie half an image row lower; the phase of their modes is
     corrected, so that both parities can be compared.
     """

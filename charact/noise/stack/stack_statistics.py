@@ -24,70 +24,47 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class StackStatistics:
-    """Statistics of one stack, in DN.
+    """Statistics of one stack, in DN."""
 
-    Parameters
-    ----------
-    label, kind, conditions
-        As in the session.
-    frames, pixels, size
-        Number of frames and of pixels of a frame; rows and columns.
-    mean_dn
-        Mean over all pixels and frames.
-    frame_mean_dn
-        Mean of each frame, shape (frame,).
-    variance_dn2, variance_sd_dn2
-        Temporal variance of a pixel, mean over the image, and its standard error.
-    neighbour_correlation, neighbour_sd
-        Correlation of neighbouring pixels of a row, and its standard error.
-    below_correlation, below_sd
-        Correlation of neighbouring pixels of a column of one exposure.
-    successor_correlation, successor_sd
-        Correlation of successive exposures relative to others, and its standard error; infinite for two frames.
-    spatial_variance_dn2, spatial_sd_dn2
-        Spatial variance of the fixed pattern, and its standard error.
-    settled
-        Whether that variance is free of slowly varying noise.
-    low_fraction, high_fraction
-        Fraction of pixel values at 0 DN and at full scale.
-    few, many
-        Spectra with few and with many temporal lags.
-    runs, time, parity
-        Number of blocks of frames, and the exposures of one of them.
-    bins
-        Bins of the spectra.
-    cube
-        3-D noise; None if not requested or the stack is too short.
-    """
-
+    # label, kind, conditions: as in the session
     label: str
     kind: str
     conditions: Conditions
+    # frames, pixels, size: number of frames and of pixels of a frame; rows and columns
     frames: int
     pixels: int
     size: tuple[int, int]
-    mean_dn: float
-    frame_mean_dn: Array
+    mean_dn: float  # mean over all pixels and frames
+    frame_mean_dn: Array  # mean of each frame, shape (frame,)
+    # variance_dn2, variance_sd_dn2: temporal variance of a pixel, mean over the image, and its standard error
     variance_dn2: float
     variance_sd_dn2: float
+    # neighbour_correlation, neighbour_sd: correlation of neighbouring pixels of a row, and its standard error
     neighbour_correlation: float
     neighbour_sd: float
+    # below_correlation, below_sd: correlation of neighbouring pixels of a column of one exposure
     below_correlation: float
     below_sd: float
+    # successor_correlation, successor_sd: correlation of successive exposures relative to others, and its standard
+    # error; infinite for two frames
     successor_correlation: float
     successor_sd: float
+    # spatial_variance_dn2, spatial_sd_dn2: spatial variance of the fixed pattern, and its standard error
     spatial_variance_dn2: float
     spatial_sd_dn2: float
-    settled: bool
+    settled: bool  # whether that variance is free of slowly varying noise
+    # low_fraction, high_fraction: fraction of pixel values at 0 DN and at full scale
     low_fraction: float
     high_fraction: float
+    # few, many: spectra with few and with many temporal lags
     few: BlockSpectrum
     many: BlockSpectrum
+    # runs, time, parity: number of blocks of frames, and the exposures of one of them
     runs: int
     time: NDArray[np.int64]
     parity: NDArray[np.int64]
-    bins: Bins
-    cube: Cube | None = None
+    bins: Bins  # bins of the spectra
+    cube: Cube | None = None  # 3-D noise; None if not requested or the stack is too short
 
 
 def stack_statistics(
@@ -157,30 +134,14 @@ WHOLE_BYTES = 128 * 2**20
 
 @dataclass(frozen=True, kw_only=True)
 class Part:
-    """Task: some of the statistics of a stack.
+    """Task: some of the statistics of a stack."""
 
-    Parameters
-    ----------
-    entry
-        The stack.
-    runs
-        First and last-plus-one frame of each block.
-    cube
-        Whether to compute 3-D noise.
-    spectra
-        Whether to compute noise spectra.
-    context
-        Settings.
-    whole
-        Whether to read the complete stack at once.
-    """
-
-    entry: StackEntry
-    runs: tuple[tuple[int, int], ...]
-    whole: bool
-    cube: bool
-    spectra: bool
-    context: Context
+    entry: StackEntry  # the stack
+    runs: tuple[tuple[int, int], ...]  # first and last-plus-one frame of each block
+    whole: bool  # whether to read the complete stack at once
+    cube: bool  # whether to compute 3-D noise
+    spectra: bool  # whether to compute noise spectra
+    context: Context  # settings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -196,19 +157,9 @@ def read_levels_of(
 ) -> list[StackStatistics | None]:
     """Return the statistics of stacks; None for a stack of a single frame.
 
-    Parameters
-    ----------
-    entries
-        The stacks.
-    context
-        Settings; `context.spread` maps over the parts.
-    spectra, cubes
-        Whether to compute noise spectra and 3-D noise.
+    `entries`: the stacks; `spectra`, `cubes`: whether to compute noise spectra and 3-D noise.
 
-    Raises
-    ------
-    BadInput
-        If frame numbers repeat, values are out of range, or a frame has too few rows for two fields.
+    Raises BadInput if frame numbers repeat, values are out of range, or a frame has too few rows for two fields.
     """
     alone = replace(context, progress=Context.progress, spread=Context.spread)
     # Workers run in other folders.
@@ -283,24 +234,12 @@ SIDE_PX = 10
 
 @dataclass(frozen=True, kw_only=True)
 class Shares:
-    """Weights of the noise spectrum in the variance of a square's mean.
+    """Weights of the noise spectrum in the variance of a square's mean."""
 
-    Parameters
-    ----------
-    bins
-        Weight of the power of each bin, shape (bin,).
-    beyond
-        Weight of the mean power of the modes beyond all bins.
-    modes
-        Fraction of all modes in each bin, shape (bin,).
-    edge
-        Bins of the outermost ring, shape (bin,).
-    """
-
-    bins: Array
-    beyond: float
-    modes: Array
-    edge: NDArray[np.bool_]
+    bins: Array  # weight of the power of each bin, shape (bin,)
+    beyond: float  # weight of the mean power of the modes beyond all bins
+    modes: Array  # fraction of all modes in each bin, shape (bin,)
+    edge: NDArray[np.bool_]  # bins of the outermost ring, shape (bin,)
 
 
 def shares_of(bins: Bins, side: int = SIDE_PX) -> Shares:
@@ -342,17 +281,9 @@ def area_variance(
 ) -> tuple[float, float]:
     """Return the variance of a square's mean and its standard error, DN^2.
 
-    Parameters
-    ----------
-    level, spectrum
-        A stack and the spectrum of its noise.
-    shares
-        Weights of the square.
-    exposures
-        Independent exposures behind the spectrum.
+    `level`, `spectrum`: a stack and the spectrum of its noise; `shares`: weights of the square; `exposures`:
+    independent exposures behind the spectrum.
 
-    Notes
-    -----
     The variance is the sum over modes of power times (sin(pi n f) / (n sin(pi f)))^2 along rows and columns. For white
     noise it is the pixel variance over n^2, for blurred noise larger by the inverse blur factor. Beyond the bins the
     power is taken midway between their outer edge and the mean beyond, which follows from the pixel variance. Row,

@@ -24,24 +24,12 @@ def autocovariance(products: Array, time: NDArray[np.int64], parity: NDArray[np.
                    within_parity: bool = False) -> Array:  # fmt: skip
     """Return the unbiased autocovariance at the given lags from products of centred exposures.
 
-    Parameters
-    ----------
-    products
-        Mean products of centred exposures i and j, shape (..., exposure, exposure).
-    time, parity
-        As in `Exposures`, shape (exposure,).
-    lags
-        Lags of nonzero covariance, 0 first, exposures, shape (lag,).
-    within_parity
-        Whether to compare only exposures of the same rows (no odd lags of interlaced video).
+    `products`: mean products of centred exposures i and j, shape (..., exposure, exposure); `time`, `parity`: as in
+    `Exposures`, shape (exposure,); `lags`: lags of nonzero covariance, 0 first, exposures, shape (lag,);
+    `within_parity`: whether to compare only exposures of the same rows (no odd lags of interlaced video).
 
-    Returns
-    -------
-    NDArray
-        Covariance, shape (..., lag).
+    Returns covariance, shape (..., lag).
 
-    Notes
-    -----
     Centring replaces the covariance matrix C by P C P, which is linear in the covariances c(lag). The mean A c over the
     pairs of each lag is solved for c. For independent exposures this is the factor n/(n-1).
     """
@@ -71,13 +59,8 @@ def truncation_bias(time: NDArray[np.int64], parity: NDArray[np.int64], lags: ND
            ) -> tuple[NDArray[np.int64], Array]:  # fmt: skip
     """Return the lags beyond the last one, and the bias of `autocovariance` by a covariance of 1 there.
 
-    Returns
-    -------
-    distance
-        Lags, exposures, shape (distance,).
-    added
-        Bias of the covariance at each lag, shape (lag, distance); negative, because centring removes what exposures
-        have in common.
+    Returns `distance`: lags, exposures, shape (distance,); `added`: bias of the covariance at each lag, shape (lag,
+    distance); negative, because centring removes what exposures have in common.
     """
     return _truncation_bias_of(tuple(time.tolist()), tuple(parity.tolist()), tuple(lags.tolist()))
 
@@ -106,13 +89,8 @@ def n_effective_samples(
 ) -> float:
     """Return the number of independent exposures that give the covariance at lag 0 the same uncertainty.
 
-    Parameters
-    ----------
-    correlation
-        Correlation at the lags 1, 2, ..., shape (lag,).
+    `correlation`: correlation at the lags 1, 2, ..., shape (lag,).
 
-    Notes
-    -----
     The estimate is a sum of products with weights M; for normal modes its relative variance is tr(P M P R P M P R).
     """
     known = tuple(np.asarray(correlation, float).tolist())
@@ -170,24 +148,14 @@ def usable_lags(time: NDArray[np.int64], parity: NDArray[np.int64], most: int) -
 
 @dataclass(frozen=True, kw_only=True)
 class Exposures:
-    """Successive exposures.
+    """Successive exposures."""
 
-    Parameters
-    ----------
-    image
-        Pixel values, shape (exposure, row, col), DN.
-    time
-        Time of each exposure in units of one exposure's period (a field of interlaced video), shape (exposure,).
-    parity
-        Rows of the frame it contains: 0 even, 1 odd; 0 for progressive frames. Shape (exposure,).
-    row_step
-        Frame rows per image row.
-    """
-
-    image: NDArray[np.float32]
+    image: NDArray[np.float32]  # pixel values, shape (exposure, row, col), DN
+    # time of each exposure in units of one exposure's period (a field of interlaced video), shape (exposure,)
     time: NDArray[np.int64]
+    # rows of the frame it contains: 0 even, 1 odd; 0 for progressive frames. Shape (exposure,).
     parity: NDArray[np.int64]
-    row_step: int
+    row_step: int  # frame rows per image row
 
 
 def runs_of(stack: Sized) -> list[tuple[int, int]]:

@@ -15,25 +15,17 @@ from charact.posterior import find_maximum, importance_sample, sample
 from labdata.measurement import Posterior
 
 Array = NDArray[np.float64]
-
 LOG_DEPARTURE = np.log([1e-4, 0.3])
 
 
 @dataclass(frozen=True, kw_only=True)
 class Axis:
-    """Positions of settings along a control, scaled to unit span about the centre.
+    """Positions of settings along a control, scaled to unit span about the centre."""
 
-    Parameters
-    ----------
-    middle, span
-        Centre and span of the positions.
-    x
-        Shape (setting,), within -1/2 and 1/2.
-    """
-
+    # middle, span: centre and span of the positions
     middle: float
     span: float
-    x: Array
+    x: Array  # shape (setting,), within -1/2 and 1/2
 
     @classmethod
     def of(cls, place: Array) -> "Axis":
@@ -44,44 +36,27 @@ class Axis:
 
 @dataclass(frozen=True, kw_only=True)
 class Gains:
-    """Gains of all settings from noise, shape (setting,).
+    """Gains of all settings from noise, shape (setting,)."""
 
-    Parameters
-    ----------
-    covariance, covariance_sd
-        ln of the covariance gain in DN, and its standard error.
-    variance, variance_sd
-        The same of a pixel's variance over signal; None for white noise, where both agree.
-    """
-
+    # covariance, covariance_sd: ln of the covariance gain in DN, and its standard error
     covariance: Array
     covariance_sd: Array
+    # variance, variance_sd: the same of a pixel's variance over signal; None for white noise, where both agree
     variance: Array | None = None
     variance_sd: Array | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class GainLaw:
-    """Posterior of the pulse part of the covariance gain, ln P = log_gain + rise x, x along the axis.
+    """Posterior of the pulse part of the covariance gain, ln P = log_gain + rise x, x along the axis."""
 
-    Parameters
-    ----------
-    posterior
-        Draws of `log_gain` (in the middle of the axis), `rise` (from the first setting to the last), `log_departure`;
-        `log_blur`, ln of the blur factor of pulses, if noise is not white; and `electron_share` for the noise of
-        electrons.
-    pulses
-        Draws of the pulse part of every covariance gain from its own noise, shape (draw, setting), DN.
-    settings
-        Draws of every covariance gain from its noise and the law, same shape, DN.
-    electron_gain_dn
-        Draws of the electron part of every covariance gain, shape (draw,), DN.
-    """
-
+    # draws of `log_gain` (in the middle of the axis), `rise` (from the first setting to the last), `log_departure`;
+    # `log_blur`, ln of the blur factor of pulses, if noise is not white; and `electron_share` for the noise of
+    # electrons
     posterior: Posterior
-    pulses: Array
-    settings: Array
-    electron_gain_dn: Array
+    pulses: Array  # draws of the pulse part of every covariance gain from its own noise, shape (draw, setting), DN
+    settings: Array  # draws of every covariance gain from its noise and the law, same shape, DN
+    electron_gain_dn: Array  # draws of the electron part of every covariance gain, shape (draw,), DN
 
 
 def departure_prior(log_departure: Array) -> Array:
@@ -101,20 +76,9 @@ def draw_posterior(log_probability: Callable[[Array], Array], start: Array, boun
 def law_of(x: Array, gains: Gains, *, share: tuple[float, float] | None, seed: int, quick: bool) -> GainLaw:
     """Fit the gain law to the gains of settings.
 
-    Parameters
-    ----------
-    x
-        Positions on the axis, shape (setting,).
-    gains
-        Gains from noise.
-    share
-        Normal prior of the electron gain over the smallest covariance gain, mean and standard deviation; None if the
-        control changes it.
-    seed, quick
-        Seed of the draws; without a Markov chain.
+    `x`: positions on the axis, shape (setting,); `gains`: gains from noise; `share`: normal prior of the electron gain
+    over the smallest covariance gain, mean and standard deviation; None if the control changes it.
 
-    Notes
-    -----
     Covariance gain is K + P and variance over signal K + S P, P the pulse part k F^2 and S the blur factor of pulses.
     At equal blur, variances give gain ratios ten times more precisely than covariance sums. S may differ between
     settings by `SWEEP.blur_relative_sd`. ln P = log_gain + rise x + departure.
@@ -241,12 +205,7 @@ def line_departure(x: Array, y: Array, sd: Array) -> tuple[float, float] | None:
     """Return the largest deviation of the best parabola from its best line, and its standard error; None for two
     settings.
 
-    Parameters
-    ----------
-    x
-        Positions, of unit span.
-    y, sd
-        ln gain and standard errors, shape (setting,).
+    `x`: positions, of unit span; `y`, `sd`: ln gain and standard errors, shape (setting,).
     """
     if len(x) < 3:
         return None

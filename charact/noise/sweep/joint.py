@@ -13,7 +13,6 @@ from charact.noise.sweep.settings import Sweep, SweepSetting
 from charact.noise.thresholds import GAIN, SWEEP
 
 Array = NDArray[np.float64]
-
 # Smallest slope of the gain law of a working control, by its unit: exponent, none, exponent, dB per dB.
 FOLLOWS = {"V": 1.0, "count": 0.0, "1": 0.5, "dB": 0.5}
 # Flags covered by the errors of settings; and flags that only add to the scatter of levels.
@@ -24,30 +23,14 @@ STRAY = 1.5 * SWEEP.departure
 
 @dataclass(frozen=True, kw_only=True)
 class SweepJointFit:
-    """Joint fit of all settings.
+    """Joint fit of all settings."""
 
-    Parameters
-    ----------
-    sweep
-        The settings, with gains corrected to small signals if MCP saturation was measured.
-    axis
-        Positions of the settings.
-    law
-        Law of the covariance gain.
-    lit
-        Indices of settings with light in one unit.
-    response
-        Responsivity of those settings; None for fewer than two.
-    findings
-        Findings on quantities of all settings.
-    """
-
-    sweep: Sweep
-    axis: Axis
-    law: GainLaw
-    lit: tuple[int, ...]
-    response: SweepResponsivity | None
-    findings: tuple[Finding, ...] = ()
+    sweep: Sweep  # the settings, with gains corrected to small signals if MCP saturation was measured
+    axis: Axis  # positions of the settings
+    law: GainLaw  # law of the covariance gain
+    lit: tuple[int, ...]  # indices of settings with light in one unit
+    response: SweepResponsivity | None  # responsivity of those settings; None for fewer than two
+    findings: tuple[Finding, ...] = ()  # findings on quantities of all settings
 
     @property
     def rise(self) -> Array:

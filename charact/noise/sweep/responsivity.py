@@ -11,51 +11,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from charact.noise.findings import Finding
-from charact.noise.sweep.gain_law import (
-    LOG_DEPARTURE,
-    departure_prior,
-    draw_posterior,
-    line_fit,
-    without_bound_flag,
-)
+from charact.noise.sweep.gain_law import LOG_DEPARTURE, departure_prior, draw_posterior, line_fit, without_bound_flag
 from charact.noise.sweep.settings import SweepSetting
 from charact.noise.thresholds import SWEEP
 from labdata.measurement import Posterior
 
 Array = NDArray[np.float64]
-
-
 NAMES = ("log_response", "rise", "lost", "log_scatter", "log_departure")
-
-
 UNITS = ("log DN/light", "1", "1", "1", "1")
 
 
 @dataclass(frozen=True, kw_only=True)
 class SweepResponsivity:
-    """Posterior of the responsivity of every setting.
+    """Posterior of the responsivity of every setting."""
 
-    Parameters
-    ----------
-    posterior
-        Draws of `NAMES`: ln responsivity at the centre of the axis and its slope, relative gain loss at the brightest
-        level, ln scatter of levels and ln departure of settings.
-    settings
-        Draws of the small-signal responsivity of every setting, shape (draw, setting), DN per unit of light.
-    own, own_sd
-        ln responsivity of each setting without the law, and its standard error, shape (setting,).
-    brightest_dn
-        Brightest level, DN above the dark.
-    bendable
-        Whether the lights of some setting differ enough to measure the gain loss.
-    """
-
+    # draws of `NAMES`: ln responsivity at the centre of the axis and its slope, relative gain loss at the brightest
+    # level, ln scatter of levels and ln departure of settings
     posterior: Posterior
+    # draws of the small-signal responsivity of every setting, shape (draw, setting), DN per unit of light
     settings: Array
+    # own, own_sd: ln responsivity of each setting without the law, and its standard error, shape (setting,)
     own: Array
     own_sd: Array
-    brightest_dn: float
-    bendable: bool
+    brightest_dn: float  # brightest level, DN above the dark
+    bendable: bool  # whether the lights of some setting differ enough to measure the gain loss
 
     @property
     def lost_per_dn(self) -> Array:
@@ -66,17 +45,8 @@ class SweepResponsivity:
 def response_of(settings: tuple[SweepSetting, ...], x: Array, *, seed: int, quick: bool) -> SweepResponsivity:
     """Fit signal against light jointly at all settings.
 
-    Parameters
-    ----------
-    settings
-        Settings with known light at every level.
-    x
-        Their positions on the axis of the sweep.
-    seed, quick
-        Seed of the draws; without a Markov chain.
+    `settings`: settings with known light at every level; `x`: their positions on the axis of the sweep.
 
-    Notes
-    -----
     ln(S/E) = a + b x_i + d_i + ln(1 - S/S_s) + e_ij, with normal deviations d of settings and e of levels of unknown
     standard deviations. Levels of one setting have d in common.
     """
@@ -185,19 +155,9 @@ def relative_excess(settings: tuple[SweepSetting, ...], pulses_dn: Array, respon
                     ) -> tuple[Array, int]:  # fmt: skip
     """Return draws of F^2 of every setting over that of the most precise one, shape (draw, setting), and its index.
 
-    Parameters
-    ----------
-    settings
-        Settings of the responsivity fit.
-    pulses_dn
-        Draws of k F^2 at small signals, shape (draw, setting), DN.
-    response
-        Signal over light.
-    seed
-        Seed of the draws.
+    `settings`: settings of the responsivity fit; `pulses_dn`: draws of k F^2 at small signals, shape (draw, setting),
+    DN; `response`: signal over light.
 
-    Notes
-    -----
     Noise and responsivity refer to the same signals with the same gain loss, so its uncertainty cancels.
     """
     order = np.random.default_rng([seed, 10]).permutation(len(response.settings))

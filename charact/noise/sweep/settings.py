@@ -23,27 +23,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class GainControl:
-    """A control of the gain.
+    """A control of the gain."""
 
-    Parameters
-    ----------
-    name
-        Name of the condition.
-    unit
-        Unit.
-    words
-        Name in notes.
-    logarithmic
-        Whether the gain is a power of it; else the gain is exponential in it.
-    tube
-        Whether it acts in the tube, so that the gain per electron is constant.
-    """
-
-    name: str
-    unit: str
-    words: str
-    logarithmic: bool
-    tube: bool
+    name: str  # name of the condition
+    unit: str  # unit
+    words: str  # name in notes
+    logarithmic: bool  # whether the gain is a power of it; else the gain is exponential in it
+    tube: bool  # whether it acts in the tube, so that the gain per electron is constant
 
     def place(self, value: Array) -> Array:
         """Return positions on the axis along which ln gain is linear."""
@@ -112,65 +98,34 @@ OF_ONE_SERIES = ("too-few-frames", "nonlinear")
 
 @dataclass(frozen=True, kw_only=True)
 class SweepSetting:
-    """Noise of the flats and darks of one setting.
+    """Noise of the flats and darks of one setting."""
 
-    Parameters
-    ----------
-    value
-        Value of the control, in its unit.
-    labels
-        Labels of its flats in the linear range, in order of rising level.
-    gain_dn
-        Draws of the covariance gain, or for white noise of the system gain, shape (draw,), DN.
-    log_variance, log_variance_sd
-        ln of a pixel's variance over signal in DN, and its standard error.
-    blur_factor
-        Draws of the blur factor, shape (draw,).
-    white
-        Whether noise of neighbouring pixels is uncorrelated.
-    light
-        Light of each level, shape (level,), in `light_unit`; None if unknown.
-    light_unit
-        "photon", "lx s" or "lx".
-    light_relative_sd
-        Common relative standard deviation of the light.
-    signal_dn, signal_sd_dn
-        Mean above the dark and its standard error, shape (level,).
-    levels_dn, levels_sd_dn
-        Covariance over signal of each level and its standard error, shape (level,).
-    variance_dn2
-        Temporal variance of each level above the dark's, shape (level,).
-    dark_variance_dn2, dark_variance_sd_dn2
-        Temporal variance of its dark and the standard error; None without a dark.
-    dark
-        Label of the dark.
-    unsure_dn
-        Possible quantisation noise in variance and covariance over signal, DN, which differs between darks and flats of
-        small noise.
-    findings
-        Findings of this setting.
-    """
-
-    value: float
-    labels: tuple[str, ...]
-    gain_dn: Array
+    value: float  # value of the control, in its unit
+    labels: tuple[str, ...]  # labels of its flats in the linear range, in order of rising level
+    gain_dn: Array  # draws of the covariance gain, or for white noise of the system gain, shape (draw,), DN
+    # log_variance, log_variance_sd: ln of a pixel's variance over signal in DN, and its standard error
     log_variance: float
     log_variance_sd: float
-    blur_factor: Array
-    white: bool
-    light: Array | None
-    light_unit: str
-    light_relative_sd: float
+    blur_factor: Array  # draws of the blur factor, shape (draw,)
+    white: bool  # whether noise of neighbouring pixels is uncorrelated
+    light: Array | None  # light of each level, shape (level,), in `light_unit`; None if unknown
+    light_unit: str  # "photon", "lx s" or "lx"
+    light_relative_sd: float  # common relative standard deviation of the light
+    # signal_dn, signal_sd_dn: mean above the dark and its standard error, shape (level,)
     signal_dn: Array
     signal_sd_dn: Array
+    # levels_dn, levels_sd_dn: covariance over signal of each level and its standard error, shape (level,)
     levels_dn: Array
     levels_sd_dn: Array
-    variance_dn2: Array
+    variance_dn2: Array  # temporal variance of each level above the dark's, shape (level,)
+    # dark_variance_dn2, dark_variance_sd_dn2: temporal variance of its dark and the standard error; None without a dark
     dark_variance_dn2: float | None = None
     dark_variance_sd_dn2: float = 0.0
-    dark: str | None = None
+    dark: str | None = None  # label of the dark
+    # possible quantisation noise in variance and covariance over signal, DN, which differs between darks and flats of
+    # small noise
     unsure_dn: float = 0.0
-    findings: tuple[Finding, ...] = ()
+    findings: tuple[Finding, ...] = ()  # findings of this setting
 
     @property
     def stack(self) -> str:
@@ -193,35 +148,18 @@ class SweepSetting:
 
 @dataclass(frozen=True, kw_only=True)
 class Sweep:
-    """Flats at several settings of one gain control.
+    """Flats at several settings of one gain control."""
 
-    Parameters
-    ----------
-    knob
-        The varied control.
-    settings
-        Settings in order of rising value.
-    main
-        Value of the setting of the session's single-setting quantities.
-    left_out
-        Notes on excluded settings and stacks.
-    """
-
-    knob: GainControl
-    settings: tuple[SweepSetting, ...]
-    main: float
-    left_out: tuple[str, ...] = field(default=())
+    knob: GainControl  # the varied control
+    settings: tuple[SweepSetting, ...]  # settings in order of rising value
+    main: float  # value of the setting of the session's single-setting quantities
+    left_out: tuple[str, ...] = field(default=())  # notes on excluded settings and stacks
 
 
 def sweep_of(darks: list[StackStatistics], flats: list[StackStatistics], *, context: Context) -> Sweep | None:
     """Return the gain sweep of flats; None if no control was varied, or the images are too small.
 
-    Parameters
-    ----------
-    darks, flats
-        Stack statistics with spectra.
-    context
-        Seed and sensor.
+    `darks`, `flats`: stack statistics with spectra.
     """
     found = [(knob, setting_of(flats, knob)) for knob in KNOBS]
     knob, groups = max(found, key=lambda entry: len(entry[1]))

@@ -21,45 +21,24 @@ from charact.noise.thresholds import SWEEP
 from labdata.measurement import Measurement, Result, make_refusal, measurement_from_draws, measurement_from_sd
 
 Array = NDArray[np.float64]
-
-
 # Signal of the stated knee, effective photoelectrons per pixel and exposure.
 STATED_PE = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Knee:
-    """Gain of equal read noise and scintillation noise.
+    """Gain of equal read noise and scintillation noise."""
 
-    Parameters
-    ----------
-    read_noise_dn
-        Draws of the read noise without dark scintillation, shape (draw,), DN.
-    gain_dn
-        Draws of the covariance gain at the knee, shape (draw,), DN.
-    place
-        Draws of its position on the axis of the sweep, between -1/2 and 1/2 inside the sweep, shape (draw,).
-    flags
-        Flags of the read noise.
-    """
-
-    read_noise_dn: Array
-    gain_dn: Array
-    place: Array
-    flags: tuple[str, ...] = ()
+    read_noise_dn: Array  # draws of the read noise without dark scintillation, shape (draw,), DN
+    gain_dn: Array  # draws of the covariance gain at the knee, shape (draw,), DN
+    place: Array  # draws of its position on the axis of the sweep, between -1/2 and 1/2 inside the sweep, shape (draw,)
+    flags: tuple[str, ...] = ()  # flags of the read noise
 
 
 def knee_of(settings: tuple[SweepSetting, ...], law: GainLaw, *, seed: int) -> Knee | str:
     """Return the knee of a sweep, or the reason for refusal.
 
-    Parameters
-    ----------
-    settings
-        Settings, some with darks.
-    law
-        Law of the covariance gain.
-    seed
-        Seed of the draws.
+    `settings`: settings, some with darks; `law`: law of the covariance gain.
     """
     rng = np.random.default_rng([seed, 9])
     dark = {s.dark: i for i, s in enumerate(settings) if s.dark_variance_dn2 is not None}
@@ -183,14 +162,8 @@ def levels_figure_data(joint: SweepJointFit) -> dict[str, Any]:
 
 
 Fields = dict[str, Any]
-
-
 METHOD = "gain-sweep"
-
-
 DROWNS = "the slope of the gain law is not significant: the settings are too close, or the gain does not follow them"
-
-
 ABSOLUTE = "absolute F2 needs a known illumination or the pulse heights of single photoelectrons"
 
 
@@ -198,18 +171,10 @@ ABSOLUTE = "absolute F2 needs a known illumination or the pulse heights of singl
 def gain_sweep(darks: list[StackStatistics], flats: list[StackStatistics], *, context: Context) -> Result:
     """Return the quantities of a gain sweep; none if the gain was not varied.
 
-    Parameters
-    ----------
-    darks, flats
-        Stack statistics of a session with spectra.
-    context
-        Seed and settings; a sensor description gives the gain per electron.
+    `darks`, `flats`: stack statistics of a session with spectra.
 
-    Returns
-    -------
-    Result
-        Gain law, knee of read noise and scintillation, MCP saturation, relative excess noise of each setting; gain,
-        blur factor, read noise and responsivity of each setting, whose `stack` is its brightest flat.
+    Returns gain law, knee of read noise and scintillation, MCP saturation, relative excess noise of each setting; gain,
+    blur factor, read noise and responsivity of each setting, whose `stack` is its brightest flat.
     """
     sweep = sweep_of(darks, flats, context=context)
     return Result() if sweep is None else measure_sweep(sweep, context=context)

@@ -32,10 +32,7 @@ def noiseless_frame(scene: BloomScene, overload: float, *, faintest: float | Non
 def stack(scene: BloomScene, overload: float, rng: np.random.Generator, *, faintest: float | None = None) -> FrameStack:
     """Draw the frames of one level.
 
-    Parameters
-    ----------
-    faintest
-        Overload of the faintest level, to whose mean an automatic gain returns; None: this is the faintest.
+    `faintest`: overload of the faintest level, to whose mean an automatic gain returns; None: this is the faintest.
     """
     first = 0 if scene.lag > 0 else 1
     moves = [scene.motion_px * (frame - (scene.frames + 1) / 2) for frame in range(first, scene.frames + 1)]
@@ -110,18 +107,10 @@ def _columns(scene: BloomScene, light: Array) -> Array:
 def apply_column_blooming(charge: Array, holds: float) -> Array:
     """Return charge settled along its columns: what a pixel cannot hold spills half up and half down, over and over.
 
-    Parameters
-    ----------
-    charge
-        Before, shape (.., row, col).
-    holds
-        Most that a pixel keeps; what spills over an end of the column is gone.
-
-    Notes
-    -----
-    With u the charge that each pixel ever passed on, the settled column is q + u''/2 and never above the limit c, with
-    u >= 0 and u = 0 where it stays below: u is the distance of a curve whose second difference is 2 (c - q) from its
-    greatest convex minorant, whose slopes are the isotonic regression of the curve's.
+    `charge`: before, shape (.., row, col); `holds`: most that a pixel keeps; what spills over an end of the column is
+    gone. With u the charge that each pixel ever passed on, the settled column is q + u''/2 and never above the limit c,
+    with u >= 0 and u = 0 where it stays below: u is the distance of a curve whose second difference is 2 (c - q) from
+    its greatest convex minorant, whose slopes are the isotonic regression of the curve's.
     """
     from scipy.optimize import isotonic_regression
 

@@ -90,14 +90,7 @@ def _case(at: AxisPosition, series: BloomSeries, rng: np.random.Generator) -> Ca
 def stability_cases(seed: int, repeats: int, axes: tuple[str, ...] = tuple(AXES)) -> tuple[Case, ...]:
     """Every axis at every position, drawn several times with another source and camera, and sources without a halo.
 
-    Parameters
-    ----------
-    seed
-        Seed of the draws.
-    repeats
-        Draws at each position.
-    axes
-        Names of `AXES`.
+    `seed`: seed of the draws; `repeats`: draws at each position; `axes`: names of `AXES`.
     """
     rng = np.random.default_rng([seed, 31])
     cases = cases_along_axes(AXES, axes, repeats, lambda at, _: _case(at, _series(at.axis, at.position, rng), rng))

@@ -33,8 +33,6 @@ def moffat(radius_px: Array, scale_px: float, exponent: float) -> Array:
 def moffat_as_gaussians(scale_px: float, exponent: float) -> tuple[Array, Array]:
     """Return standard deviations and weights of the Gaussians whose sum is a Moffat wing, shape (gaussian,).
 
-    Notes
-    -----
     With t from a gamma law of shape b - 1, the Gaussian of variance a^2 / 2t is on average the wing.
     """
     from scipy.special import gamma
@@ -60,20 +58,11 @@ def _nodes(count: int) -> tuple[Array, Array]:
 def halo_rings(diameter_px: float, elastic_share: float, count: int = RINGS) -> tuple[Array, Array]:
     """Return radii and weights of the rings that make up a halo, px and dimensionless, shape (ring,).
 
-    Parameters
-    ----------
-    diameter_px
-        Outer diameter, four gaps between photocathode and plate.
-    elastic_share
-        Share of the halo's electrons that keep their energy; the others keep any part of it alike.
-    count
-        Number of rings.
-
-    Notes
-    -----
-    With x = 2r/D, electrons that leave by the cosine law land with the density 1/sqrt(1 - x^2) if they keep their
-    energy, and arccos(x)/x if it is uniform. In the angle of x = sin(angle) the weight of their rings is sin(angle) and
-    (pi/2 - angle) cos(angle): nothing is singular.
+    `diameter_px`: outer diameter, four gaps between photocathode and plate; `elastic_share`: share of the halo's
+    electrons that keep their energy; the others keep any part of it alike; `count`: number of rings. With x = 2r/D,
+    electrons that leave by the cosine law land with the density 1/sqrt(1 - x^2) if they keep their energy, and
+    arccos(x)/x if it is uniform. In the angle of x = sin(angle) the weight of their rings is sin(angle) and (pi/2 -
+    angle) cos(angle): nothing is singular.
     """
     angle, weight = _angles(count, 0.0, 0.5 * np.pi)
     return 0.5 * diameter_px * np.sin(angle), weight * _weight(angle, elastic_share)

@@ -26,12 +26,8 @@ AROUND_PX = 22
 class BloomSeries:
     """A point source and the levels at which it was taken.
 
-    Parameters
-    ----------
-    scene, overloads
-        The source, and its levels as of `BloomScene`, the faintest first.
-    darks
-        Whether a dark stack was taken.
+    `scene`, `overloads`: the source, and its levels as of `BloomScene`, the faintest first; `darks`: whether a dark
+    stack was taken.
     """
 
     scene: BloomScene
@@ -63,10 +59,7 @@ def halo_overload(scene: BloomScene) -> float:
 def scene_in_scope(rng: np.random.Generator, *, widest_px: float = 70.0, most_frames: int = 16) -> BloomScene:
     """Return a source inside the scope: every other core has a wing; one camera in four has 12 bits.
 
-    Parameters
-    ----------
-    widest_px, most_frames
-        Widest halo and most frames of a stack.
+    `widest_px`, `most_frames`: widest halo and most frames of a stack.
     """
     diameter = float(rng.uniform(25.0, widest_px))
     side = int(np.ceil(diameter + 2 * AROUND_PX + rng.uniform(0.0, 20.0)))

@@ -142,12 +142,8 @@ class BloomScene:
 def radial_light(scene: BloomScene, radius_px: Array, *, before_gain: bool = False) -> Array:
     """Return the light of a source of volume 1 over the radius, per square column pitch, glare left out.
 
-    Parameters
-    ----------
-    radius_px
-        Distances from the source, column pitches.
-    before_gain
-        Whether the blur after the gain is still to come.
+    `radius_px`: distances from the source, column pitches; `before_gain`: whether the blur after the gain is still to
+    come.
     """
     light = (1.0 - scene.halo_fraction - scene.glare_fraction) * _core(scene, radius_px, before_gain=before_gain)
     if scene.halo_fraction <= 0:

@@ -25,23 +25,15 @@ CORE_SIGMAS = 4.0
 def truth(scene: BloomScene, overload: float, *, faintest: float | None = None) -> dict[str, float]:
     """Return what should be found, by the names of the quantities, for a source that stands still.
 
-    Parameters
-    ----------
-    scene, overload
-        The source and its level.
-    faintest
-        As of `charact.study.bloom.camera.stack`.
+    `scene`, `overload`: the source and its level; `faintest`: as of `charact.study.bloom.camera.stack`.
 
-    Returns
-    -------
-    dict
-        `bloom_diameter`, `bloom_diameter_background`, `bloom_diameter_clip` (column pitches; 0: not reached): of the
-        connected region around the source at half of full scale, at twice the background, and at the highest code;
-        `streak_length` (rows of its column at half of full scale), `overflow_length` (rows filled to the limit),
-        `saturated_area` (whole pixels that hang together with the source), `bloom_ellipticity` (of the region at half
-        of full scale), `halo_diameter`, `halo_fraction`, `halo_plateau`, `halo_rim`, `encircled_radius_50`,
-        `encircled_radius_90` (of the linear light without glare), `core_compression`, `veiling_glare` (%),
-        `smear_fraction`. Shares are of the light that falls on the frame.
+    Returns `bloom_diameter`, `bloom_diameter_background`, `bloom_diameter_clip` (column pitches; 0: not reached): of
+    the connected region around the source at half of full scale, at twice the background, and at the highest code;
+    `streak_length` (rows of its column at half of full scale), `overflow_length` (rows filled to the limit),
+    `saturated_area` (whole pixels that hang together with the source), `bloom_ellipticity` (of the region at half of
+    full scale), `halo_diameter`, `halo_fraction`, `halo_plateau`, `halo_rim`, `encircled_radius_50`,
+    `encircled_radius_90` (of the linear light without glare), `core_compression`, `veiling_glare` (%),
+    `smear_fraction`. Shares are of the light that falls on the frame.
     """
     picture = noiseless_frame(scene, overload, faintest=faintest)
     half = scene.dark_dn + 0.5 * scene.span_dn

@@ -77,14 +77,7 @@ def _case(at: AxisPosition, scene: EdgeScene, seeds: np.random.Generator, *, edg
 def stability_cases(seed: int, repeats: int, axes: tuple[str, ...] = tuple(AXES)) -> tuple[Case, ...]:
     """Every axis at every position, drawn several times with another blur, angle and phase, and frames of noise alone.
 
-    Parameters
-    ----------
-    seed
-        Seed of the draws.
-    repeats
-        Draws at each position.
-    axes
-        Names of `AXES`.
+    `seed`: seed of the draws; `repeats`: draws at each position; `axes`: names of `AXES`.
     """
     seeds, rng = np.random.default_rng(seed), np.random.default_rng([seed, 1])
 

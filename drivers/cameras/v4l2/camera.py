@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable
 from fractions import Fraction
-from types import TracebackType
 from typing import Literal, Self
 
 from drivers.cameras.v4l2 import fields, listing, structures
@@ -16,11 +15,8 @@ from drivers.errors import CameraError
 from labdata.capture import CameraSettings
 from labdata.errors import BadInput
 
-BEGINS = 3.0
-"""Additional wait for the first frame, as a multiple of `silence_s`."""
-
-LONGEST_WAIT_S = 600.0
-"""Longest wait for a frame beyond `silence_s`, for any reported period and exposure, s."""
+BEGINS = 3.0  # Additional wait for the first frame, as a multiple of `silence_s`
+LONGEST_WAIT_S = 600.0  # Longest wait for a frame beyond `silence_s`, for any reported period and exposure, s
 
 FULL_RANGE = 1
 _FINEST_PERIOD = 100_000
@@ -43,13 +39,6 @@ class V4l2Camera:
     silence_s
         Longest time without a frame before the camera counts as dead, s; exposure and four frame periods are added,
         and three times as much before the first frame: USB cameras take a second or more to start.
-    open_device
-        Opens the device; replaced in tests.
-
-    Raises
-    ------
-    CameraError
-        On entering: if the device is missing, cannot be opened, or cannot capture.
     """
 
     def __init__(
@@ -86,20 +75,13 @@ class V4l2Camera:
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._close()
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
         """Apply the settings that are not None and return the read-back of all.
 
-        Raises
-        ------
-        BadInput
-            If a value lies outside the range of the camera.
-        CameraError
-            If the camera refuses, or reads back another value than requested.
+        A value outside the camera's range is BadInput, a refused one or another read-back CameraError.
         """
         own = V4l2Settings(self._open, self.identifier)
         own.apply(settings)

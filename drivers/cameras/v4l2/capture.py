@@ -35,22 +35,9 @@ T = TypeVar("T")
 
 
 class V4l2Capture(FrameCapture):
-    """A capture that runs in its `with` block; iterate it for complete frames.
+    """Complete frames of an open device in one image format and the kernel's bits of its video standards.
 
-    Parameters
-    ----------
-    device
-        The open device.
-    form
-        Image format.
-    standard
-        Video standards of the input, as the kernel's bits.
-    patience_s
-        Longest wait for a frame, s.
-    start_s
-        Additional wait allowed for the first frame, s.
-    frames, discard, while_waiting, identifier
-        As in `FrameCapture`.
+    `patience_s` is the longest wait for a frame, s, and `start_s` the additional one for the first.
     """
 
     def __init__(

@@ -24,33 +24,17 @@ _DISCRETE = 1
 
 @dataclass(frozen=True, kw_only=True)
 class Control:
-    """One control.
+    """One control."""
 
-    Parameters
-    ----------
-    identifier
-        The kernel's number.
-    name
-        Name given by the driver.
-    kind
-        Kind of its values.
-    minimum, maximum, step, default
-        Range of its values, in its own unit.
-    is_read_only
-        Whether it cannot be set, also while inactive because of another control.
-    choices
-        Names of a menu's values.
-    """
-
-    identifier: int
-    name: str
-    kind: Kind
-    minimum: int
-    maximum: int
-    step: int
-    default: int
-    is_read_only: bool
-    choices: dict[int, str] = field(default_factory=dict)
+    identifier: int  # The kernel's number
+    name: str  # Name given by the driver
+    kind: Kind  # Kind of its values
+    minimum: int  # Range of its values, in its own unit
+    maximum: int  # Range of its values, in its own unit
+    step: int  # Range of its values, in its own unit
+    default: int  # Range of its values, in its own unit
+    is_read_only: bool  # Whether it cannot be set, also while inactive because of another control
+    choices: dict[int, str] = field(default_factory=dict)  # Names of a menu's values
 
 
 def list_controls(device: Device) -> tuple[Control, ...]:
@@ -87,12 +71,7 @@ def read_control(device: Device, control: Control) -> int:
 def write_control(device: Device, control: Control, value: int) -> int | None:
     """Set a control and return its read-back; None for a button, which has no value.
 
-    Raises
-    ------
-    BadInput
-        If the value lies outside the control's range, or the control is read only.
-    CameraError
-        If the device refuses, or its read-back differs by more than the control's step.
+    A value outside its range, or a read-only control, is BadInput; a read-back off by more than a step CameraError.
     """
     if control.is_read_only:
         raise BadInput(f"the control {control.name!r} must be one that can be set, this one can only be read")
@@ -140,21 +119,11 @@ def _choices(device: Device, query: structures.ControlQuery, *, numbers: bool) -
 
 @dataclass(frozen=True, kw_only=True)
 class OfferedFormat:
-    """A pixel format of a device.
+    """A pixel format of a device."""
 
-    Parameters
-    ----------
-    letters
-        FourCC of the format.
-    name
-        Name as a camera setting; None for an unsupported format, such as a compressed one.
-    sizes
-        Rows and columns of the images; empty where any size within bounds is offered.
-    """
-
-    letters: str
-    name: str | None
-    sizes: tuple[tuple[int, int], ...]
+    letters: str  # FourCC of the format
+    name: str | None  # Name as a camera setting; None for an unsupported format, such as a compressed one
+    sizes: tuple[tuple[int, int], ...]  # Rows and columns of the images; empty where any size within bounds is offered
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -167,24 +136,14 @@ class OfferedInput:
 
 @dataclass(frozen=True, kw_only=True)
 class VideoDevice:
-    """A device that can capture.
+    """A device that can capture."""
 
-    Parameters
-    ----------
-    path
-        Device file, such as "/dev/video0".
-    card, driver, bus
-        Name of the card, kernel driver and bus position.
-    inputs, formats
-        Inputs and pixel formats.
-    """
-
-    path: str
-    card: str
-    driver: str
-    bus: str
-    inputs: tuple[OfferedInput, ...]
-    formats: tuple[OfferedFormat, ...]
+    path: str  # Device file, such as "/dev/video0"
+    card: str  # Name of the card, kernel driver and bus position
+    driver: str  # Name of the card, kernel driver and bus position
+    bus: str  # Name of the card, kernel driver and bus position
+    inputs: tuple[OfferedInput, ...]  # Inputs and pixel formats
+    formats: tuple[OfferedFormat, ...]  # Inputs and pixel formats
 
 
 def list_devices() -> tuple[VideoDevice, ...]:

@@ -20,8 +20,7 @@ CONTROL_DISABLED, CONTROL_READ_ONLY, CONTROL_INACTIVE = 0x0001, 0x0004, 0x0010
 NEXT_CONTROL = 0x80000000
 BIG_ENDIAN = 0x80000000
 
-STANDARDS_525 = 0x0000F900
-"""V4L2_STD_525_60: NTSC in its kinds, and PAL of 525 lines (M, 60)."""
+STANDARDS_525 = 0x0000F900  # V4L2_STD_525_60: NTSC in its kinds, and PAL of 525 lines (M, 60)
 
 
 def _u32(*names: str) -> tuple[tuple[str, type], ...]:
@@ -173,21 +172,11 @@ _READ, _WRITE, _BOTH = 2, 1, 3
 
 @dataclass(frozen=True, kw_only=True)
 class Request:
-    """One kind of ioctl.
+    """One kind of ioctl."""
 
-    Parameters
-    ----------
-    name
-        Name in the kernel, without VIDIOC_.
-    code
-        Number: direction, size of the structure, the letter V, and a running number (asm-generic/ioctl.h).
-    structure
-        Structure passed to the kernel and filled in by it.
-    """
-
-    name: str
-    code: int
-    structure: type
+    name: str  # Name in the kernel, without VIDIOC_
+    code: int  # Number: direction, size of the structure, the letter V, and a running number (asm-generic/ioctl.h)
+    structure: type  # Structure passed to the kernel and filled in by it
 
 
 def _request(name: str, number: int, structure: type, direction: int = _BOTH) -> Request:

@@ -68,7 +68,7 @@ def test_the_disc_is_where_thrown_electrons_land(rings, thrown, seed):
         radius = np.hypot(x + 1.2 * rng.standard_normal(len(x)), y + 1.2 * rng.standard_normal(len(y)))
         edges = np.arange(0.0, 30.0, 2.0)
         core = transfer.gaussian(frequencies(), np.array([1.44]))
-        blurred = core * transfer.disc(frequencies(), np.array([40.0]), transfer.backscatter_profile(np.array([share])))
+        blurred = core * transfer.disc(frequencies(), np.array([40.0]), np.array([[share, 1.0 - share, 0.0, 0.0]]))
         at = np.arange(0.02, 30.0, 0.04)
         light = (blurred @ onto_nodes(at))[0] * 2 * np.pi * at * 0.04
         expected = np.histogram(at, bins=edges, weights=light)[0] * len(x)
