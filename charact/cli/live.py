@@ -63,7 +63,7 @@ SOURCE: dict[str, tuple[Any, Any]] = {
 }
 
 
-@options.with_options(SOURCE)
+@options.with_options(*SOURCE, table=SOURCE)
 def live(**settings: Any) -> None:
     """Live view in a local web page: newest frame, statistics and histogram.
 
@@ -74,7 +74,7 @@ def live(**settings: Any) -> None:
     _show("charact live", **settings)
 
 
-@options.with_options(SOURCE)
+@options.with_options(*SOURCE, table=SOURCE)
 def focus(**settings: Any) -> None:
     """Live view for focusing: MTF50 of an edge, with the best value held.
 

@@ -25,7 +25,7 @@ File = Annotated[Path, typer.Argument(help="Image or stack: .tif .npy .fits .png
 
 
 @app.command()
-@options.with_options(options.MTF)
+@options.with_options(*options.OF_A_TARGET)
 def edge(file: File, **settings: Any) -> None:
     """Measure the MTF of a slanted edge.
 
@@ -35,7 +35,7 @@ def edge(file: File, **settings: Any) -> None:
 
 
 @app.command()
-@options.with_options(options.MTF)
+@options.with_options(*options.OF_A_TARGET)
 def bars(
     file: File,
     frequency: Annotated[
@@ -52,7 +52,7 @@ def bars(
 
 
 @app.command()
-@options.with_options({name: option for name, option in options.MTF.items() if name != "black_dn"})
+@options.with_options(*(name for name in options.OF_A_TARGET if name != "black_dn"))
 def point(
     file: File,
     pinhole_px: Annotated[
@@ -68,11 +68,10 @@ def point(
 
 
 @app.command()
-@options.with_options({
-    name: options.MTF[name]
-    for name in ("plane", "axis", "method", "within", "quick", "seed", "sensor", "units", "pitch_um", "demagnification",
-                 "focal_length_mm", "as_json", "events")
-})  # fmt: skip
+@options.with_options(
+    "plane", "axis", "method", "within", "quick", "seed", "sensor", "units", "pitch_um", "demagnification",
+    "focal_length_mm", "as_json", "events",
+)  # fmt: skip
 def flats(
     file: Annotated[Path, typer.Argument(help="Folder of a session with flats and darks, or one stack of flats.")],
     *, plane: str | None, axis: str | None, method: str, within: float, quick: bool, seed: int, sensor: str | None,

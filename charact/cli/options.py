@@ -73,8 +73,8 @@ BloomMapOf = Annotated[
 ]
 
 
-# Annotation and default of the options of `mtf`.
-MTF: dict[str, tuple[Any, Any]] = {
+# Annotation and default of the options of `mtf` and of the analyses of sessions.
+SHARED: dict[str, tuple[Any, Any]] = {
     "roi": (Roi, None),
     "method": (MethodName, "auto"),
     "within": (Within, 2.0),
@@ -92,11 +92,19 @@ MTF: dict[str, tuple[Any, Any]] = {
     "annotate": (Annotate, None),
     "as_json": (Json, False),
     "events": (Events, False),
+    "scheduler": (Scheduler, None),
+    "map_to": (BloomMap, None),
+    "map_of": (BloomMapOf, None),
 }
+# Options of `mtf edge` and `mtf bars`.
+OF_A_TARGET = tuple(name for name in SHARED if name not in ("scheduler", "map_to", "map_of"))
 
 
-def with_options(shared: Mapping[str, tuple[Any, Any]]) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return a decorator that replaces the `**settings` of a verb by options, given by annotation and default."""
+def with_options(
+    *names: str, table: Mapping[str, tuple[Any, Any]] = SHARED
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Return a decorator that replaces the `**settings` of a verb by named options of a table."""
+    shared = {name: table[name] for name in names}
 
     def enter(verb: Callable[..., None]) -> Callable[..., None]:
         @wraps(verb)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -52,16 +52,8 @@ def open_session_only(path: Path) -> "Session":
     return open_session(path)
 
 
-def noise(
-    sessions: SessionFolders,
-    method: options.MethodName = "auto",
-    within: options.Within = 2.0,
-    quick: options.Quick = False,
-    seed: options.Seed = 0,
-    scheduler: options.Scheduler = None,
-    as_json: options.Json = False,
-    events: options.Events = False,
-) -> None:
+@options.with_options("method", "within", "quick", "seed", "scheduler", "as_json", "events")
+def noise(sessions: SessionFolders, **settings: Any) -> None:
     """Measure noise and gain from flat and dark stacks of one or more sessions.
 
     Each session prints its own result (with --json one object per line). A failed session does not stop the others;
@@ -71,33 +63,26 @@ def noise(
     """
     failed = []
     for session in sessions:
-        if len(sessions) > 1 and not as_json:
+        if len(sessions) > 1 and not settings["as_json"]:
             print(f"{session}:")
         try:
-            _analyse("noise", session, method, within, quick, seed, as_json, events, scheduler)
+            _analyse("noise", session, **settings)
         except typer.Exit as end:
             if end.exit_code != 1 or len(sessions) == 1:
                 raise
             failed.append(str(session))
         sys.stdout.flush()
     if failed:
-        print_message(f"{len(failed)} of {len(sessions)} sessions gave no value: {', '.join(failed)}", events=events)
+        sentence = f"{len(failed)} of {len(sessions)} sessions gave no value: {', '.join(failed)}"
+        print_message(sentence, events=settings["events"])
         raise typer.Exit(1)
 
 
+@options.with_options("method", "within", "quick", "seed", "as_json", "events", "map_to", "map_of", "plane", "axis")
 def bloom(
-    session: SessionFolder,
-    method: options.MethodName = "auto",
-    within: options.Within = 2.0,
-    quick: options.Quick = False,
-    seed: options.Seed = 0,
-    as_json: options.Json = False,
-    events: options.Events = False,
-    map_to: options.BloomMap = None,
-    map_of: options.BloomMapOf = None,
-    plane: options.Plane = None,
-    axis: options.Axis = None,
-) -> None:
+    session: SessionFolder, *, map_to: Path | None, map_of: str | None, plane: str | None, axis: str | None,
+    **settings: Any,
+) -> None:  # fmt: skip
     """Measure halo and bloom extent from point sources; optionally write a bloom map.
 
     A single image may be given instead of a session; only single-frame quantities are measured.
@@ -107,18 +92,18 @@ def bloom(
     if map_to is None and map_of is not None:
         raise typer.BadParameter("needs --map", param_hint="'--map-of'")
     if is_image(session):
-        _bloom_of_image(session, method, within, quick, seed, map_to is not None, plane, axis, as_json, events)
+        _bloom_of_image(session, mapped=map_to is not None, plane=plane, axis=axis, **settings)
         return
     drawn = None
     if map_to is not None:
         from charact.report.bloom_images import write_bloom_map
 
         drawn = partial(write_bloom_map, label=map_of, path=map_to)
-    _analyse("bloom", session, method, within, quick, seed, as_json, events, drawn=drawn)
+    _analyse("bloom", session, drawn=drawn, **settings)
 
 
 def _analyse(
-    room: str, folder: Path, method: str, within: float, quick: bool, seed: int, as_json: bool, events: bool,
+    room: str, folder: Path, *, method: str, within: float, quick: bool, seed: int, as_json: bool, events: bool,
     scheduler: str | None = None, drawn: "Callable[[Session, Result, Context], None] | None" = None,
 ) -> None:  # fmt: skip
     with exit_on_bad_input(str(folder), as_json=as_json, events=events), progress_bar(events=events) as progress:
@@ -139,8 +124,8 @@ def _analyse(
 
 
 def _bloom_of_image(
-    path: Path, method: str, within: float, quick: bool, seed: int, mapped: bool, plane: str | None, axis: str | None,
-    as_json: bool, events: bool,
+    path: Path, *, method: str, within: float, quick: bool, seed: int, mapped: bool, plane: str | None,
+    axis: str | None, as_json: bool, events: bool,
 ) -> None:  # fmt: skip
     """Measure and print the bloom extent of a point source in a single image."""
     with exit_on_bad_input(str(path), as_json=as_json, events=events):
@@ -168,15 +153,8 @@ def _bloom_of_image(
         print_result(result, given=str(path), as_json=as_json, events=events, next_verb=further)
 
 
-def measure(
-    session: SessionFolder,
-    within: options.Within = 2.0,
-    quick: options.Quick = False,
-    seed: options.Seed = 0,
-    scheduler: options.Scheduler = None,
-    as_json: options.Json = False,
-    events: options.Events = False,
-) -> None:
+@options.with_options("within", "quick", "seed", "scheduler", "as_json", "events")
+def measure(session: SessionFolder, *, as_json: bool, events: bool, **settings: Any) -> None:
     """Measure everything the stacks of a session support and store the result in the session.
 
     Example: charact measure day1 --quick
@@ -184,7 +162,7 @@ def measure(
     with exit_on_bad_input(str(session), as_json=as_json, events=events):
         from labdata import result_io
 
-        result = measure_folder(session, quick=quick, seed=seed, within=within, events=events, scheduler=scheduler)
+        result = measure_folder(session, events=events, **settings)
         print_result(
             result, given=str(session), as_json=as_json, events=events, next_verb=f"charact report {session}",
             then=lambda: result_io.save(result, open_session_only(session).folder),

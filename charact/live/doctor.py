@@ -22,7 +22,7 @@ from labdata.errors import BadInput
 from labdata.store import SessionWriter
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Finding:
     """Result of one check: subject, sentence, remedy (None if ok), and whether measuring needs it."""
 
@@ -47,9 +47,7 @@ def software_findings() -> Iterator[Finding]:
     try:
         requires = metadata.requires("charact") or []
     except metadata.PackageNotFoundError:
-        yield Finding(
-            area="packages", says="charact is not installed, its requirements are unknown", fix="pip install charact"
-        )
+        yield Finding("packages", "charact is not installed, its requirements are unknown", fix="pip install charact")
         return
     yield from package_findings(requires, _version_of)
 
@@ -58,7 +56,7 @@ def python_finding(version: tuple[int, ...]) -> Finding:
     """Return whether the Python version is sufficient."""
     text = ".".join(str(part) for part in version)
     fix = None if version >= (3, 11) else "install Python 3.11 or later"
-    return Finding(area="python", says=f"Python {text}", fix=fix, core=True)
+    return Finding("python", f"Python {text}", fix=fix, core=True)
 
 
 def package_findings(requires: Iterable[str], installed: Callable[[str], str | None]) -> Iterator[Finding]:
@@ -74,8 +72,8 @@ def package_findings(requires: Iterable[str], installed: Callable[[str], str | N
     for extra, lacks in sorted(wanting.items(), key=lambda pair: pair[0] or ""):
         of, suffix = ("packages", "") if extra is None else (f"extra {extra}", f"[{extra}]")
         yield Finding(
-            area=of,
-            says=", ".join(lacks) or "all installed",
+            of,
+            ", ".join(lacks) or "all installed",
             fix=f"pip install --upgrade 'charact{suffix}'" if lacks else None,
             core=extra is None,
         )
@@ -113,7 +111,7 @@ def disk_findings(folder: Path) -> Iterator[Finding]:
         rate_hz = write_rate_hz(folder)
     except (OSError, BadInput) as error:
         why = error.strerror if isinstance(error, OSError) else error
-        yield Finding(area="disk", says=f"{folder} is not writable: {why}", fix="choose another folder", core=True)
+        yield Finding("disk", f"{folder} is not writable: {why}", fix="choose another folder", core=True)
         return
     yield speed_finding(folder, rate_hz)
     yield room_finding(folder, shutil.disk_usage(folder).free)
@@ -140,10 +138,8 @@ def speed_finding(folder: Path, rate_hz: float) -> Finding:
     """Return whether a write rate is sufficient for video, Hz."""
     rate = f"{folder}: {rate_hz:.1f} frames/s of {SHAPE[1]} x {SHAPE[0]} px, 16 bit, synchronised to disk"
     if rate_hz >= 2.0 * VIDEO_HZ:
-        return Finding(area="disk", says=rate)
-    return Finding(
-        area="disk", says=f"{rate}; video needs {VIDEO_HZ:g}, and a margin of as many", fix="choose a faster disk"
-    )
+        return Finding("disk", rate)
+    return Finding("disk", f"{rate}; video needs {VIDEO_HZ:g}, and a margin of as many", fix="choose a faster disk")
 
 
 def room_finding(folder: Path, free_bytes: int) -> Finding:
@@ -151,17 +147,17 @@ def room_finding(folder: Path, free_bytes: int) -> Finding:
     minutes = free_bytes / (np.prod(SHAPE) * np.dtype(DTYPE).itemsize * VIDEO_HZ) / 60.0
     space = f"{folder}: {free_bytes / 1e9:.3g} GB free, {minutes:.0f} minutes of video"
     fix = None if minutes >= 10.0 else "free disk space, or choose another disk"
-    return Finding(area="disk", says=space, fix=fix)
+    return Finding("disk", space, fix=fix)
 
 
 def device_finding(area: str, path: Path, title: str) -> Finding:
     """Return whether this user may open a device file."""
     if os.access(path, os.R_OK | os.W_OK):
-        return Finding(area=area, says=f"{path}: {title}")
+        return Finding(area, f"{path}: {title}")
     group = group_of(path)
     return Finding(
-        area=area,
-        says=f"{path}: {title}; this user may not open it",
+        area,
+        f"{path}: {title}; this user may not open it",
         fix=f"sudo usermod -a -G {group} $USER, then log in again" if group else f"change the permissions of {path}",
     )
 
@@ -183,7 +179,7 @@ def group_findings(area: str, group: str) -> Iterator[Finding]:
         return
     if os.geteuid() != 0 and number not in {os.getegid(), *os.getgroups()}:
         fix = f"sudo usermod -a -G {group} $USER, then log in again"
-        yield Finding(area=area, says=f"this user is not in the group {group}", fix=fix)
+        yield Finding(area, f"this user is not in the group {group}", fix=fix)
 
 
 def camera_findings() -> Iterator[Finding]:
@@ -200,14 +196,14 @@ def aravis_cameras() -> Iterator[Finding]:
     try:
         found = list_cameras()
     except BenchError as error:
-        yield Finding(area="aravis", says=str(error), fix="apt-get install libaravis-0.8-0 (Debian)")
+        yield Finding("aravis", str(error), fix="apt-get install libaravis-0.8-0 (Debian)")
         return
     for camera in found:
-        yield Finding(area="aravis", says=f"{camera.identifier}: {camera.model}, {camera.serial}, at {camera.address}")
+        yield Finding("aravis", f"{camera.identifier}: {camera.model}, {camera.serial}, at {camera.address}")
     if not found:
         yield Finding(
-            area="aravis",
-            says="the library is installed; no GigE Vision or USB3 Vision camera answers",
+            "aravis",
+            "the library is installed; no GigE Vision or USB3 Vision camera answers",
             fix="connect a camera and switch it on; its address must be in the subnet of its network port",
         )
 
@@ -223,7 +219,7 @@ def video_devices(
         formats = offered.get(str(path), "no readable capture format")
         yield device_finding("video", path, f"{_read(kernel / path.name / 'name') or 'nameless'}, {formats}")
     if not paths:
-        yield Finding(area="video", says="no video device", fix="connect a capture card, for analog video")
+        yield Finding("video", "no video device", fix="connect a capture card, for analog video")
     yield from group_findings("video", "video")
 
 
@@ -252,7 +248,7 @@ def serial_ports(ports: Iterable[tuple[Path, str]]) -> Iterator[Finding]:
     for path, title in found:
         yield device_finding("serial", path, "serial port" if title == "n/a" else title)
     if not found:
-        yield Finding(area="serial", says="no serial port", fix="connect an adapter, for instruments")
+        yield Finding("serial", "no serial port", fix="connect an adapter, for instruments")
     yield from group_findings("serial", "dialout")
 
 
@@ -267,13 +263,13 @@ def socket_buffer(limits: Path) -> Finding:
     try:
         granted = int((limits / "rmem_max").read_text())
     except (OSError, ValueError):
-        return Finding(area="network", says="the kernel does not state the limit of the socket buffer")
+        return Finding("network", "the kernel does not state the limit of the socket buffer")
     size = f"socket buffer of at most {granted / 2**20:.3g} MiB"
     if granted >= SOCKET_BUFFER_BYTES:
-        return Finding(area="network", says=size)
+        return Finding("network", size)
     return Finding(
-        area="network",
-        says=f"{size}; a camera at full rate needs {SOCKET_BUFFER_BYTES / 2**20:.3g} MiB, or packets are lost",
+        "network",
+        f"{size}; a camera at full rate needs {SOCKET_BUFFER_BYTES / 2**20:.3g} MiB, or packets are lost",
         fix=f"sudo sysctl -w net.core.rmem_max={SOCKET_BUFFER_BYTES} (and keep it in /etc/sysctl.d/)",
     )
 
@@ -286,10 +282,10 @@ def packet_sizes(interfaces: Path) -> Iterator[Finding]:
         bytes_ = int(_read(interface / "mtu") or 0)
         size = f"{interface.name}: packets of {bytes_} bytes"
         if bytes_ < 1500:  # plain Ethernet
-            yield Finding(area="network", says=size, fix=f"sudo ip link set dev {interface.name} mtu 1500")
+            yield Finding("network", size, fix=f"sudo ip link set dev {interface.name} mtu 1500")
         else:
             more = "" if bytes_ >= 9000 else "; use 9000 (jumbo frames) for cameras of many megapixels"
-            yield Finding(area="network", says=size + more)
+            yield Finding("network", size + more)
 
 
 def _read(path: Path) -> str:

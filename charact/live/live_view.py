@@ -10,7 +10,7 @@ from charact.live.focus import BestFocus, Focus
 from charact.live.frame_source import SourceFrame
 from charact.mtf.mean_frame import Region
 from labdata.errors import BadInput
-from labdata.frames import read_only
+from labdata.frames import FrameStack, read_only
 
 BINS = 256
 
@@ -54,27 +54,15 @@ def measure_frame(
     noise, error = (None, None) if before is None else temporal_noise(inside, _inside(before, region))
     histogram, bin_dn = _histogram(frame, full_scale_dn)
     return FrameStatistics(
-        mean_dn=float(inside.mean()),
-        highest_dn=float(frame.max()),
-        pixels=frame.size,
-        saturated_px=int(np.count_nonzero(frame >= full_scale_dn)),
-        noise_dn=noise,
-        noise_se_dn=error,
-        histogram=histogram,
+        mean_dn=float(inside.mean()), highest_dn=float(frame.max()), pixels=frame.size, noise_dn=noise,
+        saturated_px=int(np.count_nonzero(frame >= full_scale_dn)), noise_se_dn=error, histogram=histogram,
         bin_dn=bin_dn,
-    )
+    )  # fmt: skip
 
 
 def temporal_noise(frame: NDArray, before: NDArray) -> tuple[float, float | None]:
-    """Return the temporal noise, root mean square over the pixels, and its standard error, DN.
+    """Return the temporal noise of two frames (row, col), root mean square over the pixels, and its standard error, DN.
 
-    Parameters
-    ----------
-    frame, before
-        Two frames of the same scene, shape (row, col), DN.
-
-    Notes
-    -----
     Half the variance of the difference, which removes the scene, the fixed pattern and uniform flicker. Image lag
     biases it low. The standard error is from the scatter between neighbouring tiles, half the mean square of
     successive differences (J. von Neumann, Ann. Math. Statist. 12 (1941) 367); it accounts for correlated and for
@@ -110,16 +98,7 @@ def _histogram(frame: NDArray, full_scale_dn: float) -> tuple[NDArray[np.int64],
 
 
 def _inside(frame: NDArray, region: Region | None) -> NDArray:
-    if region is None:
-        return frame
-    row, col, height, width = region
-    rows, cols = frame.shape
-    if min(row, col) < 0 or min(height, width) < 1 or row + height > rows or col + width > cols:
-        raise BadInput(
-            f"a region ROW,COL,HEIGHT,WIDTH must lie inside the image of {rows} rows and {cols} columns, "
-            f"got {row},{col},{height},{width}"
-        )
-    return frame[row : row + height, col : col + width]
+    return frame if region is None else FrameStack(data=frame[None]).region(*region).data[0]
 
 
 SATURATED_BGR = (255, 200, 0)

@@ -20,7 +20,7 @@ OWN = f"http://127.0.0.1:{PORT}"
 PATHS = ("/", "/live.js", "/live.css", "/view.json", "/picture.jpg", "/events")
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def running(seed):
     rng = np.random.default_rng(seed)
     frames = []
@@ -70,7 +70,6 @@ def test_own_page_is_served_with_no_door_left_open(running) -> None:
     assert client(running).get("/view.json", headers=own).status_code == 200
 
 
-@pytest.mark.parametrize("path", PATHS)
 @pytest.mark.parametrize(
     "strange",
     [
@@ -86,18 +85,15 @@ def test_own_page_is_served_with_no_door_left_open(running) -> None:
         {"origin": f"http://localhost:{PORT}"},
         {"sec-fetch-site": "cross-site"},
         {"sec-fetch-site": "same-site"},
+        [("host", f"127.0.0.1:{PORT}"), ("host", "rebound.example")],
     ],
     ids=str,
 )
-def test_another_origin_or_another_name_sees_nothing(running, path, strange) -> None:
-    answer = client(running).get(path, headers=strange)
-    assert answer.status_code == 403
-    assert "mean_dn" not in answer.text and "<" not in answer.text
-
-
-def test_two_hosts_in_one_request_are_none(running) -> None:
-    headers = [("host", f"127.0.0.1:{PORT}"), ("host", "rebound.example")]
-    assert client(running).get("/view.json", headers=headers).status_code == 403
+def test_another_origin_or_another_name_sees_nothing(running, strange) -> None:
+    for path in PATHS:
+        answer = client(running).get(path, headers=strange)
+        assert answer.status_code == 403
+        assert "mean_dn" not in answer.text and "<" not in answer.text
 
 
 def test_another_page_cannot_make_the_bench_forget(running) -> None:
@@ -106,7 +102,7 @@ def test_another_page_cannot_make_the_bench_forget(running) -> None:
     assert client(running).post("/best/forget", headers={"origin": OWN}).status_code == 200
 
 
-@pytest.mark.parametrize("path", PATHS)
+@pytest.mark.parametrize("path", ["/", "/view.json"])
 def test_without_the_token_nobody_sees_a_page_that_others_can_reach(running, path) -> None:
     token, bench = new_token(), "http://bench.lab:8600"
     strangers = client(running, token=token, base=bench, hosts=("bench.lab",))
