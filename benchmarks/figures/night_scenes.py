@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from charact.cli.simulation_sources import SimulationRequest, conditions_of, load_described_camera, shot_of
+from simulate.api import SimulationRequest, conditions_of, load_described_camera, simulate
 from simulate.radiance.cube import RadianceCube, band_widths
 
 FOLDER = Path("docs/pictures/night-scenes")
@@ -45,7 +45,7 @@ def draw(name: str, path: Path) -> None:
     """Draw a scene: its radiance above, the mean of a few frames below."""
     camera = load_described_camera(CAMERA, None)
     conditions = conditions_of(camera, gate_ns=GATES_NS.get(name))
-    shot = shot_of(SimulationRequest(source=Path(name), tolerance=TOLERANCE, seed=SEED), camera, conditions)
+    shot = simulate(SimulationRequest(source=Path(name), tolerance=TOLERANCE, seed=SEED), camera, conditions)
     assert shot.view is not None
     frames = shot.frames(seed=SEED)
     seen = np.mean([next(frames) for _ in range(AS_SEEN)], axis=0)

@@ -107,10 +107,7 @@ def _label(axes: Any, posterior: Posterior, shown: tuple[int, ...], line: int, c
     axes.tick_params(axis="x", rotation=40)
     if line > 0 and column < line:
         _ticks(axes.yaxis, posterior.draws[:, shown[line]])
-    for number, setter, wanted in (
-        (column, axes.set_xlabel, last),
-        (line, axes.set_ylabel, column == 0 and line > 0),
-    ):
+    for number, setter, wanted in ((column, axes.set_xlabel, last), (line, axes.set_ylabel, column == 0 and line > 0)):
         if wanted:
             setter(parameter_label(posterior, shown[number]), fontsize=7)
 

@@ -70,8 +70,11 @@ def page(
     session: Session, result: Result, *, validation: "Validation | None" = None, truth: Truth | None = None
 ) -> str:
     """Return the report as HTML."""
-    from charact.report.validation import validation_section
+    section = None
+    if validation is not None:
+        from charact.report.validation import validation_section
 
+        section = validation_section(validation, aspect_of(session))
     figures = [figure_registry.figure_of(name, data) for name, data in add_extent_data(session, result).items()]
     return _template("report.html.j2").render(
         session=session,
@@ -84,7 +87,7 @@ def page(
         figures={part: [f for f in figures if f.section == part] for part in ("mtf", "noise", "bloom", "other")},
         emva=emva_summary(result),
         pictures=representative(session, result.measurements),
-        validation=None if validation is None else validation_section(validation, aspect_of(session)),
+        validation=section,
         posteriors=posteriors(result),
         stacks=tables.stack_table(session),
         sensor_rows=tables.sensor_rows(session.sensor) if session.sensor else (),

@@ -19,22 +19,8 @@ Array = NDArray[np.float64]
 def mtf_consistency(result: Result, kinds: Mapping[str, str]) -> Result:
     """Return the evidence "agreement of targets": differences of the targets' MTFs at the frequencies of the bars.
 
-    Parameters
-    ----------
-    result
-        Measurements and curves of one session.
-    kinds
-        Kind of each stack ("edge", "bars", "point") by its label.
-
-    Returns
-    -------
-    Result
-        Empty without two targets to compare.
-
-    Notes
-    -----
-    Bonferroni: the n differences lie in their joint 95 % region if none exceeds the normal quantile at
-    1 - 0.05 / (2 n), whatever their correlation.
+    Bonferroni: the n differences lie in their joint 95 % region if none exceeds the normal quantile at 1 - 0.05 / (2
+    n), whatever their correlation. Empty without two targets to compare.
     """
     rows = [
         (f"{one[0]} - {other[0]}", m.frequency_cy_per_px, one[1] - other[1], np.hypot(one[2], other[2]))
@@ -97,21 +83,9 @@ def mtf_uniformity(
 ) -> Result:
     """Compare the MTF50 of edges and points with field position, gain and light, and test whether it is constant.
 
-    Parameters
-    ----------
-    result
-        Measurements and curves of one session; only those with status ok are used.
-    kinds, conditions
-        Kind ("edge", "bars", "point") and conditions of each stack by its label.
-    context
-        The camera, for its pitches.
-
-    Returns
-    -------
-    Result
-        Evidence "MTF50 over the field and settings" (and "..., vertical"): the table, chi-squared about the weighted
-        mean with its p-value, and the slope against each setting that differs, with its standard error. Empty without
-        two targets along one direction whose place, gain or light differs.
+    Evidence "MTF50 over the field and settings" (and "..., vertical"): the table, chi-squared about the weighted mean
+    with its p-value, and the slope against each setting that differs, with its standard error. Empty without two valid
+    targets along one direction whose place, gain or light differs.
     """
     rows = [_row(source, conditions, context) for source in sources(result, kinds)]
     evidence = {}

@@ -68,17 +68,7 @@ class ConstraintSource:
 def constraints_from(
     result: Result, kinds: Mapping[str, str], context: Context
 ) -> tuple[list[MtfConstraint], list[MtfConstraint]]:
-    """Return the constraints of valid targets on the MTF, and the bounds by the post-gain MTF of flats.
-
-    Parameters
-    ----------
-    result
-        Measurements and curves of one session.
-    kinds
-        Kind of each stack ("edge", "bars", "point") by its label.
-    context
-        The camera, for its pitches.
-    """
+    """Return the constraints of valid targets on the MTF, and the bounds by the post-gain MTF of flats."""
     curves = [one for source in sources(result, kinds) if (one := _curve_constraint(source, context)) is not None]
     bars = [
         MtfConstraint.of_value(

@@ -208,14 +208,12 @@ class JointMtf:
 
 @with_timing
 def fit_joint_mtf(result: Result, kinds: Mapping[str, str], *, context: Context) -> Result:
-    """Fit one MTF to all targets of a session and test their consistency.
+    """Fit one MTF to all valid targets of a session and test their consistency.
 
     Parameters
     ----------
-    result
-        Measurements and curves of one session; only those with status ok are used.
-    kinds
-        Kind of each stack ("edge", "bars", "point") by its label.
+    result, kinds
+        Measurements and curves of one session, and the kind ("edge", "bars", "point") of each stack by its label.
     context
         Seed, whether a Markov chain may be run, and the camera. Without an intensifier there is no halo.
 

@@ -45,24 +45,10 @@ class KnownCameraTransfer:
 class JointBlurModel:
     """A form of the camera's transfer in all directions.
 
-    Parameters
-    ----------
-    core
-        Form of the core, as in `charact.mtf.blur_models.one_dimensional`.
-    blurred
-        Whether a Gaussian blur multiplies it, such as a screen of another form behind a tube.
-    wide
-        Halo, or None.
-    elliptical
-        Whether the core has a vertical half frequency of its own.
-    known
-        Aperture and video filter; a bandwidth known within a range is one more parameter.
-
-    Notes
-    -----
     M(fx, fy) = C(r/f2) exp(-2 (pi r)^2 b) [(1 - q) + q W(f)] A(fx, fy), with r^2 = fx^2 + (fy e^-s)^2 the elliptical
-    frequency, f2 the half frequency of the core, b the variance of the further blur, q the fraction of the halo and
-    f^2 = fx^2 + fy^2.
+    frequency, f2 the half frequency of the core C, b the variance of a further Gaussian blur (`blurred`), q the
+    fraction of the halo W (`wide`), s the stretch (`elliptical`), f^2 = fx^2 + fy^2, and A aperture and video
+    (`known`).
     """
 
     core: Core
@@ -111,14 +97,8 @@ class JointBlurModel:
     ) -> Array:
         """Return the MTF over aperture and described video, shape (n, parameter) and (f,) -> (n, f).
 
-        Parameters
-        ----------
-        fx, fy
-            Cycles per column pitch along rows and along columns.
-        bend
-            `known.bend` of `fx`.
-        within
-            Where it is normalised to a window narrower than the halo, whose light is then left out.
+        Frequencies are cycles per column pitch; `bend` is `known.bend` of `fx`; `within`: where it is normalised to a
+        window narrower than the halo, whose light is then left out.
         """
         size, place = self.family.core_parameters, self._stretch_index
         stretch = np.exp(theta[:, place : place + 1]) if self.elliptical else 1.0

@@ -75,20 +75,9 @@ class MeasuredCurves:
 class MtfBudget:
     """Fitted stages.
 
-    Parameters
-    ----------
-    posterior
-        Draws of the parameters.
-    identified
-        Stages that the curves determine better than the description.
-    products
-        Groups of the others of which only the product is identified.
-    known
-        Stages without parameters: the pixel, and a video that a digital camera has not.
-    statement
-        The same in sentences.
-    chance
-        P-value of the residuals.
+    `identified`: stages that the curves determine better than the description; `products`: groups of the others of
+    which only the product is identified; `known`: stages without parameters; `statement`: the same in sentences;
+    `chance`: p-value of the residuals.
     """
 
     posterior: Posterior
@@ -109,30 +98,12 @@ def fit_mtf_budget(
     measured: Sequence[MeasuredCurves], sensor: Sensor, *, interlaced: bool, seed: int, quick: bool = False,
     halo: bool = False,
 ) -> MtfBudget:  # fmt: skip
-    """Fit the stages of a camera to its measured curves.
+    """Fit the stages of a camera to its measured curves, best along rows and columns.
 
-    Parameters
-    ----------
-    measured
-        Curves of the whole camera, best along rows and columns, and post-gain curves.
-    sensor
-        Description: pitches and pixel, and ranges of the stages as priors.
-    interlaced
-        Whether a row of a frame sums two rows of the chip.
-    seed, quick
-        Seed of the draws; without a Markov chain.
-    halo
-        Whether the curves are normalised to all light, so that the halo lowers them.
-
-    Raises
-    ------
-    BadInput
-        If there is no curve.
-
-    Notes
-    -----
     The stages are those of `StageModel`, with the description's ranges as normal priors; errors of the curves are
-    normal. A post-gain curve lacks the lens, the halo and the tube's share before the gain.
+    normal. A post-gain curve lacks the lens, the halo and the tube's share before the gain. `interlaced`: a row of a
+    frame sums two rows of the chip; `halo`: the curves are normalised to all light, so that the halo lowers them.
+    Raises BadInput if there is no curve.
     """
     if not measured:
         raise BadInput("a stage budget must have at least one measured curve, got none")
@@ -235,25 +206,10 @@ def _sentences(
 def add_mtf_budget(result: Result, kinds: Mapping[str, str], *, context: Context) -> Result:
     """Return the result of a session with its MTF budget, as evidence and as notes on the MTF50 that it explains.
 
-    Parameters
-    ----------
-    result
-        All measurements and curves of one session, those of the joint fit among them.
-    kinds
-        Kind of each stack ("edge", "bars", "point") by its label.
-    context
-        The camera, seed and speed.
-
-    Returns
-    -------
-    Result
-        Unchanged without an intensifier, or without valid curves with draws along both rows and columns.
-
-    Notes
-    -----
-    Curves along rows and columns are of the same draws and are taken together, so that shared errors count once. The
-    difference of a joint MTF of two or three parameters from a product of stages adds the covariance
-    s^2 exp(-|f - f'|/0.08) along each direction.
+    The result is unchanged without an intensifier, or without valid curves with draws along both rows and columns.
+    These are of the same draws and are taken together, so that shared errors count once. The difference of a joint MTF
+    of two or three parameters from a product of stages adds the covariance s^2 exp(-|f - f'|/0.08) along each
+    direction.
     """
     whole = None if context.sensor is None else _system_curves(result, kinds)
     if context.sensor is None or whole is None:

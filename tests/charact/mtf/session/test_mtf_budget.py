@@ -121,17 +121,6 @@ def test_without_the_curve_after_the_gain_the_tube_is_a_product(seed):
     assert "pixel" in found.known
 
 
-def test_the_whole_is_better_known_than_its_stages(seed):
-    rng = np.random.default_rng(seed)
-    found = budget([curve(d, 0.002, rng) for d in BOTH])
-    frequency = np.array([0.2])
-    every = found.camera.stages
-    stages = np.array([np.log(found.product((stage,), frequency, "horizontal")[:, 0]) for stage in every])
-    assert np.log(found.product(every, frequency, "horizontal")[:, 0]) == pytest.approx(stages.sum(axis=0))
-    assert stages.sum(axis=0).std() < 0.3 * np.sqrt(np.sum(stages.std(axis=1) ** 2))
-    assert np.exp(stages.sum(axis=0).mean()) == pytest.approx(float(cascade("horizontal", np.array(0.2))), abs=0.01)
-
-
 def test_a_halo_lowers_the_whole_and_is_found_where_it_is_looked_for(seed):
     """A quarter of the light, 2.1 prior standard deviations above the description, within 4.5 standard errors."""
     rng = np.random.default_rng(seed)
