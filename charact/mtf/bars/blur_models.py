@@ -26,27 +26,15 @@ NONE: Normal = (0.0, 1e-3)
 
 @dataclass(frozen=True)
 class BarBlurModel:
-    """Blur model with the priors of its two parameters.
+    """Blur model with the priors of its two parameters."""
 
-    Parameters
-    ----------
-    name
-        Printed name.
-    one, two
-        Priors, mean and standard deviation.
-    bounds
-        Bounds of both.
-    start
-        Starting values of both.
-    ln
-        From ln(r/f), attenuation A = -ln c at f and both parameters to ln transfer.
-    """
-
-    name: str
+    name: str  # Printed name
+    # one, two: priors, mean and standard deviation
     one: Normal
     two: Normal
-    bounds: tuple[Bounds, Bounds]
-    start: tuple[float, float]
+    bounds: tuple[Bounds, Bounds]  # Bounds of both
+    start: tuple[float, float]  # Starting values of both
+    # From ln(r/f), attenuation A = -ln c at f and both parameters to ln transfer
     ln: Callable[[Array, float, float, float], Array]
 
     def slopes(self, ln_ratio: Array, attenuation: float, one: float, two: float) -> Array:

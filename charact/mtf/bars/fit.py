@@ -20,55 +20,28 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, kw_only=True)
 class BarFit:
-    """A fitted image.
+    """A fitted image."""
 
-    Parameters
-    ----------
-    target
-        Position of the bars.
-    shape
-        Parameters of their image.
-    names, value, covariance
-        Parameter names, values and covariance.
-    residual_dn, model_dn
-        Pixels less the image, and the image, shape (pixel,).
-    slope
-        Derivatives of the image, shape (parameter, pixel).
-    inverse
-        Inverse of the normal matrix, priors included, shape (parameter, parameter).
-    estimator
-        Weight of each pixel in each parameter, shape (parameter, pixel).
-    noise_covariance
-        The part of the covariance that is due to noise.
-    prior_mean, precision
-        Of the priors, shape (parameter,); precision 0: none.
-    window
-        Pixels used, shape (row, col).
-    noise
-        Noise of the pixels.
-    strip
-        Whether the bars cross the complete window.
-    cost
-        Chi squared with the priors' terms.
-    """
-
-    target: BarTarget
-    shape: BarShape
+    target: BarTarget  # Position of the bars
+    shape: BarShape  # Parameters of their image
+    # names, value, covariance: parameter names, values and covariance
     names: tuple[str, ...]
     value: Array
     covariance: Array
+    # residual_dn, model_dn: pixels less the image, and the image, shape (pixel,)
     residual_dn: Array
     model_dn: Array
-    slope: Array
-    inverse: Array
-    estimator: Array
-    noise_covariance: Array
+    slope: Array  # Derivatives of the image, shape (parameter, pixel)
+    inverse: Array  # Inverse of the normal matrix, priors included, shape (parameter, parameter)
+    estimator: Array  # Weight of each pixel in each parameter, shape (parameter, pixel)
+    noise_covariance: Array  # The part of the covariance that is due to noise
+    # prior_mean, precision: of the priors, shape (parameter,); precision 0: none
     prior_mean: Array
     precision: Array
-    window: Mask
-    noise: BarWindowNoise
-    strip: bool
-    cost: float
+    window: Mask  # Pixels used, shape (row, col)
+    noise: BarWindowNoise  # Noise of the pixels
+    strip: bool  # Whether the bars cross the complete window
+    cost: float  # Chi squared with the priors' terms
 
     def __getitem__(self, name: str) -> float:
         return float(self.value[self.names.index(name)])
@@ -178,12 +151,8 @@ def fit_frames(
 ) -> tuple[BarFit, BarLikelihood]:
     """Fit the mean of frames with its noise; return the likelihood with each pixel's variance too.
 
-    Parameters
-    ----------
-    frames
-        Shape (frame, row, col); for one frame the noise is estimated from the residuals of a first fit.
-    inflation
-        Variance factor of the mean by image lag.
+    `frames`: shape (frame, row, col); for one frame the noise is estimated from the residuals of a first fit;
+    `inflation`: variance factor of the mean by image lag.
     """
     first = fit_bars(problem, target, initial_parameters(problem, target), tolerance=ACCURACY.rough_tolerance)
     window, background = problem.window, first["pedestal_dn"]
@@ -208,12 +177,7 @@ def fit_frames(
 def fit_all_models(fit: BarFit, problem: BarLikelihood) -> list[tuple[float, BarFit, BarLikelihood]]:
     """Fit all blur models; return weight, fit and likelihood of those that count, the preferred one first.
 
-    Parameters
-    ----------
-    fit
-        Fit of one blur model.
-    problem
-        Its likelihood; the reported frequency may differ from that of the fit.
+    `fit`: fit of one blur model; `problem`: its likelihood; the reported frequency may differ from that of the fit.
 
     Notes
     -----

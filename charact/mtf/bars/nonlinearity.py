@@ -141,14 +141,7 @@ def _curvature(fit: BarFit) -> tuple[float, float, float]:
 def noise_powers(data: NDArray, fit: BarFit, black_dn: float) -> tuple[Power | None, Power | None]:
     """Return the powers of the light with which the covariance of row neighbours and the pixel variance grow.
 
-    Parameters
-    ----------
-    data
-        Shape (frame, row, col), DN.
-    fit
-        The image fitted to their mean.
-    black_dn
-        Black level, DN.
+    `data`: shape (frame, row, col), DN; `fit`: the image fitted to their mean; `black_dn`: black level, DN.
 
     Returns
     -------
@@ -220,16 +213,8 @@ def _between(field: Array, lag: int) -> Array:
 def _power(share: Array, product: Array, variance: Array, tied: float) -> Power | None:
     """Return the power of the light in proportion to which noise grows; None: there is too little.
 
-    Parameters
-    ----------
-    share
-        Light over the brightest, shape (pixel,).
-    product
-        Products of noise, DN^2.
-    variance
-        Approximate scale of their uncertainties, DN^2.
-    tied
-        Variance factor of averages relative to independent products.
+    `share`: light over the brightest, shape (pixel,); `product`: products of noise, DN^2; `variance`: approximate scale
+    of their uncertainties, DN^2; `tied`: variance factor of averages relative to independent products.
 
     Notes
     -----

@@ -54,38 +54,21 @@ PUPIL_PARAMETERS = {
 
 @dataclass(frozen=True, kw_only=True)
 class BlurModel2D:
-    """Transfer of blur and source, without aperture and video filter.
+    """Transfer of blur and source, without aperture and video filter."""
 
-    Parameters
-    ----------
-    core
-        "gaussian", "exponential" and "moffat" as of `charact.mtf.forms.families.Family`; "kolmogorov": exponential of
-        exponent 5/3; "airy", "hole", "defocus", "pupil": diffraction, alone, with central obscuration, with defocus,
-        with both.
-    round
-        Whether rows and columns are blurred alike.
-    lens
-        Whether a Gaussian multiplies the core: a tube behind a lens, or before its fibres.
-    separable
-        Whether horizontal and vertical blur multiply, T(fx, 0) T(0, fy), instead of being elliptical.
-    wide
-        Extended component, round; None: none.
-    pinhole_px
-        Diameter of the source, column pitches, or its bounds if unknown.
-    departures
-        Prior standard deviation of model departures, fraction of the transfer; 0: none.
-    known
-        Described parameters: name, mean and standard deviation. "ln_video_bandwidth", ln of the video bandwidth over
-        the described one, is a parameter only if it is among them.
-    """
-
+    # "gaussian", "exponential" and "moffat" as of `charact.mtf.forms.families.Family`; "kolmogorov": exponential
+    # of exponent 5/3; "airy", "hole", "defocus", "pupil": diffraction, alone, with central obscuration, with
+    # defocus, with both
     core: Core
-    round: bool = False
-    lens: bool = False
+    round: bool = False  # Whether rows and columns are blurred alike
+    lens: bool = False  # Whether a Gaussian multiplies the core: a tube behind a lens, or before its fibres
+    # Whether horizontal and vertical blur multiply, T(fx, 0) T(0, fy), instead of being elliptical
     separable: bool = False
-    wide: ExtendedComponent | None = None
-    pinhole_px: float | tuple[float, float] = 0.0
-    departures: float = 0.0
+    wide: ExtendedComponent | None = None  # Extended component, round; None: none
+    pinhole_px: float | tuple[float, float] = 0.0  # Diameter of the source, column pitches, or its bounds if unknown
+    departures: float = 0.0  # Prior standard deviation of model departures, fraction of the transfer; 0: none
+    # Described parameters: name, mean and standard deviation. "ln_video_bandwidth", ln of the video bandwidth
+    # over the described one, is a parameter only if it is among them
     known: tuple[tuple[str, float, float], ...] = ()
 
     @property
@@ -156,14 +139,8 @@ class BlurModel2D:
     def camera(self, theta: Array, frequency: Array, cosine: Array) -> Array:
         """Return the transfer of the camera's blur, without aperture, shape (n, direction, frequency).
 
-        Parameters
-        ----------
-        theta
-            Parameters, shape (n, parameter).
-        frequency
-            Radial frequency, cycles per column pitch, shape (frequency,).
-        cosine
-            Cosine of twice the angle of each direction to the rows, shape (direction,).
+        `theta`: parameters, shape (n, parameter); `frequency`: radial frequency, cycles per column pitch, shape
+        (frequency,); `cosine`: cosine of twice the angle of each direction to the rows, shape (direction,).
         """
         p = {name: theta[:, index] for index, name in enumerate(self.parameters)}
         lens = self._core(theta, p.get("stretch"), frequency, cosine)

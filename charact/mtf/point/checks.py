@@ -76,14 +76,8 @@ def flag_undersampled(found: Iterable[Measurement], window: Window) -> tuple[Mea
 def motion_flags(frames: Array, x: Array, y: Array, parity: NDArray[np.bool_]) -> tuple[str, ...]:
     """Return `interlace-motion` for a displacement between fields, `drift` for one through the stack.
 
-    Parameters
-    ----------
-    frames
-        Light around the source above its background, shape (frame, row, col), DN.
-    x, y
-        Positions of columns and rows from the source, column pitches.
-    parity
-        Field of every row, shape (row,).
+    `frames`: light around the source above its background, shape (frame, row, col), DN; `x`, `y`: positions of columns
+    and rows from the source, column pitches; `parity`: field of every row, shape (row,).
     """
     if len(frames) < ACCURACY.min_motion_frames:
         return ()

@@ -17,29 +17,17 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Censored:
-    """Pixels that are clipped in at least one frame.
+    """Pixels that are clipped in at least one frame."""
 
-    Parameters
-    ----------
-    matrix
-        From a transfer at the nodes to their height at unit light, background and position at their optimum for the
-        other pixels, shape (pixel, node).
-    limit
-        Full scale above the background, shape (pixel,), DN.
-    sd
-        Standard deviation of one frame, shape (pixel,), DN.
-    cut, left
-        Number of frames in which the pixel is clipped, and is not, shape (pixel,).
-    mean
-        Mean of the latter above the background, shape (pixel,), DN.
-    """
-
+    # From a transfer at the nodes to their height at unit light, background and position at their optimum for
+    # the other pixels, shape (pixel, node)
     matrix: Array
-    limit: Array
-    sd: Array
+    limit: Array  # Full scale above the background, shape (pixel,), DN
+    sd: Array  # Standard deviation of one frame, shape (pixel,), DN
+    # cut, left: number of frames in which the pixel is clipped, and is not, shape (pixel,)
     cut: Array
     left: Array
-    mean: Array
+    mean: Array  # Mean of the latter above the background, shape (pixel,), DN
 
     def terms(self, height: Array) -> tuple[Array, Array, float]:
         """Return slope and minus curvature of ln likelihood, each pixel's, and its sum, for heights (pixel,).
@@ -91,31 +79,16 @@ class Censored:
 
 @dataclass(frozen=True, kw_only=True)
 class WhitenedPixels:
-    """Whitened pixels of one source, position and other linear parameters but the light marginalised.
+    """Whitened pixels of one source, position and other linear parameters but the light marginalised."""
 
-    Parameters
-    ----------
-    data
-        Whitened values, shape (value,).
-    matrix
-        From a transfer at the nodes to them at unit light, shape (value, node).
-    root, basis
-        Inverse root of the covariance, and marginalised whitened directions, shape (value, direction).
-    rounding
-        Part of the covariance by quantisation, shape (value, value), DN^2.
-    censored
-        Clipped pixels; None: none.
-    free
-        Values less linear parameters.
-    """
-
-    data: Array
-    matrix: Array
-    free: int
+    data: Array  # Whitened values, shape (value,)
+    matrix: Array  # From a transfer at the nodes to them at unit light, shape (value, node)
+    free: int  # Values less linear parameters
+    # root, basis: inverse root of the covariance, and marginalised whitened directions, shape (value, direction)
     root: Array
     basis: Array
-    rounding: Array
-    censored: Censored | None = None
+    rounding: Array  # Part of the covariance by quantisation, shape (value, value), DN^2
+    censored: Censored | None = None  # Clipped pixels; None: none
 
     def whiten(self, columns: Array) -> Array:
         """Return columns (value, column) whitened, without the marginalised directions."""
@@ -125,30 +98,17 @@ class WhitenedPixels:
 
 @dataclass(frozen=True, kw_only=True)
 class BlurModelFit2D:
-    """A blur model fitted to points.
+    """A blur model fitted to points."""
 
-    Parameters
-    ----------
-    form
-        The blur model.
-    point, covariance
-        Optimum of the posterior and the inverse curvature there; light, position and background marginalised.
-    light
-        Light of each source, DN px^2.
-    log_evidence
-        ln evidence by Laplace's approximation, up to a constant common to all models.
-    cost
-        -2 ln of likelihood and Gaussian priors at the optimum.
-    chi2, free
-        Chi squared of the pixels below full scale, and its degrees of freedom.
-    """
-
-    form: BlurModel2D
+    form: BlurModel2D  # The blur model
+    # point, covariance: optimum of the posterior and the inverse curvature there; light, position and background
+    # marginalised
     point: Array
     covariance: Array
-    light: Array
-    log_evidence: float
-    cost: float
+    light: Array  # Light of each source, DN px^2
+    log_evidence: float  # ln evidence by Laplace's approximation, up to a constant common to all models
+    cost: float  # -2 ln of likelihood and Gaussian priors at the optimum
+    # chi2, free: chi squared of the pixels below full scale, and its degrees of freedom
     chi2: float
     free: int
 

@@ -14,25 +14,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class DetectedSource:
-    """A detected source.
+    """A detected source."""
 
-    Parameters
-    ----------
-    row, col
-        Brightest smoothed pixel.
-    significance
-        Height above the background in standard deviations of the smoothed background.
-    others
-        Whether other sources are detected too.
-    neighbours
-        Rows and columns of the other peaks in the region, px.
-    """
-
+    # row, col: brightest smoothed pixel
     row: int
     col: int
-    significance: float
-    others: bool
-    neighbours: tuple[tuple[int, int], ...] = ()
+    significance: float  # Height above the background in standard deviations of the smoothed background
+    others: bool  # Whether other sources are detected too
+    neighbours: tuple[tuple[int, int], ...] = ()  # Rows and columns of the other peaks in the region, px
 
 
 class PointRefusal(NamedTuple):

@@ -22,36 +22,17 @@ GUESSED = BlurModel2D(core="exponential")
 
 @dataclass(frozen=True, kw_only=True)
 class SourcePixels:
-    """A source in its window.
+    """A source in its window."""
 
-    Parameters
-    ----------
-    window
-        Its pixels and rings.
-    aperture
-        Known part of the camera's transfer.
-    dark
-        Noise of its surroundings.
-    memory
-        Image lag.
-    full_scale_dn
-        Full scale, DN; None: unknown.
-    screen
-        Whether a phosphor pattern makes pixels unequal.
-    place
-        Column and row of the source from the centre of the window, column pitches.
-    pulses
-        Noise of its light; None before it is estimated.
-    """
-
-    window: Window
-    aperture: Aperture
-    dark: SurroundingsNoise
-    memory: ImageLagModel
-    full_scale_dn: float | None
-    screen: bool
+    window: Window  # Its pixels and rings
+    aperture: Aperture  # Known part of the camera's transfer
+    dark: SurroundingsNoise  # Noise of its surroundings
+    memory: ImageLagModel  # Image lag
+    full_scale_dn: float | None  # Full scale, DN; None: unknown
+    screen: bool  # Whether a phosphor pattern makes pixels unequal
+    # Column and row of the source from the centre of the window, column pitches
     place: tuple[float, float] = (0.0, 0.0)
-    pulses: Pulses | None = None
+    pulses: Pulses | None = None  # Noise of its light; None before it is estimated
 
     @property
     def axes(self) -> tuple[Array, Array]:
@@ -134,21 +115,11 @@ def position_source(site: SourcePixels) -> tuple[SourcePixels, float]:
 
 @dataclass(frozen=True, kw_only=True)
 class _CoreResidual:
-    """Residual of the core's pixels for a fixed transfer.
+    """Residual of the core's pixels for a fixed transfer."""
 
-    Parameters
-    ----------
-    coefficients
-        Light, light times the shift along rows and columns, level and slopes.
-    design
-        Their images, shape (pixel, coefficient).
-    residual
-        Shape (pixel,), DN.
-    """
-
-    coefficients: Array
-    design: Array
-    residual: Array
+    coefficients: Array  # Light, light times the shift along rows and columns, level and slopes
+    design: Array  # Their images, shape (pixel, coefficient)
+    residual: Array  # Shape (pixel,), DN
 
 
 def _core_residual(site: SourcePixels, transfer: Array, sd: Array) -> _CoreResidual:
@@ -278,12 +249,8 @@ def rounding(site: SourcePixels, mean: Array) -> Array:
 def whiten_source(site: SourcePixels, transfer: Array, light: float) -> WhitenedPixels:
     """Return the whitened pixels of a source, its position and background marginalised.
 
-    Parameters
-    ----------
-    transfer
-        Approximate transfer, shape (direction, frequency), for weights and the effect of a shift.
-    light
-        Approximate light, DN px^2.
+    `transfer`: approximate transfer, shape (direction, frequency), for weights and the effect of a shift; `light`:
+    approximate light, DN px^2.
     """
     used, size = site.value_mask, site.window.core.size
     matrix, level = site.matrix(), site.background()
@@ -348,16 +315,8 @@ def _pixels_at_full_scale(
 def _rounding_covariance(height: Array, pulse_variance: Array, quiet_sd: float, pulses_per_dn: float) -> Array:
     """Return the covariance of mean values by quantisation, shape (value, value).
 
-    Parameters
-    ----------
-    height
-        Values above the pedestal, shape (value,), DN.
-    pulse_variance
-        Variance of one frame by pulses, shape (value,), DN^2.
-    quiet_sd
-        Noise of a pixel without light, DN.
-    pulses_per_dn
-        Number of pulses per DN.
+    `height`: values above the pedestal, shape (value,), DN; `pulse_variance`: variance of one frame by pulses, shape
+    (value,), DN^2; `quiet_sd`: noise of a pixel without light, DN; `pulses_per_dn`: number of pulses per DN.
 
     Notes
     -----

@@ -28,25 +28,14 @@ TURNS, TURNS_PER_CYCLE = 12, 36
 
 @dataclass(frozen=True, kw_only=True)
 class Aperture:
-    """Known part of the camera's transfer.
+    """Known part of the camera's transfer."""
 
-    Parameters
-    ----------
-    width_px, height_px
-        Extent of a pixel as read, column pitches.
-    video
-        Video filter along rows, or None.
-    top
-        Highest frequency with contrast, cycles per column pitch.
-    orders
-        Powers of ln bandwidth, from 0, for which matrices have columns.
-    """
-
+    # width_px, height_px: extent of a pixel as read, column pitches
     width_px: float = 1.0
     height_px: float = 1.0
-    video: VideoFilter | None = None
-    top: float = 2.0
-    orders: int = 1
+    video: VideoFilter | None = None  # Video filter along rows, or None
+    top: float = 2.0  # Highest frequency with contrast, cycles per column pitch
+    orders: int = 1  # Powers of ln bandwidth, from 0, for which matrices have columns
 
     def horizontal(self, frequency: Array, order: int = 0) -> NDArray[np.complex128]:
         """Return aperture and video filter along rows, as the coefficient of a power of ln bandwidth, at most 2."""
@@ -118,10 +107,7 @@ def _panels(aperture: Aperture, order: int = 0) -> list[_Panel]:
 def pixel_matrix(aperture: Aperture, x: Array, y: Array) -> Array:
     """Return the matrix from a transfer (order x direction x frequency) to pixels of unit light, (pixel, node), 1/px^2.
 
-    Parameters
-    ----------
-    x, y
-        Positions of columns and rows from the source, column pitches, shape (col,) and (row,).
+    `x`, `y`: positions of columns and rows from the source, column pitches, shape (col,) and (row,).
     """
     return np.concatenate([_pixel_matrix(aperture, order, x, y) for order in range(aperture.orders)], axis=1)
 
@@ -143,10 +129,7 @@ def _pixel_matrix(aperture: Aperture, order: int, x: Array, y: Array) -> Array:
 def pictures(aperture: Aperture, transfer: Array, x: Array, y: Array) -> Array:
     """Return image, its slopes along x and y, and their product's, shape (4, row x col), 1/px^2 and so on.
 
-    Parameters
-    ----------
-    transfer
-        Shape (direction, frequency).
+    `transfer`: shape (direction, frequency).
     """
     out = np.zeros((4, y.size, x.size))
     for number, panel in enumerate(_panels(aperture)):
@@ -164,10 +147,7 @@ def pictures(aperture: Aperture, transfer: Array, x: Array, y: Array) -> Array:
 def ring_matrix(aperture: Aperture, ring_px: Array) -> Array:
     """Return the matrix from a transfer (direction x frequency) to the means of rings, shape (ring, node), 1/px^2.
 
-    Parameters
-    ----------
-    ring_px
-        Distances of some pixels of every ring, shape (ring, pixel), column pitches.
+    `ring_px`: distances of some pixels of every ring, shape (ring, pixel), column pitches.
     """
     from scipy.special import j0
 
