@@ -262,7 +262,7 @@ def _of_bench(
 ) -> Shot:
     from labdata.sensor import Sensor
     from simulate.lab import LabBench
-    from simulate.radiance.target_mesh import as_stood
+    from simulate.radiance.lab_target import as_stood
 
     if not isinstance(description, Sensor):
         raise BadInput(f"a bench scene needs a camera with a tube, got {description.name!r}")
