@@ -258,7 +258,7 @@ def _render(view: "OutdoorRendering", request: SimulationRequest, progress: Prog
 
 def _bench_shot(request: SimulationRequest, scene: Any, description: Description, conditions: Conditions) -> Shot:
     from simulate.lab import LabBench
-    from simulate.radiance.target_mesh import as_stood
+    from simulate.radiance.lab_target import as_stood
 
     if not isinstance(description, Sensor):
         raise BadInput(f"a bench scene needs a camera with a tube, got {description.name!r}")

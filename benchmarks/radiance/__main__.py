@@ -24,8 +24,7 @@ from benchmarks.radiance.errors import Reference, reference
 from benchmarks.radiance.export import export
 from benchmarks.radiance.path_tracer import PathTracer, Timed
 from benchmarks.radiance.scenes import Case, cases
-from simulate.radiance.integrator.adaptive_sampling import SamplingSettings
-from simulate.radiance.integrator.integrator_settings import IntegratorSettings, workers
+from simulate.radiance.integrator.integrator_settings import IntegratorSettings, SamplingSettings, workers
 from simulate.radiance.integrator.renderer import render_scene
 
 KEPT = Path("study/radiance")
