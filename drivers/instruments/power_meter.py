@@ -7,7 +7,6 @@ from drivers.serial_lines.line import FramedLine
 
 AVERAGED = 100  # Readings averaged into one, of about 3000 per second
 
-DEFAULT_WAVELENGTH_NM = 550.0
 _ERROR = re.compile(r'([-+]?\d{1,9})\s*,\s*"?(.*?)"?')
 
 
@@ -20,7 +19,7 @@ class PowerMeter(Instrument):
         self.line.write("*CLS")
         for command in ("SENS:POW:UNIT W", "SENS:POW:RANG:AUTO ON", f"SENS:AVER:COUN {AVERAGED}"):
             self._set(command)
-        self.tune(DEFAULT_WAVELENGTH_NM)
+        self.tune(550.0)
         return identity
 
     def look(self) -> None:

@@ -7,7 +7,6 @@ from drivers.serial_lines.line import FramedLine, KnownAnswer
 
 CHANNEL = "In1"
 KNOWN = KnownAnswer(question="*IDN?", form=r"(?i).*(CTC100|PTC10).*")
-ZERO_C_IN_K = 273.15
 # In verbose mode the name of the variable precedes its value.
 _SAID = re.compile(r"(?:[^=]*=)?\s*(\S+)\s*")
 
@@ -30,7 +29,7 @@ class Thermometer(Instrument):
         if unit.endswith("C"):
             return value
         if unit == "K":
-            return value - ZERO_C_IN_K
+            return value - 273.15  # K
         raise self.line.reply_error("measure in degrees Celsius or kelvin", repr(unit))
 
     def _query_value(self, question: str) -> str:

@@ -20,8 +20,6 @@ from drivers.errors import CameraError
 T = TypeVar("T")
 
 CONTROL_PORT = 3956
-CONTROL_S = 0.08  # longest wait for an answer on the control port
-UNANSWERED = 6  # consecutive unanswered queries before a camera counts as dead
 SUSPICION_S = 0.2  # Time without a frame or an answer after which the control port of a camera is queried, s
 HEARTBEAT_S = 3.0  # time that a camera stays locked after its client died
 # GVCP discovery command: key, acknowledge required, command 0x0002, no payload, request number.
@@ -95,7 +93,7 @@ class Connection:
         if answers is None:
             raise self.mark_dead("has gone: nothing listens on its control port")
         self._unanswered = 0 if answers else self._unanswered + 1
-        if self._unanswered >= UNANSWERED:
+        if self._unanswered >= 6:  # consecutive unanswered queries before a camera counts as dead
             raise self.mark_dead(f"no longer answers: it left {self._unanswered} questions in a row without reply")
 
     def mark_dead(self, how: str) -> CameraError:
@@ -167,7 +165,8 @@ class Connection:
             raise CameraError(f"camera {self.identifier} cannot be opened ({error}); cameras found: {there}") from None
 
 
-def ask_control_port(address: str, *, timeout_s: float = CONTROL_S) -> bool | None:
+# longest wait for an answer on the control port
+def ask_control_port(address: str, *, timeout_s: float = 0.08) -> bool | None:
     """Send one GigE Vision discovery command to a camera's address.
 
     Returns whether the acknowledgement came within `timeout_s`; None if no camera listens there (known at once on
