@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.cameras.aravis.connection import SUSPICION_S, Connection
-from drivers.cameras.aravis.library import BUFFER_FAULTS, BUFFER_SUCCESS
+from drivers.cameras.aravis.connection import BUFFER_FAULTS, BUFFER_SUCCESS, SUSPICION_S, Connection
 from drivers.cameras.frame_assembly import POLL_S, FrameCapture, IncompleteFrame, RunningNumbers
 from drivers.errors import CameraError
 from labdata.capture import CameraSettings, Frame
