@@ -8,8 +8,6 @@ from typing import Generic, TypeVar
 
 T = TypeVar("T")
 
-CAPACITY = 10_000  # Queued items: minutes of events, a few megabytes of memory
-
 
 class BackgroundWriter(Generic[T]):
     """Writes items one by one in a daemon thread; the write may block, fail or never return.
@@ -23,7 +21,7 @@ class BackgroundWriter(Generic[T]):
         write: Callable[[T], object],
         *,
         name: str,
-        capacity: int = CAPACITY,
+        capacity: int = 10_000,  # Queued items: minutes of events, a few megabytes of memory
         begin: Callable[[], object] = lambda: None,
         finish: Callable[[], object] = lambda: None,
     ) -> None:

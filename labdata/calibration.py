@@ -76,11 +76,6 @@ class RisingTable:
 
 SETTABLE_A = 1e-3  # Current step that every LED driver can set, A
 
-# Margin of the driver's own limit above the end of the calibration, A: a driver at its limit reports an error
-SPARE_A = 1e-3
-
-SAME_DENSITY = 1e-3
-
 
 @dataclass(frozen=True, kw_only=True)
 class LampSetting:
@@ -124,7 +119,8 @@ class LampCalibration:
     @property
     def limit_a(self) -> float:
         """Current that the lamp's driver must itself refuse to exceed, A."""
-        return math.ceil(round(self.current_a[-1] / SETTABLE_A, 6)) * SETTABLE_A + SPARE_A
+        # Margin of the driver's own limit above the end of the calibration, A: a driver at its limit reports an error
+        return math.ceil(round(self.current_a[-1] / SETTABLE_A, 6)) * SETTABLE_A + 1e-3
 
     def setting(self, illuminance_lux: float, filter_density: float | None = None) -> LampSetting:
         """Return how to make an illuminance, lux; one that the lamp cannot reach is BadInput.
@@ -158,7 +154,7 @@ class LampCalibration:
     def position_of(self, filter_density: float) -> int:
         """Return the position of a filter, counted from 1; an unknown density is BadInput."""
         for position, density in enumerate(self.filter_density, 1):
-            if abs(density - filter_density) < SAME_DENSITY:
+            if abs(density - filter_density) < 1e-3:
                 return position
         densities = ", ".join(f"{density:g}" for density in self.filter_density)
         raise BadInput(f"filter_density must be one of the wheel's {densities}, got {filter_density:g}")

@@ -90,10 +90,6 @@ class SaturationSearch:
         return 1 + doublings + max(0, math.ceil(math.log2(math.log(2.0) / math.log1p(self.within_percent / 100.0))))
 
 
-# Fraction of pixels that a bright point, its halo and streaks may saturate; room light saturates all pixels
-POINT_SATURATION = 0.3
-
-
 @dataclass(frozen=True, kw_only=True)
 class Step:
     """One stack to acquire."""
@@ -158,7 +154,8 @@ class Step:
         """Fraction of a frame's pixels that may be saturated."""
         if self.saturated_fraction is not None:
             return self.saturated_fraction
-        return 1.0 if self.search is not None else POINT_SATURATION if self.kind == "point" else 0.0
+        # Fraction of pixels that a bright point, its halo and streaks may saturate; room light saturates all pixels
+        return 1.0 if self.search is not None else 0.3 if self.kind == "point" else 0.0
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,12 +18,6 @@ if TYPE_CHECKING:
     from labdata.sensor import Sensor
 
 
-WARN_AT = 0.8  # Fraction of a tube's expected life at which a warning is given
-
-S_PER_H = 3600.0
-C_PER_NC = 1e-9
-
-
 @dataclass(frozen=True, kw_only=True)
 class Dose:
     """Accumulated load of a tube."""
@@ -63,11 +57,11 @@ def total_dose(doses: Iterable[Dose]) -> Dose:
 
 def dose_of(*, delivered_na_per_cm2: float, lit_s: float, at_gain_s: float, point: bool, log_sd: float) -> Dose:
     """Return the dose of light for `lit_s` and high voltage for `at_gain_s` at one current density of the phosphor."""
-    charge = delivered_na_per_cm2 * C_PER_NC * lit_s
+    charge = delivered_na_per_cm2 * 1e-9 * lit_s
     return Dose(
         screen_c_per_cm2=0.0 if point else charge,
         point_c_per_cm2=charge if point else 0.0,
-        hours_at_gain=at_gain_s / S_PER_H,
+        hours_at_gain=at_gain_s / 3600.0,
         log_sd=log_sd,
     )
 
@@ -85,7 +79,7 @@ def warnings(dose: Dose, sensor: "Sensor | None") -> tuple[str, ...]:
 
 
 def _life_warning(what: str, amount: float, life: float, unit: str) -> str | None:
-    if amount < WARN_AT * life:
+    if amount < 0.8 * life:  # Fraction of a tube's expected life at which a warning is given
         return None
     return f"The tube's {what} is {amount:.3g} {unit}, {amount / life:.0%} of the {life:g} {unit} expected of its life."
 

@@ -26,8 +26,6 @@ from labdata.store.storage_thread import Storage
 PLAN = "plan.toml"
 LOG = "log.jsonl"
 
-PROGRESS_S = 1.0  # Longest wait at the end for progress to be shown, s
-
 
 def acquire(
     plan: Plan,
@@ -133,7 +131,7 @@ class _Reporter:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._writer.close(PROGRESS_S)
+        self._writer.close(1.0)  # Longest wait at the end for progress to be shown, s
 
 
 @contextmanager

@@ -18,7 +18,6 @@ from labdata.sensor import Sensor
 from labdata.tube_dose import Dose, dose_of, total_dose
 
 _NEEDED = {"bars": ("bars", "frequency_cy_per_px"), "edge": (), "point": (), "flat": (), "dark": (), "scene": ()}
-_SPARE_BYTES = 64 << 20
 # Conditions that no driver sets or reads back: the record would contain a set-point that was never in force.
 _METERED = ("metered_w", "metered_lux", "metered_time_s", "temperature_time_s")
 _SET_BY_NOBODY = ("automatic_gain", "brightness_control", "em_gain", "gain_control", "lamp_a", *_METERED)
@@ -160,14 +159,11 @@ def _check_picture(plan: Plan, sensor: Sensor | None) -> None:
 
 def _check_disk(plan: Plan, folder: Path, sensor: Sensor | None) -> None:
     there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
-    free, needed = shutil.disk_usage(there).free, bytes_of(plan, sensor) + _SPARE_BYTES
+    free, needed = shutil.disk_usage(there).free, bytes_of(plan, sensor) + (64 << 20)
     if free < needed:
         raise BadInput(f"the disk must have {needed // 10**6} MB free for this plan, got {free // 10**6} MB")
 
 
-CHANGE_S = 0.3  # Time to set gate, camera and light of a step, s
-GAIN_SETTLES_S = 0.5  # Settle and read time of a supply after a ramp, s
-FALL_V_PER_S = 300.0  # Rate of fall of the unloaded high voltage, V/s
 FRAMES_PER_S = 30.0  # Frame rate assumed for an unknown camera, Hz
 
 
@@ -237,7 +233,7 @@ def sentences_out_of_step(plan: Plan, sensor: Sensor | None) -> tuple[str, ...]:
 def _step(plan: Plan, step: Step, before: Step | None, sensor: Sensor | None, limits: LimitsInForce) -> StepForecast:
     asked, point = step.brightest.conditions, step.kind == "point"
     settle_s = plan.settle.wait_s(None if before is None else before.conditions, step.conditions)
-    moving_s = CHANGE_S + _gain_moves_s(before, step, limits)
+    moving_s = 0.3 + _gain_moves_s(before, step, limits)  # Time to set gate, camera and light of a step, s
     lit_s = settle_s + (step.most_frames + DISCARDED_FRAMES) * _frame_s(step, sensor)
     lux, volts = asked.illuminance_lux or 0.0, asked.mcp_v or 0.0
     duty = min(1.0, (asked.gate_ns or 0.0) * 1e-9 * plan.gating.most_hz(field_hz(sensor)))
@@ -263,7 +259,9 @@ def _gain_moves_s(before: Step | None, step: Step, limits: LimitsInForce) -> flo
     change_v = (step.conditions.mcp_v or 0.0) - present_v
     if not change_v:
         return 0.0
-    return GAIN_SETTLES_S + (change_v / limits.ramp_v_per_s if change_v > 0.0 else -change_v / FALL_V_PER_S)
+    # Settle and read time of a supply after a ramp, s
+    # Rate of fall of the unloaded high voltage, V/s
+    return 0.5 + (change_v / limits.ramp_v_per_s if change_v > 0.0 else -change_v / 300.0)
 
 
 def _frame_s(step: Step, sensor: Sensor | None) -> float:

@@ -27,8 +27,6 @@ LOOK_S = 0.1
 # Longest time without progress of the disk while frames are queued, s, since the tube is at gain meanwhile
 DISK_S = 1.2
 
-CAMERA_S = 15.0  # Longest time for the settings of a camera, with the gate shut, s
-
 # Fraction of the gate width, and smallest width in ns, of the first frame in a light that a person set
 PROBE_SHARE, PROBE_NS = 0.01, 100.0
 
@@ -151,7 +149,7 @@ class Run:
         asked = step.conditions
         with clock.wire():
             light = self.operator.place(kind=step.kind, target=step.target, illuminance_lux=0.0)
-            with self.bench.patience(CAMERA_S):
+            with self.bench.patience(15.0):  # Longest time for the settings of a camera, with the gate shut, s
                 self.settings = self.camera.configure(
                     CameraSettings(exposure_s=asked.exposure_s, gain_db=asked.camera_gain_db)
                 )

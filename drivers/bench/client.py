@@ -36,7 +36,6 @@ START_S = 15.0  # Longest start of the server, s
 
 SLICE_S = 0.1
 RESERVE_BYTES = 8 << 20  # Memory reserved for the safe action, bytes
-KILLED_S = 0.1  # Longest wait for a killed server to release its ports, s
 
 
 def _command(name: str) -> Callable[..., Any]:
@@ -292,7 +291,7 @@ class BenchClient:
             self.fault = self.fault or lost
             with contextlib.suppress(ProcessLookupError):
                 os.kill(self.process.pid, signal.SIGKILL)
-            until_s = time.monotonic() + KILLED_S
+            until_s = time.monotonic() + 0.1  # Longest wait for a killed server to release its ports, s
             while self.process.poll() is None and time.monotonic() < until_s:
                 time.sleep(0.01)
             for waiting in list(self._replies.values()):

@@ -33,9 +33,7 @@ from labdata.event_log import EventLog
 from labdata.instrument_config import Role
 
 TICK_S = 0.02
-METER_EVERY_S = 1.0  # Interval between readings of the light meter, s
 STALLED_S = 1.2  # Time without heartbeat of the run, in a living process, after which the tube is made safe, s
-LOG_S = 1.0  # Longest wait for the log at the end, s
 
 # Commands of a client, besides `frame_seen`, `safe` and `leave`, which are not queued
 COMMANDS = (
@@ -81,7 +79,8 @@ class BenchServer:
     def serve(self) -> None:
         """Serve the client until it leaves or is lost; then make the bench safe."""
         self._log("start", pid=os.getpid())
-        for work in (self._obey, self._obey_safe_orders, partial(self._look, METER_EVERY_S, TubeBench.look_at_light)):
+        # Interval between readings of the light meter, s
+        for work in (self._obey, self._obey_safe_orders, partial(self._look, 1.0, TubeBench.look_at_light)):
             threading.Thread(target=work, daemon=True).start()
         reason, leaving = "the server itself failed", 0
         try:
@@ -310,7 +309,7 @@ def main() -> None:
         signal.signal(number, server.stop)
     try:
         server.serve()
-        log.close(LOG_S)
+        log.close(1.0)  # Longest wait for the log at the end, s
     finally:
         # A thread that waits for a disk or a line must not keep this process and its ports alive.
         os._exit(0)

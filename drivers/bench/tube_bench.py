@@ -35,13 +35,7 @@ from drivers.serial_lines.line import InstrumentLine
 from labdata.conditions import Conditions
 from labdata.instrument_config import InstrumentConfig, Role
 
-# Factor between meter reading and set light above which the light is brighter, beyond calibration errors
-METER_AGREES = 1.25
-
-SAME_V = 0.5  # Tolerance of an unchanged voltage, V
 LOOK_EVERY_S = 0.3  # Interval between checks of an instrument's settings, s; with the check itself below 0.5 s
-WORKER_LEAVES_S = 1.0  # Longest wait for a procedure interrupted by the safe action, s
-DOSE_S = 2.0  # Longest wait for the last dose to be written, s
 
 # Roles not needed for the tube: a failure is reported, and the bench continues
 DISPENSABLE: tuple[Role, ...] = ("light-meter", "thermometer")
@@ -142,7 +136,7 @@ class TubeBench(LightControl):
         """Return the command for a voltage; None if it is off or unchanged."""
         supply = self._supply.driver
         present_v = supply.read_voltage_v() if supply.is_on else 0.0
-        if not volts or math.isclose(volts, present_v, abs_tol=SAME_V):
+        if not volts or math.isclose(volts, present_v, abs_tol=0.5):  # Tolerance of an unchanged voltage, V
             return None
         if volts < present_v:
             return LowerGain(goal_v=volts)
@@ -244,7 +238,8 @@ class TubeBench(LightControl):
     def _raise_light(self, metered_lux: float | None) -> None:
         """Raise the light known to the interlock to a brighter reading; a reading near zero is the meter's zero."""
         zero_lux = METER_ZERO * self.interlock.limits.illuminance_lux
-        if metered_lux is not None and metered_lux > max(zero_lux, METER_AGREES * self.interlock.state.light_lux):
+        # Factor between meter reading and set light above which the light is brighter, beyond calibration errors
+        if metered_lux is not None and metered_lux > max(zero_lux, 1.25 * self.interlock.state.light_lux):
             self.interlock.tell(LightRead(illuminance_lux=metered_lux))
 
     # Checks
@@ -331,7 +326,8 @@ class TubeBench(LightControl):
             self.report = report
             for station in dangerous.values():
                 # The line stays closed to a procedure that does not end.
-                if station.procedure.acquire(timeout=WORKER_LEAVES_S):
+                # Longest wait for a procedure interrupted by the safe action, s
+                if station.procedure.acquire(timeout=1.0):
                     station.line.release()
                     station.procedure.release()
             return report
@@ -346,7 +342,7 @@ class TubeBench(LightControl):
         if self._dose is None:
             return None
         self.interlock.tell(SafeOrdered())
-        return self._dose.close(DOSE_S)
+        return self._dose.close(2.0)  # Longest wait for the last dose to be written, s
 
     @property
     def _gate(self) -> Station:

@@ -8,7 +8,6 @@ from drivers.errors import CameraError
 from labdata.capture import Frame, LostFrames, losses_before
 from labdata.errors import BadInput
 
-MOST_BROKEN = 20  # Largest number of incomplete frames of a capture beyond the number of requested ones
 POLL_S = 0.05  # Longest wait between two calls of `while_waiting`, s; half of the guaranteed 0.1 s
 
 
@@ -87,7 +86,8 @@ class FrameCapture:
                 broken += 1
                 if frame.number is not None:
                     self._faults[frame.number] = frame.fault
-                if broken > MOST_BROKEN + self._wanted:
+                # Largest number of incomplete frames of a capture beyond the number of requested ones
+                if broken > 20 + self._wanted:
                     raise CameraError(
                         f"camera {self._identifier} must send whole frames, got {broken} broken ones "
                         f"(the last: {frame.fault}) and {whole} whole"

@@ -10,9 +10,7 @@ from labdata.gating import HOLDOFF, Sync
 GATE_LEVEL_V = 4.0
 
 INTERNAL, EXTERNAL, SINGLE_SHOT, LINE = 0, 1, 5, 6
-TRIGGER_INPUT = 0
 EDGE_A, EDGE_B, OUTPUT_AB = 2, 3, 1
-_OTHER_EDGES = (4, 5, 6, 7, 8, 9)
 
 ERRORS = {
     10: "illegal value", 11: "illegal mode", 12: "illegal delay", 13: "illegal link", 14: "recall failed",
@@ -51,7 +49,7 @@ class DelayGenerator(Gate):
         return identity
 
     def _program(self, *, width_ns: float, rate_hz: float, delay_ns: float, sync: Sync) -> float:
-        for edge in _OTHER_EDGES:
+        for edge in (4, 5, 6, 7, 8, 9):
             self._set(f"DLAY {edge},0,0")
         self._set("BURM 0")
         self._hold_off(HOLDOFF / rate_hz if sync == "triggered" else None)
@@ -72,7 +70,7 @@ class DelayGenerator(Gate):
         if seconds is None:
             self._set("ADVT 0")
             return
-        for prescaler in (TRIGGER_INPUT, OUTPUT_AB):
+        for prescaler in (0, OUTPUT_AB):
             self._set(f"PRES {prescaler},1")
         self._set(f"HOLD {seconds:.12f}")
         self._set("ADVT 1")

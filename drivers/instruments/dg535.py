@@ -15,7 +15,7 @@ from labdata.gating import Sync
 
 RATE_DIGITS = 4
 INTERNAL, SINGLE_SHOT, LINE = 0, 2, 4
-T0, A, B, AB, C, D = 1, 2, 3, 4, 5, 6
+T0, A, B, AB, C, D = range(1, 7)
 TTL, POSITIVE, HIGH_IMPEDANCE = 0, 1, 1
 ERRORS = (
     "unrecognised command",

@@ -11,9 +11,6 @@ from drivers.serial_lines.line import LONGEST_QUOTE, InstrumentLine
 from labdata.errors import BadInput
 from labdata.gating import Sync
 
-# Negligible relative rounding of a pulse: a field time is not a multiple of 5 ps.
-_UNSEEN = 1e-6
-
 MISSED_TRIGGERS = 2.0  # Trigger periods without a trigger after which the trigger counts as missing
 
 
@@ -72,7 +69,8 @@ class Gate(Instrument):
         if not delay_ns >= 0.0:
             raise BadInput(f"the delay of the gate must not be negative, got {delay_ns:g} ns")
         for name, value_ns in (("gate_ns", width_ns), ("the delay of the gate, ns,", delay_ns)):
-            if abs(value_ns - self.step_ns * round(value_ns / self.step_ns)) > _UNSEEN * max(width_ns, value_ns):
+            # Negligible relative rounding of a pulse: a field time is not a multiple of 5 ps
+            if abs(value_ns - self.step_ns * round(value_ns / self.step_ns)) > 1e-6 * max(width_ns, value_ns):
                 raise BadInput(f"{name} must be a multiple of the generator's {self.step_ns:g} ns, got {value_ns:.12g}")
 
     def shut(self) -> None:

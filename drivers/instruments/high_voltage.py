@@ -7,7 +7,6 @@ from drivers.instruments.instrument import InstrumentModel
 from drivers.instruments.voltage_limits import FALL_S, SETTLED_V, Supply
 from drivers.serial_lines.line import PrologixLine
 
-STEP_LARGEST_V = 50.0
 STEP_S = 0.2
 SETTLE_S, SETTLE_READINGS = 0.1, 25
 VOLTAGE_TRIP, CURRENT_TRIP, HV_ON = 2, 4, 128
@@ -65,7 +64,7 @@ class HighVoltage(Supply):
 
     def _raise(self, goal_v: float, rate_v_per_s: float, check: Callable[[], None]) -> float:
         start_v = self.line.query_float("VSET?")
-        step_v = min(STEP_LARGEST_V, rate_v_per_s * STEP_S)
+        step_v = min(50.0, rate_v_per_s * STEP_S)
         began_s, level_v = time.monotonic(), start_v
         while level_v < goal_v:
             level_v = min(level_v + step_v, goal_v)

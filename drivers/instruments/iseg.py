@@ -14,8 +14,6 @@ from drivers.serial_lines.line import EchoCheckedLine, InstrumentLine, KnownAnsw
 from labdata.errors import BadInput
 
 SLOWEST_V_PER_S, FASTEST_V_PER_S = 2, 255
-# One position of the rotary switch of the hardware limit, % of the nominal voltage (unverified)
-SWITCH_STEP_PERCENT = 10
 
 SETTLE_S = 3.0
 MANUAL, POSITIVE, SWITCH_OFF = 1, 4, 8  # module status
@@ -28,10 +26,7 @@ _PLAIN = re.compile(r"[+-]?\d{1,9}(\.\d{1,9})?")
 
 END = b"\r\n"
 
-# By default the unit waits about 255 ms after each character it sends.
-SLOWEST_CHARACTER_S = 0.5
 QUICK = "W=1"
-SLOW_START_S = 6.0  # the echo and answer of one question and the echo of QUICK: 22 characters
 
 REFUSALS = (
     (r"\?\?\?\?", "it does not understand"),
@@ -55,7 +50,9 @@ class IsegLine(EchoCheckedLine):
     def _get_into_step(self) -> None:
         """Resynchronise: select fast replies, discard late input, and wait for the identity."""
         self._send(END + QUICK.encode() + END)
-        self._drain(quiet_s=SLOWEST_CHARACTER_S, within_s=SLOW_START_S)
+        # By default the unit waits about 255 ms after each character it sends
+        # the echo and answer of one question and the echo of QUICK: 22 characters
+        self._drain(quiet_s=0.5, within_s=6.0)
         self._send(KNOWN.question.encode() + END)
         self._await_known(END, KNOWN)
 
@@ -96,7 +93,8 @@ class Iseg(Supply):
         self.order_off()
         if (state := self._state()) in ("TRP", "ERR"):
             raise self._trip_error(f"{TRIPS[state]} before anything was switched on")
-        position_v = self.highest_v * SWITCH_STEP_PERCENT / 100.0
+        # One position of the rotary switch of the hardware limit, % of the nominal voltage (unverified)
+        position_v = self.highest_v * 10 / 100.0
         allowed_v = math.ceil(limit_v / position_v - 1e-9) * position_v
         kept_v = self.highest_v * self.line.query_int("M1") / 100.0
         if kept_v > allowed_v + 0.5:

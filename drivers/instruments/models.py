@@ -8,16 +8,7 @@ A package provides a model by an entry point of the group `charact.instruments` 
 
 from collections.abc import Mapping
 
-from drivers.instruments import (
-    delay_generator,
-    dg535,
-    filter_wheel,
-    high_voltage,
-    iseg,
-    light_source,
-    power_meter,
-    thermometer,
-)
+from drivers.instruments import delay_generator, dg535, filter_wheel, high_voltage, iseg, light_source, meters
 from drivers.instruments.instrument import InstrumentModel
 from drivers.serial_lines.line import InstrumentLine
 from drivers.serial_lines.port import Port
@@ -25,10 +16,8 @@ from labdata.errors import BadInput
 from labdata.instrument_config import InstrumentConfig, InstrumentConnection, Role, models_by_name
 
 GROUP = "charact.instruments"
-SHIPPED: tuple[InstrumentModel, ...] = tuple(
-    module.MODEL
-    for module in (delay_generator, high_voltage, dg535, iseg, filter_wheel, light_source, power_meter, thermometer)
-)
+_MODULES = (delay_generator, high_voltage, dg535, iseg, filter_wheel, light_source)
+SHIPPED = (*(module.MODEL for module in _MODULES), meters.LIGHT_METER, meters.THERMOMETER)
 
 
 def models() -> dict[str, InstrumentModel]:

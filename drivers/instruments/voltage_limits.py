@@ -15,14 +15,11 @@ FALL_S = 15.0  # Longest discharge of an output after off, s
 DISCHARGED_V = 10.0  # Largest voltage of a discharged output, V
 SETTLED_V = 2.0  # Settling tolerance of an output, V: two steps of the coarsest display
 
-# Accuracy of the measured output, V: 0.05 % of the 5 kV full scale of a PS350; an SHQ is better (data sheets)
-ACCURACY_V = 2.5
-
 # Deviation from the set-point, or rise after off, that counts as a change at the panel, V
-HELD_V = SETTLED_V + ACCURACY_V
+# Accuracy of the measured output, V: 0.05 % of the 5 kV full scale of a PS350; an SHQ is better (data sheets)
+HELD_V = SETTLED_V + 2.5
 
 POLL_S = 0.1
-_ROUNDING = 1e-6
 
 
 class Supply(Instrument):
@@ -76,7 +73,7 @@ class Supply(Instrument):
             raise BadInput(f"mcp_v must be 0 (off) or at least {self.lowest_v:g}, got {volts:g}")
         if volts > self.highest_v:
             raise BadInput(f"mcp_v must not exceed the supply's {self.highest_v:g}, got {volts:g}")
-        if abs(volts / self.step_v - round(volts / self.step_v)) > _ROUNDING:
+        if abs(volts / self.step_v - round(volts / self.step_v)) > 1e-6:
             raise BadInput(f"mcp_v must be a multiple of the supply's {self.step_v:g} V, got {volts:.10g}")
 
     @abstractmethod

@@ -15,8 +15,6 @@ from drivers.serial_lines.port import ANSWER_S, SLICE_S, Port
 LONGEST_ANSWER = 4096  # Largest reply without terminator, bytes
 LONGEST_QUOTE = 100  # Largest part of a reply quoted in a message, characters
 
-QUIET_S = 0.05
-
 
 class _Caller(threading.local):
     """Whether the calling thread belongs to the safe action."""
@@ -189,7 +187,7 @@ class InstrumentLine(ABC):
             if time.monotonic() > deadline_s:
                 raise InstrumentTimeout.of(self.name, f"answer {known.question} in a known form", repr(answer[:80]))
 
-    def _drain(self, *, quiet_s: float = QUIET_S, within_s: float | None = None) -> None:
+    def _drain(self, *, quiet_s: float = 0.05, within_s: float | None = None) -> None:
         """Discard input until the line is quiet for a time or the time limit is over."""
         now_s = heard_s = time.monotonic()
         deadline_s = now_s + (self._answer_s if within_s is None else within_s)

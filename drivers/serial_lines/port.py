@@ -17,7 +17,6 @@ from drivers.errors import InstrumentDisconnected, InstrumentTimeout
 ANSWER_S = 0.4  # Time limit of a reply, s; keeps every reaction within one second
 
 SLICE_S = 0.02
-_PIECE_BYTES = 4096
 _OPENING_ERRORS = (serial.SerialException, OSError, termios.error, ValueError)
 
 
@@ -71,7 +70,7 @@ class _DescriptorPort:
         if not self._is_ready(select.POLLIN, timeout_s):
             return b""
         try:
-            if data := os.read(self._descriptor, _PIECE_BYTES):
+            if data := os.read(self._descriptor, 4096):
                 return data
         except OSError as error:
             raise self._disconnection(error) from None

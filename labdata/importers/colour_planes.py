@@ -7,8 +7,6 @@ from labdata.errors import BadInput
 from labdata.frames import FrameStack
 from labdata.importers.thresholds import MOSAIC_LEVEL, MOSAIC_SIGNIFICANCE
 
-# Weights of red, green and blue in luminance (ISO 12233).
-LUMINANCE = (0.2125, 0.7154, 0.0721)
 LUMINANCE_NOTE = "colour picture: the luminance 0.2125 R + 0.7154 G + 0.0721 B was taken"
 SITES = ("r", "g1", "g2", "b")
 
@@ -94,7 +92,8 @@ def green_diagonal(data: NDArray) -> int | None:
 def select_plane(data: NDArray, plane: str | None, name: str) -> FrameStack:
     """Return one plane, or the luminance, of colour frames of the shape (frame, row, col, 3 or 4)."""
     if plane in (None, "luminance"):
-        luminance = data[..., :3].astype(np.float64) @ np.asarray(LUMINANCE)
+        # Weights of red, green and blue in luminance (ISO 12233)
+        luminance = data[..., :3].astype(np.float64) @ np.asarray((0.2125, 0.7154, 0.0721))
         # The mean of 8-bit planes has their full scale; the bits used in wider planes are unknown.
         full_scale_dn = 255.0 if data.dtype == np.uint8 else None
         return FrameStack(data=luminance, full_scale_dn=full_scale_dn, plane="luminance", notes=(LUMINANCE_NOTE,))

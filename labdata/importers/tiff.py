@@ -12,7 +12,6 @@ from labdata.importers.decompression_limit import require_picture, require_room
 from labdata.importers.thresholds import THUMBNAIL
 
 LOSSY = ("JPEG", "WEBP", "JETRAW")
-CFA_PATTERN = 33422  # Tag of the mosaic colours, 0 red, 1 green, 2 blue (TIFF/EP, ISO 12234-2)
 
 
 def read(path: Path) -> Recorded:
@@ -79,7 +78,7 @@ def _names(file, series) -> tuple[str, ...]:
 
 def _pattern(page) -> str | None:
     """Return the colours of a mosaic's sites where the file states them."""
-    tag = page.tags.get(CFA_PATTERN)
+    tag = page.tags.get(33422)  # Tag of the mosaic colours, 0 red, 1 green, 2 blue (TIFF/EP, ISO 12234-2)
     if tag is None or len(sites := bytes(tag.value)) != 4 or not set(sites) <= {0, 1, 2}:
         return None
     return "".join("rgb"[site] for site in sites)

@@ -29,7 +29,6 @@ from simulate.virtual_bench.tube import Scene, VirtualTube
 
 LOOPBACK = "127.0.0.1"
 MODEL = "VirtualICCD"
-PARENT_CHECK_S = 0.1
 LOCK_WAIT_S = 300.0
 IDLE_S = 0.002
 STUCK_S = 60.0
@@ -194,7 +193,7 @@ def hold_loopback(parent: int, *, folder: Path | None = None) -> IO[bytes]:
         if os.getppid() != parent or time.monotonic() > until_s:
             lock.close()
             raise BadInput(f"one virtual camera runs on a machine at a time, waited {LOCK_WAIT_S:g} s for another")
-        time.sleep(PARENT_CHECK_S)
+        time.sleep(0.1)
 
 
 def _open_lock(path: Path) -> IO[bytes]:

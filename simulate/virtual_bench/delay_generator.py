@@ -22,10 +22,7 @@ from simulate.virtual_bench.outputs import Trigger
 
 IDENTITY = "Stanford Research Systems,DG645,s/n001234,ver1.00.00E"
 LONGEST_DELAY_S = 2000.0
-INSERTION_DEAD_S = 100e-9  # the next trigger must come this much after the longest delay
 FIELD_HZ = 60.0 / 1.001
-SELF_TEST_S = 2.0
-QUEUE_LENGTH = 20
 OUTPUTS, EDGES = 5, 10  # T0 AB CD EF GH; T0 T1 A B C D E F G H
 _REFERENCES: dict[int, int] = dict(enumerate((0, 0, 0, 2, 0, 4, 0, 6, 0, 8)))
 _TRIGGERS: dict[int, Trigger] = {1: "camera", 2: "camera", 6: "mains"}
@@ -158,7 +155,7 @@ class DelayGenerator(LineInstrument, GateGenerator):
                 self._complain(refusal.code)
                 continue
             if answer is not None:
-                yield SELF_TEST_S if command.mnemonic in ("*TST", "*CAL") else self.command_s, answer
+                yield 2.0 if command.mnemonic in ("*TST", "*CAL") else self.command_s, answer
 
     def _dispatch(self, command: Command) -> str | None:
         name = command.mnemonic
@@ -176,7 +173,7 @@ class DelayGenerator(LineInstrument, GateGenerator):
         self._event_status |= (
             StandardEvent.CME if 110 <= code < 130 else StandardEvent.DDE if code >= 30 else StandardEvent.EXE
         )
-        if len(self._errors) < QUEUE_LENGTH:
+        if len(self._errors) < 20:
             self._errors.append(code)
         else:
             self._errors[-1] = Dg645Error.TOO_MANY_ERRORS
@@ -290,7 +287,7 @@ class DelayGenerator(LineInstrument, GateGenerator):
 
     def _cycle_s(self) -> float:
         """Time after a trigger in which the instrument is busy and another is lost, s."""
-        cycle_s = self._longest() * STEP_S + INSERTION_DEAD_S
+        cycle_s = self._longest() * STEP_S + 100e-9  # the next trigger must come this much after the longest delay
         if self._now("BURM"):
             cycle_s += self._now("BURD") + (self._now("BURC") - 1) * max(self._now("BURP"), cycle_s)
         return cycle_s

@@ -18,7 +18,6 @@ from simulate.virtual_bench.instrument import (
 from simulate.virtual_bench.outputs import Trigger
 
 LONGEST_S = 1000.0
-DEAD_S = 1e-6  # after the longest delay, before the next trigger is taken; recalled
 T0, A, B, AB, C, D, CD = 1, 2, 3, 4, 5, 6, 7
 EDGES = (A, B, C, D)
 OUTPUTS = (T0, A, B, AB, C, D, CD)
@@ -197,7 +196,8 @@ class Dg535(BusInstrument, GateGenerator):
         return rates_hz.get(int(self._values["TM", 0]), 0.0)
 
     def _busy_s(self) -> float:
-        return max(self._delays.total(edge) for edge in EDGES) * STEP_S + DEAD_S
+        # after the longest delay, before the next trigger is taken; recalled
+        return max(self._delays.total(edge) for edge in EDGES) * STEP_S + 1e-6
 
     def advance(self, now_s: float, faults: Faults) -> None:
         """Update the status of triggers used and lost."""

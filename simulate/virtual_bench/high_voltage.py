@@ -21,7 +21,6 @@ FULL_SCALE_V, MINIMUM_V = 5000.0, 50.0  # in steps of 1 V; below the minimum onl
 FULL_SCALE_A = 5.25e-3
 RISE_V_PER_S = FULL_SCALE_V / 3.0  # full scale in about 3 s
 DECAY_S = 6.0 / math.log(100.0)  # unloaded, to a hundredth in about 6 s
-STABLE_V = 1.0
 VOLTS, AMPERES = "{:.0f}", "{:.3E}"  # forms of the answers; recalled
 _SWITCHES = {"TMOD": 1, "SMOD": 1, "*ESE": 255, "*SRE": 255, "*PSC": 1}  # largest values
 
@@ -68,7 +67,7 @@ class HighVoltageSupply(BusInstrument, VoltageSource):
 
     def serial_poll(self) -> int:
         """Status byte by serial poll; the latches stay."""
-        stable = self._on and abs(self.output_v - self._goal_v()) < STABLE_V
+        stable = self._on and abs(self.output_v - self._goal_v()) < 1.0
         event = bool(self._event_status & self._switches["*ESE"])
         byte = (
             self._latched

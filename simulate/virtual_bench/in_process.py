@@ -23,8 +23,6 @@ from simulate.virtual_bench.prologix import PrologixAdapter
 from simulate.virtual_bench.pseudo_terminal import enter_at_panel
 from simulate.virtual_bench.tube import VirtualTube
 
-AT_ONCE_S = 2.5e-3  # Commands that take less time are answered at once, s
-
 
 class InProcessPort:
     """Port of an instrument in this process."""
@@ -61,7 +59,7 @@ class InProcessPort:
             answers = [] if self.faults.silent else self._instrument.receive(data)
             self._answers += b"".join(self.faults.arrives(answer) for _, answer in answers)
             making_s = max((seconds for seconds, _ in answers), default=0.0)
-            if making_s > AT_ONCE_S:
+            if making_s > 2.5e-3:  # Commands that take less time are answered at once, s
                 self._ready_s = time.monotonic() + making_s
 
     def receive(self, timeout_s: float) -> bytes:

@@ -6,7 +6,6 @@ from simulate.virtual_bench.faults import Faults
 from simulate.virtual_bench.instrument import LOAD_OHM, VoltageSource
 
 IDENTITY = "480012;3.15;3000V;100uA"
-NOMINAL_V = 3000.0
 HARDWARE_LIMIT_PERCENT = 30  # position of the rotary switch
 END = b"\r\n"
 BUFFER_LENGTH = 64
@@ -106,7 +105,7 @@ class IsegSupply(VoltageSource):
         return ""
 
     def _set_voltage(self, volts: float) -> None:
-        limit_v = NOMINAL_V * HARDWARE_LIMIT_PERCENT / 100.0
+        limit_v = 3000.0 * HARDWARE_LIMIT_PERCENT / 100.0
         if not 0 <= volts <= limit_v:
             raise _Refused(f"? UMAX={limit_v:04.0f}")
         self._set_v = round(volts, 2)

@@ -11,7 +11,6 @@ from simulate.virtual_bench.outputs import THERMOMETER_FILE
 
 LUX_PER_W = 1.6e5  # Illuminance on the photocathode for a watt on the head: 1 cm2 of light of 16 lm/W next to the tube
 NOISE_W = 2e-12
-READINGS_PER_S = 3000.0
 TEMPERATURE_C = 23.4
 NO_ERROR, UNDEFINED, OUT_OF_RANGE = '+0,"No error"', '-113,"Undefined header"', '-222,"Data out of range"'
 _SWITCHES = {"ON": 1, "OFF": 0, "1": 1, "0": 0}
@@ -39,7 +38,7 @@ class PowerMeter(LineInstrument):
     def _replies(self, line: str) -> Iterable[tuple[float, str]]:
         name, _, value = line.strip().upper().partition(" ")
         if name == "MEAS:POW?":
-            return [(self._averaged / READINGS_PER_S, f"{self._watts():.6E}")]
+            return [(self._averaged / 3000.0, f"{self._watts():.6E}")]
         if name == "SYST:ERR?":
             return [(self.command_s, self._errors.popleft() if self._errors else NO_ERROR)]
         asked = {

@@ -8,7 +8,6 @@ from simulate.virtual_bench.instrument import BusInstrument
 
 VERSION = "Prologix GPIB-USB Controller version 6.107"
 UNRECOGNIZED = b"Unrecognized command\r\n"
-ESCAPE = 27
 ENDINGS = (b"\r\n", b"\r", b"\n", b"")
 BUS_S = 1e-3
 
@@ -43,7 +42,7 @@ class PrologixAdapter:
             if self._escaped:
                 self._line.append(byte)
                 self._escaped = False
-            elif byte == ESCAPE:
+            elif byte == 27:  # escape
                 self._escaped = True
             elif byte in b"\r\n":
                 if self._line:

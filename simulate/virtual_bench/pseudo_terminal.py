@@ -15,7 +15,6 @@ from simulate.virtual_bench.instrument import SerialInstrument
 from simulate.virtual_bench.prologix import PrologixAdapter
 
 TICK_S = 0.02  # Longest time between two updates of an instrument's physics, s
-BITS_PER_CHARACTER = 10  # start, eight data bits, stop
 ORPHAN_S = 5.0  # An instrument whose bench is gone switches itself off after this time without a byte, s
 
 
@@ -67,7 +66,7 @@ class PseudoTerminal:
 
     def seconds(self, characters: int) -> float:
         """Time that characters take on the line, s."""
-        return 0.0 if self._baud is None else characters * BITS_PER_CHARACTER / self._baud
+        return 0.0 if self._baud is None else characters * 10 / self._baud  # start, eight data bits, stop
 
     def _as_heard(self, data: bytes) -> bytes:
         if self._baud is None:

@@ -16,9 +16,6 @@ from simulate.lab import LabBench
 from simulate.virtual_bench.outputs import Outputs, TargetPlacement, read_placement
 from simulate.virtual_bench.true_sensor import TRUTH, read_truth
 
-# Relative difference between the clock of a gate generator and that of a camera, two ordinary crystals
-CLOCKS_DIFFER = 2e-5
-
 STEPS = 32  # Open times are rounded to this fraction of one opening, since each is drawn as a scene of its own
 
 
@@ -35,7 +32,8 @@ class Fields:
     @classmethod
     def of(cls, outputs: Outputs, *, field_hz: float, exposure_s: float, phase: float) -> "Fields":
         """Return the timing of a gate and the fields; `phase`: of a gate that the camera does not trigger, 0 to 1."""
-        rates = {"clock": outputs.gate_hz * (1.0 + CLOCKS_DIFFER), "mains": outputs.gate_hz, "camera": field_hz}
+        # Relative difference between the clock of a gate generator and that of a camera, two ordinary crystals
+        rates = {"clock": outputs.gate_hz * (1.0 + 2e-5), "mains": outputs.gate_hz, "camera": field_hz}
         rate_hz = rates[outputs.gate_trigger]
         first_s = -outputs.gate_delay_ns * 1e-9 if outputs.gate_trigger == "camera" else phase / rate_hz
         return cls(width_ns=outputs.gate_ns, rate_hz=rate_hz, field_hz=field_hz, exposure_s=exposure_s, first_s=first_s)
@@ -57,7 +55,6 @@ class Fields:
 
 
 GATE_EXTINCTION = 1e-7  # light that a closed gate lets through, over an open one: 1e6 to 1e7 to one in the visible
-MCP_FLOOR_V = 1.0  # an MCP without voltage multiplies by next to nothing
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,7 +99,7 @@ class VirtualTube:
         open_ns = outputs.open_ns(exposure_s) if fields is None else float(fields.open_ns(0, 1)[0])
         conditions = Conditions(
             exposure_s=exposure_s,
-            mcp_v=max(round(outputs.mcp_v, 2), MCP_FLOOR_V),
+            mcp_v=max(round(outputs.mcp_v, 2), 1.0),  # an MCP without voltage multiplies by next to nothing
             gate_ns=max(open_ns, exposure_s * 1e9 * GATE_EXTINCTION),
             illuminance_lux=self._truth.illuminance_lux(placement, outputs),
             camera_gain_db=gain_db,

@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.cameras.aravis.connection import SUSPICION_S, Connection
-from drivers.cameras.aravis.library import BUFFER_FAULTS, BUFFER_SUCCESS
+from drivers.cameras.aravis.connection import BUFFER_FAULTS, BUFFER_SUCCESS, SUSPICION_S, Connection
 from drivers.cameras.frame_assembly import POLL_S, FrameCapture, IncompleteFrame, RunningNumbers
 from drivers.errors import CameraError
 from labdata.capture import CameraSettings, Frame
@@ -80,10 +79,8 @@ UNPACKED = {"Mono8": "u1", "Mono10": "<u2", "Mono12": "<u2", "Mono14": "<u2", "M
 PIXELS = (*UNPACKED, *PACKINGS)
 SOCKET_BUFFER_BYTES = 8 << 20  # with the default buffer, every frame loses its last packets
 LEAST_BUFFERS = 16
-MOST_BUFFER_BYTES = 256 << 20
 # On a busy machine a delay of 0.1 s (the default) would lose a frame.
 LATE_PACKET_S = 0.4
-LATE_READER_S = 2.0  # longest delay of the reader on a busy machine
 BLOCK_NUMBERS = 65535  # of GigE Vision's 16 bits, 1..65535
 
 
@@ -171,8 +168,9 @@ class AravisCapture(FrameCapture):
 
     def _buffers(self, payload: int) -> int:
         """Return the number of buffers of the stream: one per frame that waits for packets or for the reader."""
-        waiting = math.ceil((self._frame_rate_hz or 0.0) * (LATE_PACKET_S + LATE_READER_S))
-        return max(LEAST_BUFFERS, min(LEAST_BUFFERS + waiting, MOST_BUFFER_BYTES // max(1, payload)))
+        # longest delay of the reader on a busy machine
+        waiting = math.ceil((self._frame_rate_hz or 0.0) * (LATE_PACKET_S + 2.0))
+        return max(LEAST_BUFFERS, min(LEAST_BUFFERS + waiting, (256 << 20) // max(1, payload)))
 
     def _next_buffer(self) -> int:
         """Wait for a buffer; a dead camera is detected by its closed port, or by the missing frame."""

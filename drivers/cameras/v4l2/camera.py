@@ -15,11 +15,7 @@ from drivers.errors import CameraError
 from labdata.capture import CameraSettings
 from labdata.errors import BadInput
 
-BEGINS = 3.0  # Additional wait for the first frame, as a multiple of `silence_s`
 LONGEST_WAIT_S = 600.0  # Longest wait for a frame beyond `silence_s`, for any reported period and exposure, s
-
-FULL_RANGE = 1
-_FINEST_PERIOD = 100_000
 
 
 class V4l2Camera:
@@ -111,7 +107,7 @@ class V4l2Camera:
             form=form,
             standard=own.standard(),
             patience_s=self._silence_s + min(4 * period_s + (settings.exposure_s or 0.0), LONGEST_WAIT_S),
-            start_s=BEGINS * self._silence_s,
+            start_s=3.0 * self._silence_s,  # Additional wait for the first frame, as a multiple of `silence_s`
             frames=frames,
             discard=discard,
             while_waiting=while_waiting,
@@ -264,7 +260,7 @@ class V4l2Settings:
 
     def _set_frame_rate(self, frame_rate_hz: float) -> None:
         before = self._parameters()
-        period = Fraction(1 / frame_rate_hz).limit_denominator(_FINEST_PERIOD)
+        period = Fraction(1 / frame_rate_hz).limit_denominator(100_000)
         parameters = StreamParameters(type=CAPTURE)
         parameters.of.capture.numerator, parameters.of.capture.denominator = period.numerator, period.denominator
         self._ask_parameters(parameters)
@@ -328,7 +324,7 @@ class V4l2Settings:
 
     def _notes(self, form: Any, picture: BufferImage) -> tuple[str, ...]:
         notes = []
-        if picture.layout.is_video and form.of.pix.quantization != FULL_RANGE:
+        if picture.layout.is_video and form.of.pix.quantization != 1:  # full range
             notes.append(f"grey is the luma of {picture.layout.name} video: black is 16 and white is 235 DN")
         if self._value(listing.AUTOMATIC_GAIN):
             notes.append("the camera's automatic gain is on")

@@ -28,7 +28,6 @@ from labdata.errors import BadInput
 BUFFERS = 8
 MOST_BUFFERS = 32  # VIDEO_MAX_FRAME
 MOST_BYTES = 1 << 30
-SEQUENCE_NUMBERS = 1 << 32
 
 T = TypeVar("T")
 
@@ -56,7 +55,7 @@ class V4l2Capture(FrameCapture):
         self._device, self._picture, self._standard = device, picture_of(form), standard
         self._patience_s, self._start_s = patience_s, start_s
         self._memory: list[MappedBuffer] = []
-        self._numbers = RunningNumbers(SEQUENCE_NUMBERS)
+        self._numbers = RunningNumbers(1 << 32)
         apart = form.of.pix.field == ALTERNATE
         self._pairs = FieldPairs(older_field(standard), lambda: self._take_buffer(self._as_field)) if apart else None
 

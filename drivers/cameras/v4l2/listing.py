@@ -18,7 +18,6 @@ MANUAL_EXPOSURE = 1
 
 Kind = Literal["integer", "boolean", "menu", "button", "integer menu", "bitmask"]
 _KINDS: dict[int, Kind] = {1: "integer", 2: "boolean", 3: "menu", 4: "button", 8: "bitmask", 9: "integer menu"}
-_DISCRETE = 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -198,7 +197,7 @@ def list_sizes(device: Device, code: int) -> tuple[tuple[int, int], ...]:
     """Return rows and columns of the image sizes of a format; empty where any size within bounds is offered."""
     sizes = []
     for one in list_structures(device, structures.LIST_SIZES, pixel_format=code):
-        if one.type != _DISCRETE:
+        if one.type != 1:  # discrete
             return ()
         sizes.append((one.sizes[1], one.sizes[0]))
     return tuple(sizes)
