@@ -342,12 +342,9 @@ class SpectrumOptimum:
 
 
 def optimum_under_model(
-    spectrum: PooledSpectrum,
-    known: KnownReadout,
-    shape: PostGainBlur,
-    *,
+    spectrum: PooledSpectrum, known: KnownReadout, shape: PostGainBlur, *,
     start: Callable[[SpectrumLikelihood], Array] | None = None,
-) -> SpectrumOptimum:
+) -> SpectrumOptimum:  # fmt: skip
     """Find the optimum under a blur model, first roughly, then with the replicas, cells and looks of that fit."""
     whole = spectral_replicas(spectrum.column_cy_per_px, spectrum.row_cy_per_px, spectrum.bins.row_pitch, known)
     problem = SpectrumLikelihood(
