@@ -16,7 +16,7 @@ from charact.noise.stack.stack_statistics import WHOLE_BYTES
 from charact.noise.thresholds import SURVEY
 from labdata.frames import FrameStack
 from labdata.lazy_stack import LazyStack
-from labdata.measurement import Interval, Measurement, Posterior, Result, make_measurement, make_refusal
+from labdata.measurement import Measurement, Result, make_measurement, make_refusal
 from labdata.session import Session, StackEntry
 
 Places = NDArray[np.int64]
@@ -298,19 +298,17 @@ class Prepared:
 
     def in_dn(self, result: Result) -> Result:
         """Return a result in DN of the files, with a note on excluded pixels."""
-        note = None if self.found is None else self.found.note
+        unit_dn, note = self.unit_dn, None if self.found is None else self.found.note
         notes = () if note is None else (note,)
-        if self.unit_dn == 1.0:
-            return (
-                replace(result, measurements=tuple(_with_notes(m, notes) for m in result.measurements))
-                if notes
-                else result
-            )
-        notes += (f"DN in other notes are units of {self.unit_dn:.4g} of the files' values",)
+        if unit_dn != 1.0:
+            notes += (f"DN in other notes are units of {unit_dn:.4g} of the files' values",)
+        noted = [m if m.value is None else replace(m, notes=(*m.notes, *notes)) for m in result.measurements]
+        if unit_dn == 1.0:
+            return replace(result, measurements=tuple(noted)) if notes else result
         return replace(
             result,
-            measurements=tuple(_in_dn(_with_notes(m, notes), self.unit_dn) for m in result.measurements),
-            evidence={name: _scale_figure_data(data, self.unit_dn) for name, data in result.evidence.items()},
+            measurements=tuple(_in_dn(m, unit_dn) for m in noted),
+            evidence={name: _scale_figure_data(data, unit_dn) for name, data in result.evidence.items()},
         )
 
 
@@ -354,10 +352,6 @@ def _unit(surveys: list[PixelSurvey]) -> tuple[float, bool]:
     return (2.0 ** np.floor(np.log2(min(noise) / SURVEY.fine_units)), False) if noise else (1.0, False)
 
 
-def _with_notes(measurement: Measurement, notes: tuple[str, ...]) -> Measurement:
-    return replace(measurement, notes=(*measurement.notes, *notes)) if measurement.value is not None else measurement
-
-
 def power_of_dn(unit: str) -> int:
     """Return the power of DN in a unit: 2 for DN2, 1 for DN or DN/e-, -1 for 1/DN, 0 for others."""
     above, _, below = unit.partition("/")
@@ -366,30 +360,22 @@ def power_of_dn(unit: str) -> int:
 
 
 def _in_dn(measurement: Measurement, unit_dn: float) -> Measurement:
-    """Return a measurement converted from units to DN."""
+    """Return a measurement converted from units to DN; logarithms of draws are shifted."""
     factor = unit_dn ** power_of_dn(measurement.unit)
-
-    def around(interval: Interval | None) -> Interval | None:
-        return None if interval is None else (interval[0] * factor, interval[1] * factor)
-
+    around = [None if pair is None else (pair[0] * factor, pair[1] * factor)
+              for pair in (measurement.interval68, measurement.interval95)]  # fmt: skip
     kept = measurement.posterior
-    return replace(
-        measurement, value=None if measurement.value is None else measurement.value * factor,
-        interval68=around(measurement.interval68), interval95=around(measurement.interval95),
-        posterior=None if kept is None else _posterior(kept, unit_dn),
-    )  # fmt: skip
-
-
-def _posterior(kept: Posterior, unit_dn: float) -> Posterior:
-    """Return draws in DN; logarithms are shifted."""
-    draws = kept.draws.copy()
-    for column, unit in enumerate(kept.units):
-        logarithm = unit.removeprefix("log ")
-        if logarithm != unit:
-            draws[:, column] += power_of_dn(logarithm) * np.log(unit_dn)
-        else:
-            draws[:, column] *= unit_dn ** power_of_dn(unit)
-    return replace(kept, draws=draws)
+    if kept is not None:
+        draws = kept.draws.copy()
+        for column, unit in enumerate(kept.units):
+            power = power_of_dn(unit.removeprefix("log "))
+            if unit.startswith("log "):
+                draws[:, column] += power * np.log(unit_dn)
+            else:
+                draws[:, column] *= unit_dn**power
+        kept = replace(kept, draws=draws)
+    value = None if measurement.value is None else measurement.value * factor
+    return replace(measurement, value=value, interval68=around[0], interval95=around[1], posterior=kept)
 
 
 def _scale_figure_data(data: Any, unit_dn: float, factor: float = 1.0) -> Any:
