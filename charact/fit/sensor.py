@@ -142,8 +142,6 @@ def fills_the_scale(session: Session) -> bool:
 def full_well_draws(sensor: Sensor, drawn: dict[str, Array], rng: np.random.Generator) -> Array | None:
     """Return the full well for each draw of gain and black level, e-; None if not constrained.
 
-    `drawn`: joint draws by path, shape (draw,) each.
-
     The prior, truncated below (full scale - black level) / gain; that charge where nothing remains.
     """
     prior = prior_of(sensor, (FULL_WELL,))

@@ -62,17 +62,10 @@ def find_defective_pixels(surveys: Sequence[PixelSurvey], *, multiplies: bool) -
 def _slope(surveys: Sequence[PixelSurvey]) -> float:
     """Return variance over signal of the flats by robust statistics, DN; 0 without flats."""
     darks = [one for one in surveys if one.kind == "dark"]
-    dark, noise = (
-        (min(darks, key=lambda one: one.level_dn).level_dn, min(one.sd_dn for one in darks)) if darks else (0, 0)
-    )
+    dark, noise = (min((getattr(one, name) for one in darks), default=0.0) for name in ("level_dn", "sd_dn"))
     flats = [one for one in surveys if one.kind == "flat" and one.level_dn > dark]
     slopes = [(one.sd_dn**2 - noise**2) / (one.level_dn - dark) for one in flats]
     return max(float(np.median(slopes)), 0.0) if slopes else 0.0
-
-
-def _departures_are_rare(one: PixelSurvey) -> bool:
-    """Return whether outliers are rare."""
-    return len(one.sudden) <= SURVEY.max_fraction * one.pixels
 
 
 def _blinking_mask(surveys: Sequence[PixelSurvey], wrong: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -81,7 +74,7 @@ def _blinking_mask(surveys: Sequence[PixelSurvey], wrong: NDArray[np.bool_]) -> 
 
     counts, trials = np.zeros(len(wrong), np.int64), 0
     for one in surveys:
-        if _departures_are_rare(one):
+        if len(one.sudden) <= SURVEY.max_fraction * one.pixels:
             counts[one.sudden] += one.times
             trials += one.trials
     if not trials:
@@ -315,16 +308,11 @@ class Prepared:
 def prepare(session: Session, *, context: Context) -> Prepared:
     """Survey the darks and flats of a session and prepare it for measurement.
 
-    `session`: the session.
-
     Pixel means are compared in at most eight stacks distributed over the levels, because a defect shows in several.
     """
     session = replace(session, stacks=load_frames(session.stacks) if context.spread is map else session.stacks)
     entries = session.of_kind("dark", "flat")
     spread = set(np.linspace(0, len(entries) - 1, min(SURVEY.mean_stacks, len(entries))).round().astype(int).tolist())
-    spread |= (
-        {i for i, entry in enumerate(entries) if entry.kind == "dark"} if len(entries) <= SURVEY.mean_stacks else set()
-    )
     surveys = [survey_pixels(entry, means=i in spread) for i, entry in enumerate(entries)]
     many = [one for one in surveys if one.frames > 1]
     sizes = {one.size for one in surveys}

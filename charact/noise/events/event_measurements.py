@@ -85,8 +85,6 @@ METHOD = "pulse-law"
 def pulses_of_darks(session: Session, darks: list[StackStatistics], *, context: Context) -> Result:
     """Measure single photoelectrons in the dark frames of an intensified camera.
 
-    `session`, `darks`: the session, and the statistics of its dark stacks.
-
     Returns measurements of the dark stack at the gain of most flats, or else of most frames; empty if neither a sensor
     nor an MCP voltage indicates an intensifier.
     """

@@ -174,10 +174,7 @@ def _log_probability(data: SpectrumData, form: GainBlurModel) -> Callable[[Array
 
 
 def fit_spectrum(summary: PooledNoise, *, seed: int, quick: bool, forms: tuple[GainBlurModel, ...]) -> Fit:
-    """Fit the blur models to the pooled spectrum, variance and temporal correlation.
-
-    `summary`: the statistics; `forms`: candidate blur models, averaged by evidence; see `charact.noise.gain.model`.
-    """
+    """Fit the blur models to the pooled spectrum, variance and temporal correlation."""
     radius = np.hypot(summary.column_cy_per_px, summary.row_cy_per_px)
     for reach in GAIN.band_limits_cy_per_px:
         used = radius <= reach
