@@ -125,7 +125,7 @@ def _of_electrons(
 
 
 METHOD = "covariance-sum"
-QUANTITIES = ("covariance_gain", "blur_factor", "system_gain", "read_noise", "photoelectron_gain")
+QUANTITIES = ("covariance_gain", "blur_factor", "read_noise", "photoelectron_gain")
 
 
 @register(
